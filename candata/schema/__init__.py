@@ -1,0 +1,1 @@
+"""Records: channels, episodes, manifests, scenes, effects, reports."""

@@ -1,0 +1,24 @@
+"""Records of effects: a setting in a simulation, and the repaired simulator as a file."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from candata.schema.record import Record
+
+Value = float | str | tuple[float, ...]
+
+
+class EffectSetting(Record):
+    """One effect with its values: `element` null means all elements it can act on."""
+
+    name: str
+    element: str | None = None
+    parameters: dict[str, Value] = Field(default_factory=dict)
+
+
+class EffectsFile(Record):
+    """`effects.yaml`: a scene and the effects added to it."""
+
+    scene: str | None = None
+    effects: tuple[EffectSetting, ...] = ()

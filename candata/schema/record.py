@@ -1,0 +1,37 @@
+"""The one parent of all records: frozen, closed, with readable errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from candata.errors import UsageError, Where
+
+
+class Record(BaseModel):
+    """A frozen, validated value that refuses fields it does not know."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+
+    @classmethod
+    def parse(cls, value: Any, path: str | Path) -> Self:
+        """Return the record read from `value`, which came from `path`.
+
+        Raises
+        ------
+        UsageError
+            When a field is missing, unknown or of the wrong kind; names file and field.
+        """
+        try:
+            return cls.model_validate(value)
+        except ValidationError as error:
+            first = error.errors()[0]
+            field = ".".join(str(part) for part in first["loc"]) or "(whole file)"
+            raise UsageError(
+                f"{Path(path).name} is not valid: {field}: {first['msg']}",
+                found=repr(first.get("input"))[:200],
+                where=Where(path=str(path)),
+                fix=f"correct the field {field}",
+            ) from None

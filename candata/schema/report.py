@@ -1,0 +1,124 @@
+"""The record that a diagnosis prints and writes: all keys always present."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import ConfigDict, Field
+
+from candata.schema.effect import Value
+from candata.schema.record import Record
+
+Verdict = Literal[
+    "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data"
+]
+Bound = float | tuple[float, ...] | None
+
+
+class Estimate(Record):
+    """A parameter with its 90 % interval; lists for vectors, a word for a discrete choice."""
+
+    value: Value
+    low: Bound = None
+    high: Bound = None
+
+
+class NamedEffect(Record):
+    """An effect the verdict names."""
+
+    name: str
+    element: str | None = None
+    share: float
+    support: float
+    at_bound: bool = False
+    parameters: dict[str, Estimate]
+
+
+class Unknown(Record):
+    """What no effect of the library explains."""
+
+    acts_on: Literal["joint", "fingertip", "object", "wrist"] | None = None
+    element: str | None = None
+    size: float | None = None
+    unit: str | None = None
+    depends_on: tuple[str, ...] = ()
+    words: str
+
+
+class Ranked(Record):
+    """A candidate with its held-out evidence."""
+
+    name: str
+    element: str | None = None
+    support: float
+    held_out_gain: float
+    gain_low: float | None = None
+    gain_high: float | None = None
+    parameters: dict[str, Value] = {}
+    reason: str | None = None
+
+
+class Gap(Record):
+    """How far: floor-normalised loss on held-out episodes; closed is null for no_gap."""
+
+    before: float
+    after: float
+    floor: float = 1.0
+    closed: float | None = None
+    low: float | None = None
+    high: float | None = None
+
+
+class Symptom(Record):
+    """Where: a channel, element and phase in which the recording leaves the nulls."""
+
+    channel: str
+    element: str | None = None
+    phase: str | None = None
+    regime: str | None = None
+    ratio: float
+    p: float
+
+
+class NextMotion(Record):
+    """The motion that best separates what is tied."""
+
+    name: str
+    file: str | None = None
+    separates: tuple[str, ...] = ()
+
+
+class EpisodeCount(Record):
+    """Episodes used and how they were held out."""
+
+    total: int
+    folds: int
+    held_out: int
+
+
+class DataUsed(Record):
+    """What the diagnosis saw."""
+
+    dataset: str
+    episodes: EpisodeCount
+    floor: Literal["measured", "declared", "assumed"] | None = None
+    channels: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+class Report(Record):
+    """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
+
+    verdict: Verdict
+    effects: tuple[NamedEffect, ...] = ()
+    ambiguous_class: tuple[str, ...] = Field(default=(), alias="class")
+    unknown: Unknown | None = None
+    ranking: tuple[Ranked, ...] = ()
+    gap: Gap | None = None
+    where: tuple[Symptom, ...] = ()
+    next_motion: NextMotion | None = None
+    data: DataUsed
+    measures: dict[str, dict[str, float]] = {}
+    provenance: dict[str, str] = {}

@@ -1,0 +1,70 @@
+"""Records of `scene.yaml` and `map.yaml`, the files users write."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from candata.schema.record import Record
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Servo(Record):
+    """A position servo to add to a joint of a model that has no actuators (a URDF)."""
+
+    kp: Positive
+    kv: NonNegative = 0.0
+    limit: Positive | None = None
+
+
+class Noise(Record):
+    """Declared sensor noise, one standard deviation: the declared floor.
+
+    `object_pose` is (position m, rotation rad), `joint_position` rad or m, `fingertip_force` N,
+    `force_step` the quantisation step in N.
+    """
+
+    object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    joint_position: NonNegative = 0.0
+    fingertip_force: NonNegative = 0.0
+    force_step: NonNegative = 0.0
+
+
+class SceneFile(Record):
+    """`scene.yaml`: an MJCF or URDF and the roles of what is in it."""
+
+    model: str
+    rate_hz: Positive
+    object: str | None = None
+    joints: tuple[str, ...] = ()
+    actuators: tuple[str, ...] | dict[str, Servo] = ()
+    fingertips: tuple[str, ...] = ()
+    fingertip_frames: tuple[str, ...] | None = None
+    support: str | None = None
+    groups: dict[str, tuple[str, ...]] = {}
+    noise: Noise | None = None
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators in the order of `action`."""
+        return tuple(self.actuators)
+
+
+class TableMap(Record):
+    """`map.yaml`: which column of a table is which channel."""
+
+    file: str
+    source: Literal["real", "sim"] = "real"
+    episode: str | None = None
+    time_s: str
+    rate_hz: Positive
+    scene: str | None = None
+    object: str | None = None
+    task: str | None = None
+    channels: dict[str, tuple[str | tuple[str, ...], ...]]
+    units: dict[str, str] = {}
+    force: Literal["mean", "instant"] = "mean"
+    action: Literal["next", "previous"] = "next"
