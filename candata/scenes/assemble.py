@@ -18,7 +18,7 @@ from candata.scenes.contract import BuiltinScene
 from candata.schema.scene import SceneFile, Servo
 
 LIBRARY = "candata.scenes.library"
-_FORCE, _FRAME = "candata_force_", "candata_frame_"
+_FORCE, _FRAME, _TOUCH = "candata_force_", "candata_frame_", "candata_touch_"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +123,12 @@ class Scene:
         return np.array(start, int).reshape(-1, 1) + np.arange(width)
 
     @cached_property
+    def touch_sensors(self) -> NDArray[np.int64]:
+        """`(R,)` addresses of the flags that tell whether a robot's links touch the object."""
+        found = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(_TOUCH)]
+        return np.array([self.model.sensor(s).adr[0] for s in found], int)
+
+    @cached_property
     def digest(self) -> str:
         """SHA-256 over the compiled model and the roles: names what was simulated."""
         size = mujoco.mj_sizeModel(self.model)
@@ -223,6 +229,11 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
         for index, tip in enumerate(file.fingertips):
             _add_sensors(spec, file, index, tip)
+        for index, root in enumerate(sorted({_root(spec.joint(j).parent).name for j in file.joints})):
+            spec.add_sensor(
+                name=f"{_TOUCH}{index}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
+                objname=file.object, reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=root, intprm=(1, 0, 1),
+            )
     try:
         model = spec.compile()
     except ValueError as error:
@@ -286,6 +297,13 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
     actuator.set_to_position(kp=servo.kp, kv=servo.kv)
     if servo.limit is not None:
         actuator.forcelimited, actuator.forcerange = True, (-servo.limit, servo.limit)
+
+
+def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the ancestor of `body` that stands on the world."""
+    while body.parent.name != "world":
+        body = body.parent
+    return body
 
 
 def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> None:
