@@ -15,7 +15,7 @@ PACKAGE = "candata.effects"
 
 def effect_names() -> tuple[str, ...]:
     """Return the names of all effects: the files of the folder."""
-    return tuple(n for n in names(PACKAGE) if not n.startswith("_"))
+    return names(PACKAGE)
 
 
 def effect(name: str) -> Effect:

@@ -10,13 +10,18 @@ from candata.scenes.contract import BuiltinScene
 from candata.schema.scene import Noise, SceneFile
 
 RATE_HZ = 80.0
-#: Six physics steps a control step: 2.08 ms.
-SUBSTEPS = 6
+#: Five physics steps a control step: 2.5 ms.
+SUBSTEPS = 5
 WRIST = ("wrist_x", "wrist_y", "wrist_z")
 #: Wrist rails: stiffness [N/m] and damping [N s/m], about critical for the 1.7 kg that they carry.
 WRIST_KP, WRIST_KV, WRIST_LIMIT_N = 3000.0, 140.0, 120.0
 CAN_RADIUS_M, CAN_HALF_HEIGHT_M, CAN_MASS_KG = 0.030, 0.060, 0.25
+CAN_START_M = (0.138, 0.058)
 HAND_HEIGHT_M = 0.085
+#: Postures [rad] that hold the can by all five fingertips (found by simulated grasps of 400 random postures, of
+#: which 73 % lifted it; this one lies in the middle of the good ones).
+THUMB_OPEN, THUMB_GRASP = (1.35, 0.0, 0.1), (1.35, 0.85, 0.8)
+FINGER_OPEN, FINGER_GRASP = (0.05, 0.3), (0.5, 1.0)
 
 
 def build() -> mujoco.MjSpec:
@@ -37,16 +42,18 @@ def build() -> mujoco.MjSpec:
     hand.add(spec, wrist, (0.5, 0.5, 0.5, 0.5))
     _add_can(spec)
     _exclude_neighbours(spec, hand.joints)
+    for name, thumb, finger in (("open", THUMB_OPEN, FINGER_OPEN), ("grasp", THUMB_GRASP, FINGER_GRASP)):
+        _add_posture(spec, name, (*thumb, 0.0, *finger * 4))
     return spec
 
 
 def _add_table(spec: mujoco.MjSpec) -> None:
-    """Add light, camera and a table whose top is z = 0."""
+    """Add light, camera and a table whose top is z = 0 (a plane: its contacts are found in closed form)."""
     spec.worldbody.add_light(pos=(0.2, -0.6, 1.2), dir=(-0.1, 0.4, -1), castshadow=True)
     spec.worldbody.add_camera(name="report", pos=(0.62, 0.62, 0.42), fovy=38,
                               xyaxes=(-0.78, 0.62, 0, -0.30, -0.38, 0.87))
-    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.4, 0.4, 0.02),
-                            pos=(0, 0, -0.02), rgba=(0.82, 0.78, 0.72, 1))
+    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.4, 0.4, 0.05),
+                            rgba=(0.82, 0.78, 0.72, 1))
 
 
 def _add_wrist(spec: mujoco.MjSpec) -> mujoco.MjsBody:
@@ -66,7 +73,7 @@ def _add_wrist(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 
 def _add_can(spec: mujoco.MjSpec) -> None:
     """Add the free can, standing in front of the palm."""
-    can = spec.worldbody.add_body(name="object", pos=(0.125, 0.048, CAN_HALF_HEIGHT_M))
+    can = spec.worldbody.add_body(name="object", pos=(*CAN_START_M, CAN_HALF_HEIGHT_M))
     can.add_freejoint(name="object")
     can.add_geom(name="object", type=mujoco.mjtGeom.mjGEOM_CYLINDER, mass=CAN_MASS_KG,
                  size=(CAN_RADIUS_M, CAN_HALF_HEIGHT_M, 0), rgba=(0.2, 0.55, 0.75, 1))
@@ -80,6 +87,12 @@ def _exclude_neighbours(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
     for i, first in enumerate(bodies):
         for second in bodies[i + 1 :]:
             spec.add_exclude(bodyname1=first, bodyname2=second)
+
+
+def _add_posture(spec: mujoco.MjSpec, name: str, hinges: tuple[float, ...]) -> None:
+    """Add a keyframe with the hand in a posture, the can where it stands."""
+    can = (*CAN_START_M, CAN_HALF_HEIGHT_M, 1.0, 0.0, 0.0, 0.0)
+    spec.add_key(name=name, qpos=(0.0, 0.0, 0.0, *hinges, *can), ctrl=(0.0, 0.0, 0.0, *hinges))
 
 
 def _file() -> SceneFile:
