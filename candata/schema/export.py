@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 from typing import Literal
 
+from pydantic.json_schema import GenerateJsonSchema
+from pydantic_core import core_schema
+
 from candata.schema.channels import CHANNELS, Channel
 from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
@@ -31,12 +34,24 @@ _WRITTEN: dict[str, type[Record]] = {
 }
 
 
+class _Complete(GenerateJsonSchema):
+    """Generator for what candata writes: a key with a default is present too, so it is required."""
+
+    def field_is_required(
+        self,
+        field: core_schema.ModelField | core_schema.DataclassField | core_schema.TypedDictField,
+        total: bool,
+    ) -> bool:
+        """Return true for every field."""
+        return True
+
+
 def documents() -> dict[str, str]:
     """Return the text of every generated file by its name, the table of channels included."""
-    schemas = {f"{name}.schema.json": _schema(record, "validation") for name, record in _READ.items()}
-    schemas |= {f"{name}.schema.json": _schema(record, "serialization") for name, record in _WRITTEN.items()}
+    read = {f"{name}.schema.json": _schema(record, "validation") for name, record in _READ.items()}
+    written = {f"{name}.schema.json": _schema(record, "serialization") for name, record in _WRITTEN.items()}
     rows = [row.model_dump(mode="json") for row in CHANNELS.values()]
-    return {**schemas, "channels.json": _text(rows)}
+    return {**read, **written, "channels.json": _text(rows)}
 
 
 def write(folder: Path) -> tuple[Path, ...]:
@@ -52,7 +67,8 @@ def write(folder: Path) -> tuple[Path, ...]:
 
 def _schema(record: type[Record], mode: Literal["validation", "serialization"]) -> str:
     """Return the schema of a record as it is read or as it is written."""
-    return _text({"$schema": DIALECT, **record.model_json_schema(mode=mode)})
+    generator = _Complete if mode == "serialization" else GenerateJsonSchema
+    return _text({"$schema": DIALECT, **record.model_json_schema(mode=mode, schema_generator=generator)})
 
 
 def _text(value: object) -> str:
