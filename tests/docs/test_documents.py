@@ -1,4 +1,4 @@
-"""What the documents say is what the code does: commands run, examples parse, tables and links are complete."""
+"""What the documents say is what the code does: commands run, examples parse, tables and links hold."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import get_args
 
@@ -27,15 +26,21 @@ BLOCK = re.compile(
 )
 
 
-def blocks(kind: str) -> Iterator[pytest.param]:
-    """Yield (document, text) of the tagged blocks of one kind."""
-    for path in DOCUMENTS:
-        for found in BLOCK.finditer(path.read_text(encoding="utf-8")):
-            if found["kind"] == kind:
-                marks = [pytest.mark.slow] if found["slow"] else []
-                yield pytest.param(
-                    found["name"], found["text"], id=f"{path.name}-{found['name']}", marks=marks
-                )
+def blocks(kind: str) -> list[pytest.param]:
+    """Return (name, text) of the tagged blocks of one kind, in all documents."""
+    found = [
+        (path, block) for path in DOCUMENTS for block in BLOCK.finditer(path.read_text(encoding="utf-8"))
+    ]
+    return [
+        pytest.param(
+            block["name"],
+            block["text"],
+            id=f"{path.name}-{block['name']}",
+            marks=[pytest.mark.slow] if block["slow"] else [],
+        )
+        for path, block in found
+        if block["kind"] == kind
+    ]
 
 
 def first_column(heading: str) -> set[str]:
