@@ -9,7 +9,7 @@ from candata.policies._contract import Plan, Policy
 from candata.scenes import Scene
 
 #: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
-AWAY_M = 0.09
+AWAY_M = 0.14
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
