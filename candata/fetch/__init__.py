@@ -1,4 +1,4 @@
-"""Public data sets, one file each: a file here exports `SOURCE`; the command line writes its name with dashes."""
+"""Public data sets, one file each: a file here exports `SOURCE`; users write its name with dashes."""
 
 from __future__ import annotations
 

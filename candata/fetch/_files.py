@@ -39,10 +39,10 @@ def require_sha256(path: Path, expected: str, fix: str) -> None:
 
 
 def git_tree_hash(files: Mapping[str, bytes]) -> str:
-    """Return the name git gives a flat folder of plain files: one hash over all names and contents.
+    r"""Return the name git gives a flat folder of plain files: one hash over all names and contents.
 
-    Source: git-scm.com/book, "Git Internals - Git Objects": sha1 over `tree <size>\\0` and an entry
-    `100644 <name>\\0<sha1 of the blob>` a file, sorted by name.
+    Source: git-scm.com/book, "Git Internals - Git Objects": sha1 over `tree <size>\0` and an entry
+    `100644 <name>\0<sha1 of the blob>` a file, sorted by name.
     """
     entries = b"".join(
         b"100644 " + name.encode() + b"\0" + _git_object(b"blob", files[name]).digest()

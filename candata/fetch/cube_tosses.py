@@ -154,7 +154,9 @@ def _members(archive: Path) -> tuple[dict[str, bytes], bytes]:
                     licence = tar.extractfile(member).read()  # type: ignore[union-attr]
     except (tarfile.TarError, EOFError, OSError, zlib.error) as error:
         raise DataError(
-            "the archive cannot be read", found=str(error), where=Where(path=str(archive)),
+            "the archive cannot be read",
+            found=str(error),
+            where=Where(path=str(archive)),
             fix="delete the file and fetch again",
         ) from None
     return tosses, licence

@@ -74,7 +74,8 @@ def read_map(path: Path) -> TableMap:
         value = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise UsageError(
-            "the map cannot be read", found=getattr(error, "strerror", None) or str(error),
+            "the map cannot be read",
+            found=getattr(error, "strerror", None) or str(error),
             where=Where(path=str(path)),
         ) from None
     except yaml.YAMLError as error:
@@ -210,7 +211,8 @@ def _unfit(name: str, unit: str, kind: tuple[str, ...], where: Where) -> UsageEr
 
 def _check_units(mapping: TableMap, where: Where) -> None:
     """Raise when `units` names what the map does not have, or a unit that is not known."""
-    columns = {c for entries in mapping.channels.values() for e in entries for c in ((e,) if isinstance(e, str) else e)}
+    entries = (entry for listed in mapping.channels.values() for entry in listed)
+    columns = {column for entry in entries for column in ((entry,) if isinstance(entry, str) else entry)}
     for name, unit in mapping.units.items():
         if name not in columns | set(mapping.channels) | {mapping.time_s}:
             raise UnknownNameError("channel or column in units", name, columns | set(mapping.channels), where)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -47,6 +47,12 @@ def _after(column: str, word: str) -> str:
 
 def _shared(columns: Sequence[str]) -> str:
     """Return the longer of the columns' common start and common end, without separators."""
-    start = os.path.commonprefix(list(columns))
-    end = os.path.commonprefix([column[::-1] for column in columns])[::-1]
+    start = _common_start(columns)
+    end = _common_start([column[::-1] for column in columns])[::-1]
     return max(start, end, key=len).strip(_SEPARATORS)
+
+
+def _common_start(texts: Sequence[str]) -> str:
+    """Return the longest start that all texts share."""
+    equal = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False))
+    return "".join(letters[0] for letters in equal)

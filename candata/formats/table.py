@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -77,7 +78,8 @@ def digest(source: Path) -> str:
         with path.open("rb") as file:
             data = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise DataError("the table cannot be read", found=error.strerror, where=Where(path=str(path))) from None
+        where = Where(path=str(path))
+        raise DataError("the table cannot be read", found=error.strerror, where=where) from None
     return map_digest(mapping, data)
 
 
@@ -102,9 +104,21 @@ def episodes(
     check_lengths(columns, path)
     time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping.time_s, path)
     values = {c: numbers(columns[c], c, path) for plan in made for c in plan.columns}
+    table = _Table(mapping, made, time_ns, values, path, allow_gaps)
     for label, rows in _groups(mapping, columns, len(time_ns), path):
-        identity = path.stem if label is None else f"{path.stem}-{label}"
-        yield _episode(mapping, made, values, time_ns, rows, identity, path, allow_gaps)
+        yield _episode(table, rows, path.stem if label is None else f"{path.stem}-{label}")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table at hand: its map and plans, its time in ns, its columns as numbers, its file."""
+
+    mapping: TableMap
+    plans: tuple[Plan, ...]
+    time_ns: NDArray[np.int64]
+    values: Mapping[str, NDArray[np.float64]]
+    path: Path
+    allow_gaps: bool
 
 
 def _wanted(mapping: TableMap, path: Path) -> list[str]:
@@ -123,12 +137,13 @@ def _groups(
         yield None, np.arange(total)
         return
     labels = columns[mapping.episode]
-    missing = np.flatnonzero([v is None or v != v for v in labels]) if labels.dtype.kind in "fO" else ()
-    if len(missing):
+    missing = [k for k, v in enumerate(labels) if v is None or v != v] if labels.dtype.kind in "fO" else []
+    if missing:
         raise DataError(
             f"column {mapping.episode} does not name an episode",
-            expected="a value in every row", found="an empty cell",
-            where=Where(path=str(path), index=int(missing[0])),
+            expected="a value in every row",
+            found="an empty cell",
+            where=Where(path=str(path), index=missing[0]),
         )
     known, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
     by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse))[:-1])
@@ -140,6 +155,7 @@ def _groups(
 
 def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray[np.int64]:
     """Return `(T,) int64 [ns]`; whole numbers stay exact."""
+    missing: NDArray[np.bool_]
     if values.dtype.kind == "M":
         missing = np.isnat(values)
         time_ns = values.astype("datetime64[ns]").astype(np.int64)
@@ -152,44 +168,48 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
         time_ns = np.rint(np.where(missing, 0.0, seconds) * 1e9).astype(np.int64)
     if missing.any():
         raise DataError(
-            "time is missing", expected="a number in every row", found=f"{missing.sum()} rows without",
+            "time is missing",
+            expected="a number in every row",
+            found=f"{missing.sum()} rows without",
             where=Where(path=str(path), channel="time_ns", index=int(np.argmax(missing))),
             fix="drop the rows that have no time",
         )
     return time_ns
 
 
-def _episode(
-    mapping: TableMap, made: tuple[Plan, ...], values: Mapping[str, NDArray], time_ns: NDArray,
-    rows: NDArray, identity: str, path: Path, allow_gaps: bool,
-) -> Episode:
+def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
     """Return one checked episode; a problem in it also names the file."""
-    arrays: dict[str, NDArray] = {"time_ns": time_ns[rows]}
+    arrays: dict[str, NDArray] = {"time_ns": table.time_ns[rows]}
     invalid: dict[str, int] = {}
-    for plan in made:
-        block = np.stack([values[c][rows] * f for c, f in zip(plan.columns, plan.factors, strict=True)], axis=1)
+    for plan in table.plans:
+        where = Where(path=str(table.path), episode=identity, channel=plan.channel)
+        pairs = zip(plan.columns, plan.factors, strict=True)
+        block = np.stack([table.values[column][rows] * factor for column, factor in pairs], axis=1)
         gaps = ~np.isfinite(block)
         if gaps.any():
-            if not allow_gaps:
-                raise _gap_error(plan, gaps, rows, identity, path)
+            if not table.allow_gaps:
+                raise _gap_error(plan, gaps, rows, where)
             block[gaps] = np.nan
             arrays[plan.channel + VALID_SUFFIX] = ~gaps.any(axis=1)
             invalid[plan.channel] = int(gaps.any(axis=1).sum())
-        arrays[plan.channel] = _typed(plan, block, identity, path).reshape(len(rows), *plan.shape)
+        arrays[plan.channel] = _typed(plan, block, where).reshape(len(rows), *plan.shape)
     rule = _derive_contact(arrays, invalid)
-    meta = _meta(mapping, made, identity, rule, invalid)
-    try:
-        episode = Episode(meta, arrays)
-    except DataError as error:
-        where = dataclasses.replace(error.where, path=str(path))
-        raise DataError(
-            error.problem, expected=error.expected, found=error.found, where=where, fix=error.fix
-        ) from None
-    _check_rate(mapping, episode, path)
+    episode = _checked(_meta(table, identity, rule, invalid), arrays, table.path)
+    _check_rate(episode, table)
     return episode
 
 
-def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, identity: str, path: Path) -> DataError:
+def _checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: Path) -> Episode:
+    """Return the episode; what is wrong with it is said with the file's name."""
+    try:
+        return Episode(meta, arrays)
+    except DataError as error:
+        where = dataclasses.replace(error.where, path=str(path))
+        facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
+        raise DataError(error.problem, where=where, **facts) from None
+
+
+def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, where: Where) -> DataError:
     """Return the error of a channel that holds values which are not finite."""
     row, column = (int(i) for i in np.argwhere(gaps)[0])
     return DataError(
@@ -197,12 +217,12 @@ def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, identity: str, path: Pa
         expected="finite numbers",
         found=f"a gap in column {plan.columns[column]}, row {rows[row]} of the file "
         f"({int(gaps.any(axis=1).sum())} such rows in the episode)",
-        where=Where(path=str(path), episode=identity, channel=plan.channel, index=row),
+        where=dataclasses.replace(where, index=row),
         fix="import with --allow-gaps: such rows are kept and marked invalid",
     )
 
 
-def _typed(plan: Plan, block: NDArray, identity: str, path: Path) -> NDArray:
+def _typed(plan: Plan, block: NDArray, where: Where) -> NDArray:
     """Return the block as the channel's kind; flags must be 0 or 1 (a gap is False)."""
     if CHANNELS[plan.channel].dtype != "bool":
         return block
@@ -210,8 +230,10 @@ def _typed(plan: Plan, block: NDArray, identity: str, path: Path) -> NDArray:
     if len(odd):
         row, column = (int(i) for i in odd[0])
         raise DataError(
-            f"{plan.channel} is no flag", expected="0 or 1", found=f"{block[row, column]:g}",
-            where=Where(path=str(path), episode=identity, channel=plan.channel, index=row),
+            f"{plan.channel} is no flag",
+            expected="0 or 1",
+            found=f"{block[row, column]:g}",
+            where=dataclasses.replace(where, index=row),
         )
     return block == 1
 
@@ -236,11 +258,10 @@ def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, d
         invalid[derived] = invalid[origin]
 
 
-def _meta(
-    mapping: TableMap, made: tuple[Plan, ...], identity: str, rule: ContactRule | None, invalid: dict[str, int]
-) -> EpisodeMeta:
+def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[str, int]) -> EpisodeMeta:
     """Return who, what and when of an episode."""
-    by_channel = {plan.channel: plan for plan in made}
+    mapping = table.mapping
+    by_channel = {plan.channel: plan for plan in table.plans}
     return EpisodeMeta(
         id=identity,
         source=mapping.source,
@@ -269,18 +290,19 @@ def _names(by_channel: Mapping[str, Plan], *channels: str) -> tuple[str, ...]:
     return element_names(plan.channel, plan.columns)
 
 
-def _check_rate(mapping: TableMap, episode: Episode, path: Path) -> None:
+def _check_rate(episode: Episode, table: _Table) -> None:
     """Raise when the time steps are so far from the nominal rate that their unit must be wrong."""
+    rate_hz, column = table.mapping.rate_hz, table.mapping.time_s
     if len(episode) < 2:
         return
     step_s = float(np.median(np.diff(episode["time_ns"]))) * 1e-9
-    if not 1 / _RATE_FACTOR < step_s * mapping.rate_hz < _RATE_FACTOR:
+    if not 1 / _RATE_FACTOR < step_s * rate_hz < _RATE_FACTOR:
         raise DataError(
             "time does not fit the rate",
-            expected=f"steps near {1 / mapping.rate_hz:g} s (rate_hz: {mapping.rate_hz:g})",
+            expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
             found=f"steps of {step_s:g} s",
-            where=Where(path=str(path), episode=episode.meta.id, channel="time_ns"),
-            fix=f"give the unit of the time column, units: {{{mapping.time_s}: ms}}, or correct rate_hz",
+            where=Where(path=str(table.path), episode=episode.meta.id, channel="time_ns"),
+            fix=f"give the unit of the time column, such as units: {{{column}: ms}}, or correct rate_hz",
         )
 
 
