@@ -10,7 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from candata.schema.episode import Episode
-    from candata.schema.manifest import Lineage
+    from candata.schema.manifest import Lineage, VersionFile
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write.")]
 Append = Annotated[bool, typer.Option("--append", help="Add to a dataset that stands.")]
@@ -101,9 +101,10 @@ def _publish(out: Path, episodes: Iterable[Episode], lineage: Lineage) -> None:
     """
     import tempfile
 
-    from candata.datasets import append, create_dataset, open_dataset
+    from candata.datasets import append, create_dataset
+    from candata.datasets.versions import newest
 
-    before = len(open_dataset(out)) if out.exists() else 0
+    standing = newest(out) if out.exists() else None
     if out.exists():
         version = append(out, _told(episodes), lineage)
     else:
@@ -112,8 +113,14 @@ def _publish(out: Path, episodes: Iterable[Episode], lineage: Lineage) -> None:
             staged = create_dataset(Path(folder) / "dataset", name=out.resolve().name)
             version = append(staged, _told(episodes), lineage)
             staged.rename(out)
-    total = sum(part.episodes for part in version.parts)
-    typer.echo(f"{out}: {total - before} episodes added, {total} in version {version.number}")
+    total = _count(version)
+    added = total - (_count(standing) if standing else 0)
+    typer.echo(f"{out}: {added} episodes added, {total} in version {version.number}")
+
+
+def _count(version: VersionFile) -> int:
+    """Return the number of episodes in the parts of a version."""
+    return sum(part.episodes for part in version.parts)
 
 
 def _told(episodes: Iterable[Episode], every: int = 100) -> Iterator[Episode]:

@@ -190,7 +190,7 @@ def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
             if not table.allow_gaps:
                 raise _gap_error(plan, gaps, rows, where)
             block[gaps] = np.nan
-            arrays[plan.channel + VALID_SUFFIX] = ~gaps.any(axis=1)
+            arrays[plan.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
             invalid[plan.channel] = int(gaps.any(axis=1).sum())
         arrays[plan.channel] = _typed(plan, block, where).reshape(len(rows), *plan.shape)
     rule = _derive_contact(arrays, invalid)
@@ -246,7 +246,7 @@ def _derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> Cont
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
         _inherit(arrays, invalid, "fingertip_force", "fingertip_contact")
     if "fingertip_contact" in arrays and "contact" not in arrays:
-        arrays["contact"] = arrays["fingertip_contact"].any(axis=1)
+        arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
         _inherit(arrays, invalid, "fingertip_contact", "contact")
     return rule
 
