@@ -53,9 +53,10 @@ def modules_imported(path: Path, nodes: Iterator[ast.AST]) -> Iterator[str]:
 
 
 def top_level(tree: ast.Module) -> Iterator[ast.AST]:
-    """Yield what runs at import: function bodies are emptied."""
+    """Yield what runs at import: bodies of functions and of `if TYPE_CHECKING` are emptied."""
     for node in ast.walk(tree):
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        types_only = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if types_only or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             node.body = []
     yield from ast.walk(tree)
 
