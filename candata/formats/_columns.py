@@ -134,8 +134,11 @@ def _csv(path: Path, wanted: list[str]) -> Columns:
 
 def _npz(path: Path, wanted: list[str]) -> Columns:
     """Return the one-dimensional arrays of an npz file."""
-    with np.load(path, allow_pickle=False) as arrays:
-        _require(wanted, arrays.files, path)
+    with path.open("rb") as file:
+        arrays = np.load(file, allow_pickle=False)
+        if not isinstance(arrays, Mapping):
+            raise ValueError("one array without a name")
+        _require(wanted, list(arrays), path)
         columns = {name: arrays[name] for name in wanted}
     for name, values in columns.items():
         if values.ndim != 1:
