@@ -130,10 +130,10 @@ def test_the_prepared_tosses(shared):
     assert sum(map(len, episodes)) == 58_362
     lengths = [len(episode) for episode in episodes]
     assert (min(lengths), max(lengths)) == (85, 139)
-    # Backward differences: the velocity of row k is that of the step from k-1 to k (0.05 m/s: the median
-    # error is far below, one row of delay in free fall alone would be 9.81 / 148 = 0.066 m/s).
+    # Backward differences: the velocity of row k is that of the step from k-1 to k. One row of delay would
+    # give 9.81 / 148 = 0.066 m/s in free fall; the recorded filter leaves up to 0.012.
     early = episodes[0]
     moved = np.diff(early["object_pose"][:8, :3], axis=0) * 148
-    assert np.abs(moved - early["object_velocity"][1:8, :3]).max() < 0.01
+    assert np.abs(moved - early["object_velocity"][1:8, :3]).max() < 0.02
     assert {e.meta.source for e in episodes} == {"real"}
     assert episodes[3].meta.object == "cube"

@@ -38,7 +38,14 @@ def test_names_come_from_the_columns(columns, write):
 
 
 def test_the_map_s_words_are_kept(columns, write):
-    words = {"source": "sim", "scene": "s", "object": "o", "task": "k", "force": "instant", "action": "previous"}
+    words = {
+        "source": "sim",
+        "scene": "s",
+        "object": "o",
+        "task": "k",
+        "force": "instant",
+        "action": "previous",
+    }
     meta = one(write(columns, **words)).meta
     assert {name: getattr(meta, name) for name in words} == words
     assert meta.rate_hz == 100.0
@@ -127,7 +134,7 @@ def test_contact_that_is_recorded_is_kept(columns, write):
 
 
 @pytest.mark.parametrize("kind", ["parquet", "csv", "npz"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("value", [np.nan, -np.inf, np.finfo(float).max])
 def test_gaps_are_marked_counted_and_not_filled(columns, write, kind, value):
     columns["q_index1"][1], columns["f1_y"][2] = value, value
     episode = one(write(columns, kind), allow_gaps=True)
@@ -135,7 +142,11 @@ def test_gaps_are_marked_counted_and_not_filled(columns, write, kind, value):
     assert np.isnan(episode["joint_position"][1, 1])
     assert episode["joint_position"][1, 0] == np.float32(columns["q_thumb_bend"][1])
     assert episode.valid("action").all()
-    assert episode.valid("contact").tolist() == episode.valid("fingertip_contact").tolist() == [True, True, False]
+    assert (
+        episode.valid("contact").tolist()
+        == episode.valid("fingertip_contact").tolist()
+        == [True, True, False]
+    )
     counts = {"joint_position": 1, "fingertip_force": 1, "fingertip_contact": 1, "contact": 1}
     assert episode.meta.invalid_counts == counts
 
