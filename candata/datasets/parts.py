@@ -178,6 +178,11 @@ class RawPart:
         """Folder of the part."""
         return part_folder(self.root, self.entry.id)
 
+    def relative(self, path: Path | str | None) -> str:
+        """Return a path below the dataset as seen from it, another one as it is."""
+        given = Path(path or self.folder)
+        return str(given.relative_to(self.root) if given.is_relative_to(self.root) else given)
+
     def manifest(self) -> PartFile:
         """Return `part.json`, which must be the one the version was published with.
 
@@ -205,7 +210,7 @@ class RawPart:
         try:
             return pq.read_table(path, schema=encode.EPISODE_COLUMNS, use_threads=False, partitioning=None)
         except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-            raise durable.damaged(path, _first_line(error)) from None
+            raise durable.damaged(path, durable.reason(error)) from None
 
     def group(self, number: int, rows: list[dict[str, object]] | None = None) -> list[encode.RawEpisode]:
         """Return the episodes of one row group as stored; `rows` are those of `table`, if at hand.
@@ -222,7 +227,7 @@ class RawPart:
                 steps = file.read_row_group(number, use_threads=False)
             return encode.decode_group(steps, [row for row in rows if row["row_group"] == number])
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-            raise durable.damaged(path, _first_line(error)) from None
+            raise durable.damaged(path, durable.reason(error)) from None
 
     def episodes(self) -> Iterator[encode.RawEpisode]:
         """Yield the episodes as stored, at most 8 held at a time.
@@ -245,8 +250,3 @@ class RawPart:
             if path.stat().st_size != entry.bytes:
                 return durable.damaged(path, f"{path.stat().st_size} bytes", f"{entry.bytes} bytes")
         return None
-
-
-def _first_line(error: Exception) -> str:
-    """Return the first line of a library's message."""
-    return (str(error).splitlines() or [type(error).__name__])[0]
