@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,6 +19,8 @@ from candata.schema.episode import Episode
 from candata.schema.manifest import FileEntry, PartEntry, PartFile
 
 EPISODES_PER_ROW_GROUP = 8
+#: What pyarrow and the decoding raise on bytes that are not what was written.
+UNREADABLE = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError)
 STEPS, EPISODES, MANIFEST = "steps.parquet", "episodes.parquet", "part.json"
 
 
@@ -209,24 +212,45 @@ class RawPart:
         path = self.folder / EPISODES
         try:
             return pq.read_table(path, schema=encode.EPISODE_COLUMNS, use_threads=False, partitioning=None)
-        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+        except UNREADABLE as error:
             raise durable.damaged(path, durable.reason(error)) from None
 
-    def group(self, number: int, rows: list[dict[str, object]] | None = None) -> list[encode.RawEpisode]:
-        """Return the episodes of one row group as stored; `rows` are those of `table`, if at hand.
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows of `episodes.parquet`, each with at least id, rows, row group, hash and record.
+
+        Raises
+        ------
+        DataError
+            When the file is missing or unreadable, or a row lacks one of these; names it.
+        """
+        path = self.folder / EPISODES
+        try:
+            rows = self.table().to_pylist()
+        except UNREADABLE as error:
+            raise durable.damaged(path, durable.reason(error)) from None
+        for row in rows:
+            lacking = [
+                name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None
+            ]
+            if lacking:
+                raise durable.damaged(path, f"an episode without {', '.join(lacking)}")
+        return rows
+
+    def group(self, number: int, rows: list[dict[str, Any]] | None = None) -> list[encode.RawEpisode]:
+        """Return the episodes of one row group as stored; `rows` are those of `rows()`, if at hand.
 
         Raises
         ------
         DataError
             When a file is missing or does not decode; names it.
         """
-        rows = self.table().to_pylist() if rows is None else rows
+        rows = self.rows() if rows is None else rows
         path = self.folder / STEPS
         try:
             with pq.ParquetFile(path) as file:
                 steps = file.read_row_group(number, use_threads=False)
             return encode.decode_group(steps, [row for row in rows if row["row_group"] == number])
-        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+        except UNREADABLE as error:
             raise durable.damaged(path, durable.reason(error)) from None
 
     def episodes(self) -> Iterator[encode.RawEpisode]:
@@ -237,8 +261,8 @@ class RawPart:
         DataError
             When a file is missing or does not decode; names it.
         """
-        rows = self.table().to_pylist()
-        for number in sorted({int(row["row_group"]) for row in rows}):
+        rows = self.rows()
+        for number in sorted({row["row_group"] for row in rows}):
             yield from self.group(number, rows)
 
     def size_problem(self, manifest: PartFile) -> DataError | None:
