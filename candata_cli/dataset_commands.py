@@ -101,8 +101,8 @@ def _print_summary(summary: Summary) -> None:
     typer.echo(f"{summary.name}@{summary.digest[:12]}  version {summary.version} of {summary.versions}")
     typer.echo(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
     for label in ("sources", "scenes", "objects", "tasks"):
-        counts = ", ".join(f"{name} {count}" for name, count in sorted(getattr(summary, label).items()))
-        typer.echo(f"{label}: {counts}")
+        counts = sorted(getattr(summary, label).items())
+        typer.echo(f"{label}: {', '.join(f'{name} {count}' for name, count in counts) or 'not stated'}")
     rows = [
         (c.name, c.unit, " ".join(_shape(s) for s in c.shapes), _number(c.low), _number(c.high),
          f"{c.invalid_share:.1%}", c.episodes)
@@ -143,10 +143,12 @@ def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(*header, box=box.SIMPLE_HEAD)
+    table = Table(box=box.SIMPLE_HEAD)
+    for name in header:
+        table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*("-" if value is None else str(value) for value in row))
     console = Console(highlight=False, markup=False)
     if not console.is_terminal:
-        console = Console(highlight=False, markup=False, width=max(80, console.measure(table).maximum))
-    console.print(table)
+        console = Console(highlight=False, markup=False, width=10_000)
+    console.print(table, crop=False)
