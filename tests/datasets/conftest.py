@@ -1,3 +1,5 @@
+"""Small synthetic episodes for the tests of several rooms."""
+
 from __future__ import annotations
 
 from collections.abc import Callable
