@@ -24,6 +24,7 @@ EFFECT = Effect(
             scaled(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
             scaled_spans(_select.drive_torque, (0.12, 0.3)),
             "data sheets state stall torque; current limits cut it to a fraction",
+            neutral=_select.largest_drive_torque,
         ),
     ),
     acts_on="joint",
