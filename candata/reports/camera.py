@@ -13,6 +13,10 @@ Array = NDArray[np.float64]
 
 #: Name of the model camera that reports use when the model has it.
 REPORT_CAMERA = "report"
+#: Free space around a fitted picture, and how often its centre is corrected for perspective.
+MARGIN, CENTRING_ROUNDS = 1.12, 4
+#: The eight corners of a box, (8, 3).
+SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
 
 @dataclass(frozen=True)
@@ -67,16 +71,24 @@ def choose(model: mujoco.MjModel, qpos: Array, camera: str | View | None, aspect
 
 
 def fit(model: mujoco.MjModel, qpos: Array, aspect: float) -> View:
-    """Return the free camera that just holds all that moves over `qpos` (K, nq)."""
-    low, high = _extent(model, qpos)
-    centre = (low + high) / 2
-    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T - centre
-    view = View(tuple(float(x) for x in centre), 1.0)
-    right, up, back = _axes(view.forward).T
+    """Return the free camera that just holds all that moves over `qpos` (K, nq), centred."""
+    points = _points(model, qpos)
+    centre = (points.min(axis=0) + points.max(axis=0)) / 2
+    right, up, back = _axes(View((0.0, 0.0, 0.0), 1.0).forward).T
     tan_y = math.tan(math.radians(model.vis.global_.fovy) / 2)
-    across = np.maximum(np.abs(corners @ right) / (tan_y * aspect), np.abs(corners @ up) / tan_y)
-    distance = float(np.max(across + corners @ back))
-    return View(view.lookat, max(1.08 * distance, 1e-3))
+
+    def needed(seen: Array) -> float:
+        across = np.maximum(np.abs(seen @ right) / (tan_y * aspect), np.abs(seen @ up) / tan_y)
+        return max(MARGIN * float(np.max(across + seen @ back)), 1e-3)
+
+    for _ in range(CENTRING_ROUNDS):
+        seen = points - centre
+        depth = np.maximum(needed(seen) - seen @ back, 1e-6)
+        for axis in (right, up):
+            slope = (seen @ axis) / depth
+            centre = centre + axis * needed(seen) * (slope.min() + slope.max()) / 2
+    lookat = (float(centre[0]), float(centre[1]), float(centre[2]))
+    return View(lookat, needed(points - centre))
 
 
 def eye(model: mujoco.MjModel, data: mujoco.MjData, camera: str | View) -> Eye:
@@ -96,20 +108,18 @@ def _axes(forward: Array) -> Array:
     return np.stack([right, np.cross(right, forward), -forward], axis=1)
 
 
-def _extent(model: mujoco.MjModel, qpos: Array) -> tuple[Array, Array]:
-    """Return the corners (3,), (3,) [m] of the box around the geoms that move, or around all bounded ones."""
+def _points(model: mujoco.MjModel, qpos: Array) -> Array:
+    """Return the box corners (N, 3) [m] of the geoms that move, or of all bounded ones when none does."""
     bounded = model.geom_rbound > 0
     moving = bounded & (model.body_weldid[model.geom_bodyid] != 0)
     shown = np.flatnonzero(moving if moving.any() else bounded)
     if len(shown) == 0:
-        return np.full(3, -0.5), np.full(3, 0.5)
-    data, low, high = mujoco.MjData(model), np.full(3, np.inf), np.full(3, -np.inf)
-    centre, half = model.geom_aabb[shown, :3], model.geom_aabb[shown, 3:]
+        return np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
+    corners = model.geom_aabb[shown, None, :3] + SIGNS * model.geom_aabb[shown, None, 3:]
+    data, found = mujoco.MjData(model), []
     for pose in qpos:
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         turn = data.geom_xmat[shown].reshape(-1, 3, 3)
-        middle = data.geom_xpos[shown] + np.einsum("gij,gj->gi", turn, centre)
-        reach = np.einsum("gij,gj->gi", np.abs(turn), half)
-        low, high = np.minimum(low, (middle - reach).min(axis=0)), np.maximum(high, (middle + reach).max(axis=0))
-    return low, high
+        found.append(data.geom_xpos[shown, None] + np.einsum("gij,gcj->gci", turn, corners))
+    return np.concatenate(found).reshape(-1, 3)

@@ -57,7 +57,7 @@ def heat_map(heat: HeatMap) -> Spec:
     layout = {
         "height": height,
         "margin": {"l": 8, "r": 4, "t": 26, "b": 8},
-        "xaxis": {"side": "top", "fixedrange": True, "tickangle": 0, "showgrid": False, "ticks": ""},
+        "xaxis": {"side": "top", "fixedrange": True, "automargin": True, "showgrid": False, "ticks": ""},
         "yaxis": {"autorange": "reversed", "fixedrange": True, "automargin": True, "showgrid": False,
                   "dtick": 1, "ticks": "", "tickfont": {"size": 11 if rows <= 24 else 10}},
     }
@@ -74,7 +74,7 @@ def ranking(report: Report) -> Spec:
     layout = {
         "height": 74 + 26 * len(shown),
         "margin": {"l": 8, "r": 12, "t": 8, "b": 44},
-        "xaxis": {"title": {"text": "held-out gain over the unchanged simulation", "font": {"size": 11}},
+        "xaxis": {"title": {"text": "held-out gain", "font": {"size": 11}},
                   "zeroline": True, "zerolinecolor": "@rule2", "fixedrange": True, "nticks": 5},
         "yaxis": {"autorange": "reversed", "automargin": True, "fixedrange": True, "showgrid": False,
                   "type": "category", "ticks": ""},
@@ -92,9 +92,9 @@ def shown_candidates(report: Report) -> list[Ranked]:
 def trace(time_s: np.ndarray, one: Trace) -> Spec:
     """Return recorded, nominal and repaired values of one element over time."""
     step = max(1, math.ceil(len(time_s) / MOST_POINTS))
-    lines = [("recorded", one.real, "@ink", 2.4, "solid"), ("nominal", one.before, "@before", 1.6, "solid")]
+    lines = [("recorded", one.real, "@recorded", 4.0, "solid"), ("nominal", one.before, "@before", 1.5, "solid")]
     if one.after is not None:
-        lines.append(("repaired", one.after, "@after", 1.6, "solid"))
+        lines.append(("repaired", one.after, "@after", 1.5, "solid"))
     data = [
         {"type": "scatter", "mode": "lines", "name": name, "x": _plain(time_s[::step]),
          "y": _plain(values[::step]), "line": {"color": colour, "width": width, "dash": dash},

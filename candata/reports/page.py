@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from html import escape
 from pathlib import Path
 
@@ -97,12 +98,23 @@ def _answers(report: Report) -> str:
     """Return where, which, how far and what is not known, one sentence each."""
     unknown = " ".join(filter(None, (words.not_known(report), words.next_motion(report))))
     entries = (
-        ("Where is the gap?", escape(words.where(report))),
-        ("Which effect makes it?", escape(words.which(report))),
-        ("How far does it close?", _meter(report) + escape(words.how_far(report))),
-        ("What is not known?", escape(unknown)),
+        ("Where is the gap?", _lead(words.where_short(report)) + typeset(words.where(report))),
+        ("Which effect makes it?", _lead(words.which_short(report)) + typeset(words.which(report))),
+        ("How far does it close?", _meter(report) + typeset(words.how_far(report))),
+        ("What is not known?", typeset(unknown)),
     )
     return f'<dl class="answers">{"".join(f"<div><dt>{q}</dt><dd>{a}</dd></div>" for q, a in entries)}</dl>'
+
+
+def typeset(text: str) -> str:
+    """Return a sentence as HTML in which no line ends between a number and its unit."""
+    tied = re.sub(r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))", "\N{NO-BREAK SPACE}", escape(text))
+    return tied.replace("p = ", "p\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}").replace(" m s/rad", "\N{NO-BREAK SPACE}m\N{NO-BREAK SPACE}s/rad")
+
+
+def _lead(text: str) -> str:
+    """Return the few words that stand large above a sentence; empty for none."""
+    return f'<span class="lead">{escape(text)}</span>' if text else ""
 
 
 def _meter(report: Report) -> str:
@@ -116,7 +128,7 @@ def _meter(report: Report) -> str:
         low, high = _clipped(gap.low), _clipped(gap.high)
         span = f'<b style="left:{low:.1f}%;width:{max(high - low, 0.6):.1f}%"></b>'
     return (
-        f'<span class="big">{percent(gap.closed)}</span>'
+        f'<span class="lead big">{percent(gap.closed)}</span>'
         f'<span class="bar" aria-hidden="true"><i style="width:{fill:.1f}%"></i>{span}</span>'
     )
 
@@ -132,7 +144,7 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
         specs["ranking"] = figures.ranking(report)
         hidden = len(report.ranking) - len(figures.shown_candidates(report))
         more = f'<p class="note">{hidden} more in report.json.</p>' if hidden else ""
-        sub = "gain on held-out episodes with its 90 % interval; named effects in colour"
+        sub = "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
         parts.append(_figure("Which", sub, _plot("ranking", specs) + more))
     if evidence.example is not None and evidence.example.traces:
         sub = f"held-out episode {evidence.example.episode}, before and after the repair"

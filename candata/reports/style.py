@@ -6,17 +6,17 @@ from __future__ import annotations
 STYLE = """
 :root { color-scheme: light dark;
   --paper:#fbfaf7; --card:#ffffff; --ink:#1c2126; --muted:#666d75; --rule:#e6e2d9; --rule2:#c9c4b9;
-  --accent:#0f766e; --quiet:#a9aeb4; --before:#cc6a1f; --after:#0f766e; --band:#d6d9dc; --hole:#d3d6da;
+  --accent:#0f766e; --quiet:#a9aeb4; --before:#cc6a1f; --after:#0f766e; --band:#d6d9dc; --recorded:#8d959e; --hole:#d3d6da;
   --heat0:#faf4e6; --heat1:#f8d9a0; --heat2:#ee9d55; --heat3:#cc4b33; --heat4:#7c1533;
   --good:#0f766e; --part:#b7791f; --bad:#b4432c; --tie:#6d4fa8; --none:#55606b; }
 @media (prefers-color-scheme: dark) { :root {
   --paper:#14171a; --card:#1b1f23; --ink:#e8e6e1; --muted:#9aa1a8; --rule:#2b3036; --rule2:#454c54;
-  --accent:#4fc3b4; --quiet:#6b737b; --before:#f0954a; --after:#4fc3b4; --band:#343b42; --hole:#3c434a;
+  --accent:#4fc3b4; --quiet:#6b737b; --before:#f0954a; --after:#4fc3b4; --band:#343b42; --recorded:#7d8791; --hole:#3c434a;
   --heat0:#26231f; --heat1:#5d3a26; --heat2:#a8482a; --heat3:#e8853d; --heat4:#fde4a8;
   --good:#4fc3b4; --part:#e0b04f; --bad:#ee7f66; --tie:#b39be6; --none:#a3adb7; } }
 @media print { :root { color-scheme: light;
   --paper:#ffffff; --card:#ffffff; --ink:#1c2126; --muted:#555b62; --rule:#dddddd; --rule2:#bbbbbb;
-  --accent:#0f766e; --quiet:#a9aeb4; --before:#cc6a1f; --after:#0f766e; --band:#d6d9dc; --hole:#d3d6da;
+  --accent:#0f766e; --quiet:#a9aeb4; --before:#cc6a1f; --after:#0f766e; --band:#d6d9dc; --recorded:#8d959e; --hole:#d3d6da;
   --heat0:#faf4e6; --heat1:#f8d9a0; --heat2:#ee9d55; --heat3:#cc4b33; --heat4:#7c1533;
   --good:#0f766e; --part:#b7791f; --bad:#b4432c; --tie:#6d4fa8; --none:#55606b; } }
 * { box-sizing:border-box; }
@@ -38,8 +38,9 @@ h3 + .sub { margin:1px 0 6px; }
 .answers div { padding:10px 0 16px; min-width:0; }
 .answers dt { font-size:12.5px; font-weight:650; color:var(--muted); margin:0 0 3px; }
 .answers dd { margin:0; overflow-wrap:break-word; }
-.big { display:block; font:600 30px/1.15 "Iowan Old Style","Palatino Linotype",Palatino,Georgia,serif; }
-.bar { display:block; position:relative; height:6px; margin:6px 0 8px; background:var(--rule); border-radius:3px; }
+.lead { display:block; font:600 24px/1.2 "Iowan Old Style","Palatino Linotype",Palatino,Georgia,serif; }
+.lead { margin:0 0 5px; text-wrap:balance; } .answers .lead.big { font-size:34px; line-height:1; margin-top:-2px; }
+.bar { display:block; position:relative; height:6px; margin:8px 0 9px; background:var(--rule); border-radius:3px; }
 .bar i { position:absolute; top:0; bottom:0; left:0; border-radius:3px; background:var(--tone); }
 .bar b { position:absolute; top:-3px; bottom:-3px; border:solid var(--ink); border-width:0 1.5px; }
 .first { display:grid; grid-template-columns:minmax(0,1.08fr) minmax(0,1fr) minmax(0,1fr); gap:16px; align-items:start; }
@@ -52,13 +53,13 @@ figure,.card { margin:0; padding:14px 16px; background:var(--card); border:1px s
 .key span { white-space:nowrap; margin-right:12px; }
 .key span::before { content:""; display:inline-block; width:16px; height:3px; margin-right:5px;
   vertical-align:middle; border-radius:2px; background:currentColor; }
-.recorded { color:var(--ink); } .nominal { color:var(--before); } .repaired { color:var(--after); }
+.recorded { color:var(--recorded); } .nominal { color:var(--before); } .repaired { color:var(--after); }
 .scroll { overflow-x:auto; }
 .film { display:grid; grid-template-columns:72px repeat(var(--n),minmax(120px,1fr)); gap:5px; align-items:center;
   min-width:min-content; }
 .film img { width:100%; height:auto; display:block; border-radius:4px; }
 .when { font-size:12px; color:var(--muted); text-align:center; }
-.who { font-size:13px; font-weight:600; }
+.who { font-size:13px; font-weight:600; } .who.recorded { color:var(--ink); }
 table { border-collapse:collapse; width:100%; font-size:14px; }
 th,td { padding:7px 14px 7px 0; text-align:left; border-bottom:1px solid var(--rule); vertical-align:top; }
 th { font-size:12.5px; font-weight:600; color:var(--muted); white-space:nowrap; }

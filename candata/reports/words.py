@@ -57,6 +57,22 @@ def where(report: Report) -> str:
     return f"{text}; then in {listed(others)}." if others else f"{text}."
 
 
+def where_short(report: Report) -> str:
+    """Return the strongest symptom in a few words; empty when there is none."""
+    if not report.where:
+        return ""
+    first = report.where[0]
+    phase = f", {plain(first.phase)}" if first.phase else ""
+    return capital(first.element or _CHANNELS.get(first.channel, plain(first.channel))) + phase
+
+
+def which_short(report: Report) -> str:
+    """Return the named or tied effects in a few words; empty when none is."""
+    if report.verdict == "ambiguous":
+        return capital(listed([plain(name) for name in report.ambiguous_class], "or"))
+    return capital(listed([title(effect.name, effect.element) for effect in report.effects]))
+
+
 def which(report: Report) -> str:
     """Return the sentence that names the effects, or says why none is named."""
     if report.verdict == "no_gap":
