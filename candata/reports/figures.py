@@ -34,14 +34,14 @@ def heat_map(heat: HeatMap) -> Spec:
     shared = {"x": list(heat.phases), "y": list(heat.rows), "type": "heatmap", "xgap": 1.5, "ygap": 1.5}
     empty = {
         **shared,
-        "z": np.where(known, None, 0.0).tolist(),
+        "z": [[None if k else 0.0 for k in row] for row in known],
         "colorscale": [[0, "@hole"], [1, "@hole"]],
         "showscale": False,
         "hovertemplate": "%{y}<br>%{x}: no data<extra></extra>",
     }
     cells = {
         **shared,
-        "z": np.where(known, level, None).tolist(),
+        "z": [_plain(row) for row in np.where(known, level, np.nan)],
         "zmin": 0,
         "zmax": top,
         "colorscale": [[i / 4, f"@heat{i}"] for i in range(5)],
@@ -58,8 +58,15 @@ def heat_map(heat: HeatMap) -> Spec:
         "height": height,
         "margin": {"l": 8, "r": 4, "t": 26, "b": 8},
         "xaxis": {"side": "top", "fixedrange": True, "automargin": True, "showgrid": False, "ticks": ""},
-        "yaxis": {"autorange": "reversed", "fixedrange": True, "automargin": True, "showgrid": False,
-                  "dtick": 1, "ticks": "", "tickfont": {"size": 11 if rows <= 24 else 10}},
+        "yaxis": {
+            "autorange": "reversed",
+            "fixedrange": True,
+            "automargin": True,
+            "showgrid": False,
+            "dtick": 1,
+            "ticks": "",
+            "tickfont": {"size": 11 if rows <= 24 else 10},
+        },
     }
     return {"data": [empty, cells], "layout": layout}
 
@@ -74,10 +81,21 @@ def ranking(report: Report) -> Spec:
     layout = {
         "height": 74 + 26 * len(shown),
         "margin": {"l": 8, "r": 12, "t": 8, "b": 44},
-        "xaxis": {"title": {"text": "held-out gain", "font": {"size": 11}},
-                  "zeroline": True, "zerolinecolor": "@rule2", "fixedrange": True, "nticks": 5},
-        "yaxis": {"autorange": "reversed", "automargin": True, "fixedrange": True, "showgrid": False,
-                  "type": "category", "ticks": ""},
+        "xaxis": {
+            "title": {"text": "held-out gain", "font": {"size": 11}},
+            "zeroline": True,
+            "zerolinecolor": "@rule2",
+            "fixedrange": True,
+            "nticks": 5,
+        },
+        "yaxis": {
+            "autorange": "reversed",
+            "automargin": True,
+            "fixedrange": True,
+            "showgrid": False,
+            "type": "category",
+            "ticks": "",
+        },
     }
     return {"data": data, "layout": layout}
 
@@ -89,16 +107,25 @@ def shown_candidates(report: Report) -> list[Ranked]:
     return [*head, *(c for c in tail if (c.name, c.element) in named)]
 
 
-def trace(time_s: np.ndarray, one: Trace) -> Spec:
-    """Return recorded, nominal and repaired values of one element over time."""
+def trace(time_s: np.ndarray, one: Trace, after: str = "repaired") -> Spec:
+    """Return recorded, nominal and repaired values of one element over time; `after` names the last."""
     step = max(1, math.ceil(len(time_s) / MOST_POINTS))
-    lines = [("recorded", one.real, "@recorded", 4.0, "solid"), ("nominal", one.before, "@before", 1.5, "solid")]
+    lines = [
+        ("recorded", one.real, "@recorded", 4.0, "solid"),
+        ("nominal", one.before, "@before", 1.5, "solid"),
+    ]
     if one.after is not None:
-        lines.append(("repaired", one.after, "@after", 1.5, "solid"))
+        lines.append((after, one.after, "@after", 1.5, "solid"))
     data = [
-        {"type": "scatter", "mode": "lines", "name": name, "x": _plain(time_s[::step]),
-         "y": _plain(values[::step]), "line": {"color": colour, "width": width, "dash": dash},
-         "hovertemplate": f"%{{y:.4g}} {one.unit}"}
+        {
+            "type": "scatter",
+            "mode": "lines",
+            "name": name,
+            "x": _plain(time_s[::step]),
+            "y": _plain(values[::step]),
+            "line": {"color": colour, "width": width, "dash": dash},
+            "hovertemplate": f"%{{y:.4g}} {one.unit}",
+        }
         for name, values, colour, width, dash in lines
     ]
     layout = {
@@ -111,33 +138,52 @@ def trace(time_s: np.ndarray, one: Trace) -> Spec:
     return {"data": data, "layout": layout}
 
 
-def losses(values: EpisodeLosses) -> Spec:
+def losses(values: EpisodeLosses, name_after: str = "repaired") -> Spec:
     """Return each held-out episode's loss before and after beside the floor's band, worst last."""
     order = np.argsort(values.before, kind="stable")
     place = list(range(1, len(order) + 1))
     ids = [values.ids[i] for i in order]
     before, after = (_plain(np.asarray(v)[order]) for v in (values.before, values.after))
     low, high = (_plain(np.asarray(v)[order]) for v in (values.floor_low, values.floor_high))
-    edge = {"type": "scatter", "mode": "lines", "x": place, "line": {"width": 0, "shape": "hvh"},
-            "hoverinfo": "skip", "showlegend": False}
+    edge = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": place,
+        "line": {"width": 0, "shape": "hvh"},
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
     size = 8 if len(order) <= 60 else 5
-    dots = {"type": "scatter", "mode": "markers", "x": place, "text": ids,
-            "hovertemplate": "%{text}: %{y:.3g} times the floor<extra>%{fullData.name}</extra>"}
+    dots = {
+        "type": "scatter",
+        "mode": "markers",
+        "x": place,
+        "text": ids,
+        "hovertemplate": "%{text}: %{y:.3g} times the floor<extra>%{fullData.name}</extra>",
+    }
     data = [
         {**edge, "y": low},
         {**edge, "y": high, "fill": "tonexty", "fillcolor": "@band", "name": "floor", "showlegend": True},
         {**dots, "y": before, "name": "nominal", "marker": {"color": "@before", "size": size}},
-        {**dots, "y": after, "name": "repaired", "marker": {"color": "@after", "size": size}},
+        {**dots, "y": after, "name": name_after, "marker": {"color": "@after", "size": size}},
     ]
     layout = {
         "height": 280,
         "margin": {"l": 52, "r": 8, "t": 30, "b": 40},
         "showlegend": True,
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom"},
-        "xaxis": {"title": {"text": "held-out episode, by loss before", "font": {"size": 11}},
-                  "showgrid": False, "fixedrange": True, "nticks": 8},
-        "yaxis": {"type": "log", "title": {"text": "loss / floor", "font": {"size": 11}},
-                  "fixedrange": True, "dtick": "D2"},
+        "xaxis": {
+            "title": {"text": "held-out episode, by loss before", "font": {"size": 11}},
+            "showgrid": False,
+            "fixedrange": True,
+            "nticks": 8,
+        },
+        "yaxis": {
+            "type": "log",
+            "title": {"text": "loss / floor", "font": {"size": 11}},
+            "fixedrange": True,
+            "dtick": "D2",
+        },
     }
     return {"data": data, "layout": layout}
 
@@ -145,15 +191,24 @@ def losses(values: EpisodeLosses) -> Spec:
 def _candidate(one: Ranked, text: str, colour: str) -> Spec:
     """Return one dot with its interval."""
     spec: Spec = {
-        "type": "scatter", "mode": "markers", "x": [one.held_out_gain], "y": [text],
+        "type": "scatter",
+        "mode": "markers",
+        "x": [one.held_out_gain],
+        "y": [text],
         "marker": {"color": colour, "size": 10 if colour == "@accent" else 8},
         "hovertemplate": f"{text}<br>gain %{{x:.4g}}, support {one.support:.2f}"
-        + (f"<br>{words.plain(one.reason)}" if one.reason else "") + "<extra></extra>",
+        + (f"<br>{words.plain(one.reason)}" if one.reason else "")
+        + "<extra></extra>",
     }
     if one.gain_low is not None and one.gain_high is not None:
         spec["error_x"] = {
-            "type": "data", "symmetric": False, "array": [one.gain_high - one.held_out_gain],
-            "arrayminus": [one.held_out_gain - one.gain_low], "color": colour, "thickness": 2, "width": 0,
+            "type": "data",
+            "symmetric": False,
+            "array": [one.gain_high - one.held_out_gain],
+            "arrayminus": [one.held_out_gain - one.gain_low],
+            "color": colour,
+            "thickness": 2,
+            "width": 0,
         }
     return spec
 
@@ -161,7 +216,13 @@ def _candidate(one: Ranked, text: str, colour: str) -> Spec:
 def _colour_bar(ticks: list[int]) -> Spec:
     """Return a thin colour bar below the map with ratios as ticks."""
     return {
-        "orientation": "h", "thickness": 8, "y": 0, "yanchor": "top", "ypad": 8, "len": 1, "outlinewidth": 0,
+        "orientation": "h",
+        "thickness": 8,
+        "y": 0,
+        "yanchor": "top",
+        "ypad": 8,
+        "len": 1,
+        "outlinewidth": 0,
         "tickvals": [math.log10(t) for t in ticks],
         "ticktext": [f"{t:,}×" for t in ticks],
     }
@@ -170,7 +231,10 @@ def _colour_bar(ticks: list[int]) -> Spec:
 def _hover(ratio: np.ndarray, p: np.ndarray) -> list[list[str]]:
     """Return `4.2 times the floor, p = 0.001` of each cell."""
     return [
-        [f"{words.times(r)}, {words.chance(q) if np.isfinite(q) else 'not tested'}" for r, q in zip(a, b, strict=True)]
+        [
+            f"{words.times(r)}, {words.chance(q) if np.isfinite(q) else 'not tested'}"
+            for r, q in zip(a, b, strict=True)
+        ]
         for a, b in zip(ratio, p, strict=True)
     ]
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from candata import plugins
 from candata.errors import UnknownNameError
-from candata.schema.report import Estimate
+from candata.schema.effect import Value
+from candata.schema.report import Bound, Estimate
 
 #: Unit that a parameter's name ends in (the naming rule of effects), the longest ending first.
 SUFFIX_UNITS = (
@@ -91,11 +92,11 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _numbers(value: object) -> tuple[float, ...] | None:
+def _numbers(value: Value | Bound) -> tuple[float, ...] | None:
     """Return the value as numbers, or None when it is a word or missing."""
-    if isinstance(value, bool) or value is None or isinstance(value, str):
+    if value is None or isinstance(value, str):
         return None
-    return tuple(float(v) for v in value) if isinstance(value, (tuple, list)) else (float(value),)
+    return tuple(float(v) for v in value) if isinstance(value, tuple) else (float(value),)
 
 
 def _readable(unit: str, values: tuple[float, ...]) -> tuple[str, float]:

@@ -64,8 +64,9 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
             _head(report),
             _answers(report),
             _first_screen(report, evidence, specs),
-            _strip(evidence.example, model, specs),
+            _strip(report, evidence.example, model, specs),
             f"<h2>Named effects</h2>{tables.effects(report)}",
+            tables.unknown(report),
             tables.measures(report),
             _episodes(report, evidence, specs),
             _file(effects_yaml),
@@ -108,8 +109,12 @@ def _answers(report: Report) -> str:
 
 def typeset(text: str) -> str:
     """Return a sentence as HTML in which no line ends between a number and its unit."""
-    tied = re.sub(r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))", "\N{NO-BREAK SPACE}", escape(text))
-    return tied.replace("p = ", "p\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}").replace(" m s/rad", "\N{NO-BREAK SPACE}m\N{NO-BREAK SPACE}s/rad")
+    tied = re.sub(
+        r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))", "\N{NO-BREAK SPACE}", escape(text)
+    )
+    return tied.replace("p = ", "p\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}").replace(
+        " m s/rad", "\N{NO-BREAK SPACE}m\N{NO-BREAK SPACE}s/rad"
+    )
 
 
 def _lead(text: str) -> str:
@@ -138,38 +143,48 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
     parts = []
     if evidence.heat is not None and len(evidence.heat.rows):
         specs["heat"] = figures.heat_map(evidence.heat)
-        parts.append(_figure("Where", "mismatch over its floor, by channel and phase; numbers where p is at most 0.05",
-                             _plot("heat", specs)))
+        parts.append(
+            _figure(
+                "Where",
+                "mismatch over its floor (what noise alone gives); numbers where p is at most 0.05",
+                _plot("heat", specs),
+            )
+        )
     if report.ranking:
         specs["ranking"] = figures.ranking(report)
         hidden = len(report.ranking) - len(figures.shown_candidates(report))
         more = f'<p class="note">{hidden} more in report.json.</p>' if hidden else ""
-        sub = "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
+        sub = (
+            "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
+        )
         parts.append(_figure("Which", sub, _plot("ranking", specs) + more))
     if evidence.example is not None and evidence.example.traces:
         sub = f"held-out episode {evidence.example.episode}, before and after the repair"
-        parts.append(_figure("How far", sub, _key(evidence.example) + _traces(evidence.example, 0, FIRST_TRACES, specs)))
+        drawn = _traces(report, evidence.example, 0, FIRST_TRACES, specs)
+        parts.append(_figure("How far", sub, _key(report, evidence.example) + drawn))
     return f'<div class="first">{"".join(parts)}</div>' if parts else ""
 
 
-def _strip(example: Example | None, model: mujoco.MjModel | None, specs: dict[str, Spec]) -> str:
+def _strip(
+    report: Report, example: Example | None, model: mujoco.MjModel | None, specs: dict[str, Spec]
+) -> str:
     """Return the filmstrip and the traces that the first screen had no room for."""
     if example is None:
         return ""
-    pictures = filmstrip(model, example)
-    rest = _traces(example, FIRST_TRACES, len(example.traces), specs)
+    pictures = filmstrip(model, example, words.after_name(report))
+    rest = _traces(report, example, FIRST_TRACES, len(example.traces), specs)
     if not pictures and not rest:
         return ""
     sub = f"episode {example.episode}: the recording beside the simulation of the same commands"
     return f'<div class="strip">{_figure("Before and after", sub, pictures + rest)}</div>'
 
 
-def _traces(example: Example, first: int, last: int, specs: dict[str, Spec]) -> str:
+def _traces(report: Report, example: Example, first: int, last: int, specs: dict[str, Spec]) -> str:
     """Return the traces `first` to `last` as small multiples; adds their specifications."""
     cells = []
     for number, one in list(enumerate(example.traces))[first:last]:
         name = f"trace{number}"
-        specs[name] = figures.trace(example.time_s, one)
+        specs[name] = figures.trace(example.time_s, one, words.after_name(report))
         label = f"{words.plain(one.channel)} {one.element}".strip()
         unit = f" <small>[{escape(one.unit)}]</small>" if one.unit else ""
         cells.append(f"<div><p>{escape(label)}{unit}</p>{_plot(name, specs)}</div>")
@@ -182,9 +197,10 @@ def _episodes(report: Report, evidence: Evidence, specs: dict[str, Spec]) -> str
     if report.where:
         parts.append(f"<section><h2>Where it shows</h2>{tables.symptoms(report)}</section>")
     if evidence.losses is not None and len(evidence.losses.ids):
-        specs["losses"] = figures.losses(evidence.losses)
+        specs["losses"] = figures.losses(evidence.losses, words.after_name(report))
         sub = "each held-out episode; the band is what noise alone gives"
-        parts.append(f"<section><h2>Every episode</h2>{_figure('Loss before and after', sub, _plot('losses', specs))}</section>")
+        drawn = _figure("Loss before and after", sub, _plot("losses", specs))
+        parts.append(f"<section><h2>Every episode</h2>{drawn}</section>")
     return f'<div class="two">{"".join(parts)}</div>' if len(parts) == 2 else "".join(parts)
 
 
@@ -192,15 +208,19 @@ def _file(effects_yaml: str) -> str:
     """Return `effects.yaml` with a copy button."""
     text = effects_yaml.strip() or "effects: []"
     return (
-        '<h2>The repaired simulator: effects.yaml</h2><div class="file"><button id="copy" type="button">Copy</button>'
+        "<h2>The repaired simulator: effects.yaml</h2>"
+        '<div class="file"><button id="copy" type="button">Copy</button>'
         f'<pre id="effects-file" tabindex="0">{escape(text)}\n</pre></div>'
     )
 
 
-def _key(example: Example) -> str:
+def _key(report: Report, example: Example) -> str:
     """Return the legend of the traces."""
-    names = ["recorded", "nominal"] + (["repaired"] if any(t.after is not None for t in example.traces) else [])
-    return f'<p class="sub key">{"".join(f"<span class={n}>{n}</span>" for n in names)}</p>'
+    names = [("recorded", "recorded"), ("nominal", "nominal")]
+    if any(one.after is not None for one in example.traces):
+        names.append(("repaired", words.after_name(report)))
+    spans = "".join(f'<span class="{kind}">{escape(name)}</span>' for kind, name in names)
+    return f'<p class="sub key">{spans}</p>'
 
 
 def _figure(title: str, sub: str, inner: str) -> str:

@@ -29,7 +29,7 @@ def _which(report: Report) -> list[str]:
     """Return the effects with one parameter a line, or the sentence that names none."""
     if not report.effects:
         return _entry("which", words.which(report), 3)
-    lines = []
+    lines: list[str] = []
     for effect in report.effects[:MOST_EFFECTS]:
         lines += _entry("" if lines else "which", _effect(effect), 2)
     more = len(report.effects) - MOST_EFFECTS
@@ -39,7 +39,8 @@ def _which(report: Report) -> list[str]:
 def _effect(effect: NamedEffect) -> str:
     """Return name, element, parameters with intervals and units, and share."""
     values = ", ".join(
-        f"{name} {reading(estimate, unit_of(effect.name, name))}" for name, estimate in effect.parameters.items()
+        f"{name} {reading(estimate, unit_of(effect.name, name))}"
+        for name, estimate in effect.parameters.items()
     )
     element = f" on {effect.element}" if effect.element else ""
     bound = ", at its bound" if effect.at_bound else ""

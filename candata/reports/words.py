@@ -117,7 +117,7 @@ def not_known(report: Report) -> str:
     if report.verdict == "too_little_data":
         parts.append("Everything: record at least eight episodes")
     parts += [
-        f"{capital(title(effect.name, effect.element))} stopped at its bound, so its true value may lie beyond it"
+        f"{capital(title(effect.name, effect.element))} stopped at its bound; its true value may lie beyond"
         for effect in report.effects
         if effect.at_bound
     ]
@@ -126,6 +126,11 @@ def not_known(report: Report) -> str:
     if not parts:
         parts.append(_nothing_more(report))
     return ". ".join(parts) + "."
+
+
+def after_name(report: Report) -> str:
+    """Return what to call the simulation after the repair: no repair is made when nothing is named."""
+    return "repaired" if report.effects else "best candidate"
 
 
 def next_motion(report: Report) -> str:
