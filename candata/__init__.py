@@ -1,0 +1,42 @@
+"""Contact-rich manipulation data in one physical schema, and a diagnosis of the sim-to-real gap.
+
+The names below are the public surface; each is imported from its room on first use.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+#: Public name to the module that defines it. No name is that of a module: it would hide the module.
+_HOMES = {
+    "Effect": "candata.effects",
+    "Episode": "candata.schema.episode",
+    "Scene": "candata.scenes",
+    "diagnose": "candata.gap",
+    "load_scene": "candata.scenes",
+    "open_dataset": "candata.datasets",
+    "rollout": "candata.simulate",
+}
+
+__all__ = ["Effect", "Episode", "Scene", "diagnose", "load_scene", "open_dataset", "rollout"]
+
+
+def __getattr__(name: str) -> Any:
+    """Return the public object `name`, importing its room now.
+
+    Raises
+    ------
+    AttributeError
+        When the name is not public.
+    """
+    if name not in _HOMES:
+        raise AttributeError(f"module 'candata' has no attribute {name!r}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return [*__all__, "__version__"]

@@ -1,0 +1,6 @@
+"""Simulation: the stepping loop and what feeds it."""
+
+from candata.simulate.loop import Trajectory, at_rest, rollout
+from candata.simulate.observer import Observer
+
+__all__ = ["Observer", "Trajectory", "at_rest", "rollout"]

@@ -1,0 +1,77 @@
+"""Adding episodes: parts written as they come, one version at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from candata.datasets import encode
+from candata.datasets.parts import write_part
+from candata.datasets.versions import index_of, newest, publish, read_dataset_file
+from candata.errors import DataError, UsageError, Where
+from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage, VersionFile
+
+
+def append(
+    path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part_size: int = 16
+) -> VersionFile:
+    """Return the version that holds what stood there and `episodes`; the current one if they add nothing.
+
+    An episode that stands with the same content is skipped. Episodes are taken one by one; at most
+    `part_size` are held. A failure on the way publishes nothing.
+
+    Parameters
+    ----------
+    path : str or Path
+        Dataset, made by `create_dataset`.
+    episodes : iterable of Episode
+        Episodes to add; they may differ in their channels.
+    lineage : Lineage
+        How they came to be; its operation is kept as the parts' producer.
+    part_size : int
+        Episodes a part.
+
+    Raises
+    ------
+    DataError
+        When an id stands, or comes twice, with different content.
+    UsageError
+        When there is no dataset, or nothing at all to publish.
+    """
+    root = Path(path)
+    read_dataset_file(root)
+    if part_size < 1:
+        raise UsageError("part_size is too small", expected="at least 1", found=str(part_size))
+    current = newest(root)
+    known = index_of(root, current.parts) if current else {}
+    batches = _batches(_unknown(root, episodes, known), part_size)
+    producer = {"operation": lineage.operation}
+    return publish(root, [write_part(root, batch, producer).id for batch in batches], lineage)
+
+
+def _unknown(root: Path, episodes: Iterable[Episode], known: dict[str, str]) -> Iterator[Episode]:
+    """Yield the episodes that are not in `known`, which grows with them."""
+    for episode in episodes:
+        digest, name = encode.content_hash(episode), episode.meta.id
+        if known.get(name, digest) != digest:
+            raise DataError(
+                "an episode with this id but another content is in the dataset",
+                expected=f"content {known[name][:12]}",
+                found=f"content {digest[:12]}",
+                where=Where(path=str(root), episode=name),
+                fix="give the new episode another id, or write to another dataset",
+            )
+        if name not in known:
+            known[name] = digest
+            yield episode
+
+
+def _batches(episodes: Iterable[Episode], size: int) -> Iterator[list[Episode]]:
+    """Yield lists of episodes with equal channels; at most `size` episodes are held in all."""
+    held: dict[tuple, list[Episode]] = {}
+    for episode in episodes:
+        held.setdefault(tuple(encode.layout_of(episode).items()), []).append(episode)
+        if sum(map(len, held.values())) == size:
+            yield held.pop(max(held, key=lambda layout: len(held[layout])))
+    yield from held.values()

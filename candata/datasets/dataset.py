@@ -1,0 +1,241 @@
+"""Dataset: one version, open for reading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from candata.datasets import durable
+from candata.datasets.encode import RawEpisode
+from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
+from candata.datasets.versions import find_version, read_dataset_file
+from candata.errors import DataError, UnknownNameError, Where
+from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage, VersionFile
+
+#: Decoded row groups that an iteration keeps, for ids whose order is not that of the parts.
+_GROUPS_HELD = 8
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an episode lies: its part and its position in it."""
+
+    part: RawPart
+    position: int
+    content_hash: str
+
+    @property
+    def group(self) -> int:
+        """Number of its row group."""
+        return self.position // EPISODES_PER_ROW_GROUP
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """One version of a dataset.
+
+    Attributes
+    ----------
+    path : Path
+        Folder.
+    name : str
+        Name of the dataset.
+    file : VersionFile
+        The version as published.
+    places : mapping of str to Place
+        Episode id to where it lies.
+    """
+
+    path: Path
+    name: str
+    file: VersionFile = field(repr=False)
+    places: dict[str, Place] = field(repr=False)
+
+    @property
+    def version(self) -> int:
+        """Number of the version."""
+        return self.file.number
+
+    @property
+    def digest(self) -> str:
+        """sha256 over the sorted (episode id, content hash): equal for equal content."""
+        return self.file.digest
+
+    @property
+    def lineage(self) -> tuple[Lineage, ...]:
+        """How the episodes came to be, the first operation first."""
+        return self.file.lineage
+
+    @cached_property
+    def ids(self) -> tuple[str, ...]:
+        """Episode ids, sorted: the order of iteration, independent of who wrote which part when."""
+        return tuple(sorted(self.places))
+
+    def __len__(self) -> int:
+        """Return the number of episodes."""
+        return len(self.places)
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Yield all episodes in the order of `ids`."""
+        return self.episodes()
+
+    def episodes(self, ids: Iterable[str] | None = None) -> Iterator[Episode]:
+        """Yield episodes in the order of `ids`, by default all in the order of `self.ids`.
+
+        Every episode's content hash is checked on the way.
+
+        Raises
+        ------
+        UnknownNameError
+            When an id is not in this version.
+        DataError
+            When a part is damaged; names the file.
+        """
+        wanted = self.ids if ids is None else tuple(ids)
+        places = [self._place(name) for name in wanted]
+        read = lru_cache(maxsize=_GROUPS_HELD)(_read_group)
+        return (
+            _episode(read(place.part, place.group), place, name)
+            for name, place in zip(wanted, places, strict=True)
+        )
+
+    def episode(self, id: str) -> Episode:
+        """Return one episode.
+
+        Raises
+        ------
+        UnknownNameError
+            When the id is not in this version.
+        DataError
+            When its part is damaged; names the file.
+        """
+        return next(self.episodes([id]))
+
+    def _place(self, name: str) -> Place:
+        """Return where an episode lies."""
+        if name not in self.places:
+            raise UnknownNameError("episode", name, self.ids, Where(path=str(self.path)))
+        return self.places[name]
+
+    def raw_parts(self) -> Iterator[RawPart]:
+        """Yield the parts as they lie on the disk, for what must look at data that may be damaged."""
+        return (RawPart(self.path, entry) for entry in self.file.parts)
+
+    def catalog(self) -> pa.Table:
+        """Return one row an episode, in the order of `ids`: who, what, when, rows, content hash, part.
+
+        Read from `catalog/<digest>.parquet`, which is made on the first call where the folder can be written.
+
+        Raises
+        ------
+        DataError
+            When a part is damaged; names the file.
+        """
+        path = self.path / "catalog" / f"{self.digest}.parquet"
+        if path.is_file():
+            try:
+                return pq.read_table(path, use_threads=False, partitioning=None)
+            except (pa.ArrowException, OSError):
+                pass  # made from the parts, so it can be made again
+        table = self._build_catalog()
+        _keep(self.path, path, table)
+        return table
+
+    def _build_catalog(self) -> pa.Table:
+        """Return the catalog from the tables of the parts."""
+        tables = []
+        for part in self.raw_parts():
+            rows = part.table()
+            tables.append(rows.append_column("part", pa.array([part.entry.id] * len(rows), pa.string())))
+        table = pa.concat_tables(tables)
+        own = [self.places[i].part.entry.id == p if i in self.places else False
+               for i, p in zip(table["id"].to_pylist(), table["part"].to_pylist(), strict=True)]  # fmt: skip
+        table = table.filter(pa.array(own, pa.bool_()))
+        return table.take(pc.sort_indices(table, [("id", "ascending")])).combine_chunks()
+
+
+def _keep(root: Path, path: Path, table: pa.Table) -> None:
+    """Store a table that can be made again; a folder that cannot be written is no error."""
+    try:
+        durable.ensure_folder(path.parent)
+        with durable.staged(root) as folder:
+            pq.write_table(table, folder / path.name, compression="zstd")
+            (folder / path.name).replace(path)
+    except OSError:
+        return
+
+
+def _read_group(part: RawPart, number: int) -> list[RawEpisode]:
+    """Return the stored episodes of one row group."""
+    return part.group(number)
+
+
+def _episode(group: list[RawEpisode], place: Place, name: str) -> Episode:
+    """Return the episode, checked against the hash its part was published with."""
+    path = place.part.folder / STEPS
+    offset = place.position % EPISODES_PER_ROW_GROUP
+    if offset >= len(group) or group[offset].id != name:
+        raise durable.damaged(path, f"another episode at position {place.position}", name)
+    raw = group[offset]
+    found = raw.content_hash()
+    if found != place.content_hash:
+        raise DataError(
+            "damaged dataset: the content of an episode has changed",
+            expected=f"content {place.content_hash[:12]}",
+            found=f"content {found[:12]}",
+            where=Where(path=str(path), episode=name),
+            fix="restore the file from a copy; candata validate lists everything that is damaged",
+        )
+    return Episode(raw.meta(), raw.arrays)
+
+
+def open_dataset(path: str | Path, version: int | str | None = None, *, partial: bool = False) -> Dataset:
+    """Return one version of a dataset, by default the newest.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder of the dataset.
+    version : int or str, optional
+        Number of the version, or the start of its digest (6 characters or more).
+    partial : bool
+        Leave out damaged parts instead of refusing; `raw_parts` still gives them. For the checks.
+
+    Raises
+    ------
+    UsageError
+        When there is no dataset or no such version.
+    DataError
+        When the dataset is empty, or a part lacks a file or has one of the wrong size; names the file.
+    """
+    root = Path(path)
+    name = read_dataset_file(root).name
+    file = find_version(root, version)
+    places: dict[str, Place] = {}
+    for part in (RawPart(root, entry) for entry in file.parts):
+        try:
+            pairs = _intact(part)
+        except DataError:
+            if not partial:
+                raise
+            continue
+        for position, (episode, digest) in enumerate(pairs):
+            if episode not in file.exclusions:
+                places.setdefault(episode, Place(part, position, digest))
+    return Dataset(root, name, file, places)
+
+
+def _intact(part: RawPart) -> Iterable[tuple[str, str]]:
+    """Return (episode id, content hash) of a part whose files stand in the right size."""
+    manifest = part.manifest()
+    problem = part.size_problem(manifest)
+    if problem:
+        raise problem
+    return manifest.episodes

@@ -1,0 +1,140 @@
+"""Files that are either whole or absent: staging, fsync, exclusive create, hashes."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from candata.errors import DataError, SetupError, UsageError, Where
+from candata.schema.record import Record
+
+STAGING = "staging"
+
+SomeRecord = TypeVar("SomeRecord", bound=Record)
+
+
+def sync(path: Path) -> None:
+    """Force a file's bytes, or a folder's entries, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def ensure_folder(path: Path) -> Path:
+    """Return `path` as an existing folder whose entry in its parent is on the disk."""
+    if not path.is_dir():
+        path.mkdir(parents=True, exist_ok=True)
+        sync(path.parent)
+    return path
+
+
+@contextmanager
+def staged(root: Path) -> Iterator[Path]:
+    """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed."""
+    folder = ensure_folder(root / STAGING) / uuid.uuid4().hex
+    folder.mkdir()
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def create_once(root: Path, target: Path, data: bytes) -> bool:
+    """Write `target` whole unless it exists; return whether this call made it.
+
+    The bytes are staged and synced first, then hard-linked to the name, which fails when it is taken.
+
+    Raises
+    ------
+    SetupError
+        When the file system has no hard links.
+    """
+    ensure_folder(target.parent)
+    with staged(root) as folder:
+        draft = folder / target.name
+        draft.write_bytes(data)
+        sync(draft)
+        try:
+            os.link(draft, target)
+        except FileExistsError:
+            return False
+        except OSError as error:
+            if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS):
+                raise
+            raise SetupError(
+                "the file system cannot make hard links, which publishing a version needs",
+                found=error.strerror,
+                where=Where(path=str(target.parent)),
+                fix="keep the dataset on a local disk",
+            ) from None
+        sync(target.parent)
+    return True
+
+
+def file_sha256(path: Path) -> str:
+    """Return the sha256 of a file's bytes as hex.
+
+    Raises
+    ------
+    OSError
+        When the file cannot be read.
+    """
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def encode_record(record: Record) -> bytes:
+    """Return the record as indented JSON, keys in the order of the fields."""
+    return (record.model_dump_json(indent=1) + "\n").encode()
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a file of the dataset.
+
+    Raises
+    ------
+    DataError
+        When the file is missing or cannot be read; names it.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise damaged(path, error.strerror or str(error)) from None
+
+
+def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -> SomeRecord:
+    """Return the record kept in the JSON file `path` (or in `data`, its bytes).
+
+    Raises
+    ------
+    DataError
+        When the file is missing or does not hold such a record; names it.
+    """
+    raw = read_bytes(path) if data is None else data
+    try:
+        return kind.parse(json.loads(raw), path)
+    except ValueError as error:
+        raise damaged(path, f"no valid JSON: {error}") from None
+    except UsageError as error:
+        raise damaged(path, error.problem) from None
+
+
+def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:
+    """Return the error for a file of the dataset that is missing or no longer what was written."""
+    return DataError(
+        f"damaged dataset: {path.name}",
+        expected=expected,
+        found=found,
+        where=Where(path=str(path)),
+        fix="restore the file from a copy; candata validate lists everything that is damaged",
+    )

@@ -1,0 +1,194 @@
+"""Episodes as Arrow tables and back, and the hash of their content; no files."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from candata.schema.channels import CHANNELS, VALID_SUFFIX, canonical_order
+from candata.schema.episode import Episode, EpisodeMeta
+
+#: Shapes without the time axis, by column: what all episodes of one part share.
+Layout = dict[str, tuple[int, ...]]
+
+#: Key of the schema metadata that holds the layout.
+LAYOUT_KEY = b"candata.layout"
+
+_TEXT = pa.string()
+_NAMES = pa.list_(pa.string())
+
+#: `episodes.parquet`: one row an episode, in the order of the rows of `steps.parquet`.
+EPISODE_COLUMNS = pa.schema(
+    {
+        "id": _TEXT, "source": _TEXT, "scene": _TEXT, "object": _TEXT, "task": _TEXT, "seed": pa.int64(),
+        "effects": _TEXT, "outcome": _TEXT, "rate_hz": pa.float64(), "rows": pa.int64(),
+        "duration_s": pa.float64(), "joint_names": _NAMES, "actuator_names": _NAMES,
+        "fingertip_names": _NAMES, "content_hash": _TEXT, "row_group": pa.int64(), "meta": _TEXT,
+    }
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RawEpisode:
+    """An episode as stored, unchecked: what the checks look at.
+
+    Attributes
+    ----------
+    id : str
+        Name in the catalog row.
+    meta_json : str
+        Who, what, when as stored.
+    arrays : mapping of str to ndarray
+        Columns as stored.
+    stored_hash : str
+        Content hash that the catalog row claims.
+    """
+
+    id: str
+    meta_json: str
+    arrays: Mapping[str, NDArray]
+    stored_hash: str
+
+    def content_hash(self) -> str:
+        """Return the hash of what is stored now."""
+        return hash_columns(self.meta_json, self.arrays)
+
+    def meta(self) -> EpisodeMeta:
+        """Return who, what, when.
+
+        Raises
+        ------
+        ValueError, UsageError
+            When the stored text is no JSON, or no such record.
+        """
+        return EpisodeMeta.parse(json.loads(self.meta_json), f"meta of {self.id}")
+
+
+def meta_json(meta: EpisodeMeta) -> str:
+    """Return who, what, when as canonical JSON; without defaults, so a new optional field changes nothing."""
+    fields = meta.model_dump(mode="json", exclude_defaults=True)
+    return json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+
+def hash_columns(meta: str, arrays: Mapping[str, NDArray]) -> str:
+    """Return sha256 over (name, dtype, shape, bytes) of `meta` and of each column, in canonical order.
+
+    Unknown columns come last, by name, so that damaged data hashes too.
+    """
+    digest = hashlib.sha256()
+    text = meta.encode()
+    digest.update(f"meta|json|{len(text)}|".encode() + text)
+    known = canonical_order([n for n in arrays if n.removesuffix(VALID_SUFFIX) in CHANNELS])
+    for name in [*known, *sorted(set(arrays) - set(known))]:
+        array = np.ascontiguousarray(arrays[name])
+        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        shape = ",".join(map(str, array.shape))
+        digest.update(f"{name}|{array.dtype.name}|{shape}|".encode() + little.tobytes())
+    return digest.hexdigest()
+
+
+def content_hash(episode: Episode) -> str:
+    """Return the sha256 that names the episode's content, whatever file it is kept in.
+
+    Covers every column and who, what, when. Equal content gives equal hashes on every machine.
+    """
+    return hash_columns(meta_json(episode.meta), episode.arrays)
+
+
+def layout_of(episode: Episode) -> Layout:
+    """Return each column's shape without the time axis."""
+    return {name: array.shape[1:] for name, array in episode.arrays.items()}
+
+
+def steps_schema(layout: Layout) -> pa.Schema:
+    """Return the Arrow schema of `steps.parquet`: a fixed-size list a column, units in the field metadata."""
+    fields = [pa.field("episode", pa.string())]
+    for name, shape in layout.items():
+        if math.prod(shape):
+            fields.append(pa.field(name, _column_type(name, shape), metadata=_field_metadata(name, shape)))
+    text = json.dumps({name: list(shape) for name, shape in layout.items()})
+    return pa.schema(fields, metadata={LAYOUT_KEY: text.encode()})
+
+
+def _column_type(name: str, shape: tuple[int, ...]) -> pa.DataType:
+    """Return the Arrow type of a column of the schema."""
+    dtype = "bool" if name.endswith(VALID_SUFFIX) else CHANNELS[name].dtype
+    scalar = pa.from_numpy_dtype(np.dtype(dtype))
+    return pa.list_(scalar, math.prod(shape)) if shape else scalar
+
+
+def _field_metadata(name: str, shape: tuple[int, ...]) -> dict[str, str]:
+    """Return what a reader without candata needs to know of a column."""
+    channel = CHANNELS[name.removesuffix(VALID_SUFFIX)]
+    unit = "1" if name.endswith(VALID_SUFFIX) else channel.unit
+    return {"unit": unit, "shape": json.dumps(shape), "frame": channel.frame, "role": channel.role}
+
+
+def steps_batch(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:
+    """Return the rows of one episode as `steps.parquet` keeps them."""
+    columns: list[pa.Array] = [pa.array([episode.meta.id] * len(episode), pa.string())]
+    for field in list(schema)[1:]:
+        values = pa.array(episode.arrays[field.name].reshape(-1))
+        if pa.types.is_fixed_size_list(field.type):
+            values = pa.FixedSizeListArray.from_arrays(values, field.type.list_size)
+        columns.append(values)
+    return pa.RecordBatch.from_arrays(columns, schema=schema)
+
+
+def episode_row(episode: Episode, digest: str, row_group: int) -> dict[str, object]:
+    """Return the episode's row of `episodes.parquet`; a seed beyond int64 stands in `meta` only."""
+    meta = episode.meta
+    effects = None if meta.effects is None else [e.model_dump(mode="json") for e in meta.effects]
+    seed = meta.seed if meta.seed is not None and abs(meta.seed) < 2**63 else None
+    return {
+        "id": meta.id, "source": meta.source, "scene": meta.scene, "object": meta.object, "task": meta.task,
+        "seed": seed, "effects": None if effects is None else json.dumps(effects),
+        "outcome": meta.outcome, "rate_hz": meta.rate_hz, "rows": len(episode),
+        "duration_s": float(episode.time_s[-1]), "joint_names": meta.joint_names,
+        "actuator_names": meta.actuator_names, "fingertip_names": meta.fingertip_names,
+        "content_hash": digest, "row_group": row_group, "meta": meta_json(meta),
+    }  # fmt: skip
+
+
+def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[RawEpisode]:
+    """Return the episodes of one row group: `steps` split by the row counts in `rows`.
+
+    Raises
+    ------
+    ValueError
+        When the rows do not add up, or a column is no fixed-size list of its shape.
+    """
+    counts = [int(str(row["rows"])) for row in rows]
+    if sum(counts) != steps.num_rows:
+        raise ValueError(f"{steps.num_rows} rows where the episodes claim {sum(counts)}")
+    layout = json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}"))
+    columns = {name: _decode_column(steps, name, tuple(shape)) for name, shape in layout.items()}
+    ends = np.cumsum(counts)
+    return [
+        RawEpisode(
+            str(row["id"]),
+            str(row["meta"]),
+            {name: column[end - count : end] for name, column in columns.items()},
+            str(row["content_hash"]),
+        )
+        for row, count, end in zip(rows, counts, ends, strict=True)
+    ]
+
+
+def _decode_column(steps: pa.Table, name: str, shape: tuple[int, ...]) -> NDArray:
+    """Return one column as `(rows, *shape)`; a column without elements is not stored."""
+    if not math.prod(shape):
+        dtype = "bool" if name.endswith(VALID_SUFFIX) else CHANNELS[name].dtype
+        return np.zeros((steps.num_rows, *shape), dtype)
+    if name not in steps.column_names:
+        raise ValueError(f"column {name} is missing")
+    column = steps.column(name).combine_chunks()
+    values = column.flatten() if shape else column
+    return values.to_numpy(zero_copy_only=False).reshape(steps.num_rows, *shape)

@@ -1,0 +1,252 @@
+"""Parts: up to a few hundred episodes in one folder that exists whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from candata.datasets import durable, encode
+from candata.errors import DataError, UsageError, Where
+from candata.schema.episode import Episode
+from candata.schema.manifest import FileEntry, PartEntry, PartFile
+
+EPISODES_PER_ROW_GROUP = 8
+STEPS, EPISODES, MANIFEST = "steps.parquet", "episodes.parquet", "part.json"
+
+
+def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[str, str]) -> PartFile:
+    """Return the manifest of a new part that holds `episodes`; it belongs to no version yet.
+
+    Any number of processes may write parts to one dataset. At most 8 episodes are held at a time. The
+    part's id follows from its content, so writing the same episodes again returns the part that stands.
+
+    Parameters
+    ----------
+    path : str or Path
+        Dataset.
+    episodes : iterable of Episode
+        At least one; ids unique; all with the same channels and shapes.
+    producer : mapping of str to str
+        What wrote it: words that may be published.
+
+    Raises
+    ------
+    DataError
+        When there are no episodes, an id comes twice, or the channels differ.
+    """
+    root = Path(path)
+    with durable.staged(root) as folder:
+        pairs, rows = _write_tables(folder, episodes)
+        manifest = PartFile(
+            id=_part_id(pairs),
+            files=tuple(_file_entry(folder / name) for name in (STEPS, EPISODES)),
+            rows=rows,
+            episodes=tuple(pairs),
+            producer=dict(producer),
+        )
+        (folder / MANIFEST).write_bytes(durable.encode_record(manifest))
+        durable.sync(folder / MANIFEST)
+        durable.sync(folder)
+        return _commit(root, folder, manifest)
+
+
+def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
+    """Move a finished staging folder among the parts; return the manifest that stands there."""
+    parts = durable.ensure_folder(root / "parts")
+    target = parts / manifest.id
+    try:
+        os.rename(folder, target)
+    except OSError:
+        if not target.is_dir():
+            raise
+        manifest = durable.read_record(PartFile, target / MANIFEST)
+    durable.sync(parts)
+    return manifest
+
+
+def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple[str, str]], int]:
+    """Write both tables row group by row group; return (id, content hash) pairs and the number of rows."""
+    stream = iter(episodes)
+    first = next(stream, None)
+    if first is None:
+        raise UsageError(
+            "nothing to write: no episodes", expected="at least 1 episode", fix="check the source"
+        )
+    layout = encode.layout_of(first)
+    schema = encode.steps_schema(layout)
+    table: list[dict[str, object]] = []
+    with pq.ParquetWriter(folder / STEPS, schema, compression="zstd", compression_level=3) as writer:
+        for number, group in enumerate(_groups(itertools.chain([first], stream))):
+            _check_group(group, layout, {str(row["id"]) for row in table})
+            batches = [encode.steps_batch(episode, schema) for episode in group]
+            steps = pa.Table.from_batches(batches)
+            writer.write_table(steps, row_group_size=max(1, steps.num_rows))
+            table += [encode.episode_row(e, encode.content_hash(e), number) for e in group]
+    pq.write_table(pa.Table.from_pylist(table, encode.EPISODE_COLUMNS), folder / EPISODES, compression="zstd")
+    for name in (STEPS, EPISODES):
+        durable.sync(folder / name)
+    return [(str(r["id"]), str(r["content_hash"])) for r in table], sum(int(str(r["rows"])) for r in table)
+
+
+def _groups(episodes: Iterator[Episode]) -> Iterator[list[Episode]]:
+    """Yield the episodes in row groups."""
+    while group := list(itertools.islice(episodes, EPISODES_PER_ROW_GROUP)):
+        yield group
+
+
+def _check_group(group: list[Episode], layout: encode.Layout, seen: set[str]) -> None:
+    """Refuse an id that comes twice and an episode whose channels differ from the part's."""
+    for episode in group:
+        where = Where(episode=episode.meta.id)
+        if episode.meta.id in seen:
+            raise DataError("episode id comes twice in one part", expected="unique ids", where=where)
+        seen.add(episode.meta.id)
+        if encode.layout_of(episode) != layout:
+            raise DataError(
+                "episodes of one part differ in their channels",
+                expected=_layout_text(layout),
+                found=_layout_text(encode.layout_of(episode)),
+                where=where,
+                fix="write one part for each set of channels; append does so by itself",
+            )
+
+
+def _layout_text(layout: encode.Layout) -> str:
+    """Return `name (shape), ...`."""
+    return ", ".join(f"{name} {('T', *shape)}" for name, shape in layout.items())
+
+
+def _part_id(pairs: list[tuple[str, str]]) -> str:
+    """Return the id that follows from the part's episodes: equal parts are one part."""
+    text = "\n".join(f"{name}\t{digest}" for name, digest in pairs)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def _file_entry(path: Path) -> FileEntry:
+    """Return a file's name, size and hash."""
+    return FileEntry(path=path.name, bytes=path.stat().st_size, sha256=durable.file_sha256(path))
+
+
+def part_folder(root: Path, part_id: str) -> Path:
+    """Return the folder of a part."""
+    return root / "parts" / part_id
+
+
+def entry_of(root: Path, part_id: str) -> PartEntry:
+    """Return what a version says of a part that stands.
+
+    Raises
+    ------
+    DataError
+        When the part has no readable `part.json`; names the file.
+    """
+    path = part_folder(root, part_id) / MANIFEST
+    data = durable.read_bytes(path)
+    manifest = durable.read_record(PartFile, path, data)
+    return PartEntry(
+        id=part_id,
+        sha256=hashlib.sha256(data).hexdigest(),
+        rows=manifest.rows,
+        episodes=len(manifest.episodes),
+    )
+
+
+@dataclass(frozen=True)
+class RawPart:
+    """A part of a version as it lies on the disk, unchecked.
+
+    Attributes
+    ----------
+    root : Path
+        Dataset.
+    entry : PartEntry
+        What the version says of it.
+    """
+
+    root: Path
+    entry: PartEntry
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the part."""
+        return part_folder(self.root, self.entry.id)
+
+    def manifest(self) -> PartFile:
+        """Return `part.json`, which must be the one the version was published with.
+
+        Raises
+        ------
+        DataError
+            When it is missing, unreadable or another; names the file.
+        """
+        path = self.folder / MANIFEST
+        data = durable.read_bytes(path)
+        found = hashlib.sha256(data).hexdigest()
+        if found != self.entry.sha256:
+            raise durable.damaged(path, f"sha256 {found[:12]}", f"sha256 {self.entry.sha256[:12]}")
+        return durable.read_record(PartFile, path, data)
+
+    def table(self) -> pa.Table:
+        """Return the rows of `episodes.parquet`.
+
+        Raises
+        ------
+        DataError
+            When the file is missing or unreadable; names it.
+        """
+        path = self.folder / EPISODES
+        try:
+            return pq.read_table(path, schema=encode.EPISODE_COLUMNS, use_threads=False, partitioning=None)
+        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
+            raise durable.damaged(path, _first_line(error)) from None
+
+    def group(self, number: int, rows: list[dict[str, object]] | None = None) -> list[encode.RawEpisode]:
+        """Return the episodes of one row group as stored; `rows` are those of `table`, if at hand.
+
+        Raises
+        ------
+        DataError
+            When a file is missing or does not decode; names it.
+        """
+        rows = self.table().to_pylist() if rows is None else rows
+        path = self.folder / STEPS
+        try:
+            with pq.ParquetFile(path) as file:
+                steps = file.read_row_group(number, use_threads=False)
+            return encode.decode_group(steps, [row for row in rows if row["row_group"] == number])
+        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
+            raise durable.damaged(path, _first_line(error)) from None
+
+    def episodes(self) -> Iterator[encode.RawEpisode]:
+        """Yield the episodes as stored, at most 8 held at a time.
+
+        Raises
+        ------
+        DataError
+            When a file is missing or does not decode; names it.
+        """
+        rows = self.table().to_pylist()
+        for number in sorted({int(row["row_group"]) for row in rows}):
+            yield from self.group(number, rows)
+
+    def size_problem(self, manifest: PartFile) -> DataError | None:
+        """Return what is wrong with the presence or size of the part's files, without reading them."""
+        for entry in manifest.files:
+            path = self.folder / entry.path
+            if not path.is_file():
+                return durable.damaged(path, "no such file")
+            if path.stat().st_size != entry.bytes:
+                return durable.damaged(path, f"{path.stat().st_size} bytes", f"{entry.bytes} bytes")
+        return None
+
+
+def _first_line(error: Exception) -> str:
+    """Return the first line of a library's message."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

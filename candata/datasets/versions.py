@@ -1,0 +1,271 @@
+"""Versions: which parts belong to a dataset, published one after the other, never changed."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+from candata.datasets import durable
+from candata.datasets.parts import RawPart, entry_of
+from candata.errors import DataError, UsageError, Where
+from candata.schema.channels import CHANNELS
+from candata.schema.manifest import FORMAT_VERSION, DatasetFile, Lineage, PartEntry, PartFile, VersionFile
+
+DATASET = "dataset.json"
+
+
+def create_dataset(path: str | Path, name: str | None = None, exist_ok: bool = False) -> Path:
+    """Return the folder of a new dataset without versions; `dataset.json` is written once.
+
+    Parameters
+    ----------
+    path : str or Path
+        Folder; made when missing.
+    name : str, optional
+        Name of the dataset; the folder's by default.
+    exist_ok : bool
+        Take a dataset that stands as it is.
+
+    Raises
+    ------
+    UsageError
+        When a dataset stands there and `exist_ok` is false, or the folder holds something else.
+    DataError
+        When the dataset that stands there cannot be read.
+    """
+    root = Path(path)
+    _refuse_foreign(root)
+    record = DatasetFile(
+        name=name or root.resolve().name,
+        schema_channels=tuple(row.model_dump(mode="json") for row in CHANNELS.values()),
+    )
+    durable.ensure_folder(root)
+    if not durable.create_once(root, root / DATASET, durable.encode_record(record)):
+        if not exist_ok:
+            raise UsageError(
+                "the dataset exists already",
+                where=Where(path=str(root)),
+                fix="choose another folder, or append",
+            )
+        read_dataset_file(root)
+    return root
+
+
+def _refuse_foreign(root: Path) -> None:
+    """Refuse a path that is a file, or a folder with other things in it."""
+    if root.exists() and not root.is_dir():
+        raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
+    if not root.is_dir() or (root / DATASET).exists():
+        return
+    others = sorted(p.name for p in root.iterdir() if p.name not in (durable.STAGING, DATASET))
+    if others:
+        raise UsageError(
+            "the folder is not empty and no dataset",
+            expected="an empty or missing folder, or a dataset",
+            found=", ".join(others[:5]),
+            where=Where(path=str(root)),
+            fix="choose another folder",
+        )
+
+
+def read_dataset_file(root: Path) -> DatasetFile:
+    """Return `dataset.json`.
+
+    Raises
+    ------
+    UsageError
+        When `root` is no dataset.
+    DataError
+        When the file is damaged or of a newer format.
+    """
+    path = root / DATASET
+    if not path.is_file():
+        raise UsageError(
+            "not a dataset",
+            expected=f"a folder with {DATASET}",
+            where=Where(path=str(root)),
+            fix="check the path",
+        )
+    data = durable.read_bytes(path)
+    version = re.search(rb'"format_version"\s*:\s*(\d+)', data)
+    if version and int(version[1]) > FORMAT_VERSION:
+        raise DataError(
+            "the dataset has a newer format",
+            expected=f"format {FORMAT_VERSION} or older",
+            found=f"format {int(version[1])}",
+            where=Where(path=str(path)),
+            fix="install a newer candata",
+        )
+    return durable.read_record(DatasetFile, path, data)
+
+
+def numbers(root: Path) -> list[int]:
+    """Return the numbers of all versions, ascending."""
+    return sorted(int(p.stem) for p in (root / "versions").glob("[0-9]*.json") if p.stem.isdigit())
+
+
+def version_path(root: Path, number: int) -> Path:
+    """Return the file of a version."""
+    return root / "versions" / f"{number:06d}.json"
+
+
+def read_version(root: Path, number: int) -> VersionFile:
+    """Return a version by its number.
+
+    Raises
+    ------
+    DataError
+        When the file is missing or damaged; names it.
+    """
+    return durable.read_record(VersionFile, version_path(root, number))
+
+
+def newest(root: Path) -> VersionFile | None:
+    """Return the newest version, None when there is none."""
+    found = numbers(root)
+    return read_version(root, found[-1]) if found else None
+
+
+def find_version(root: Path, version: int | str | None) -> VersionFile:
+    """Return the version with this number or digest (the first 6 characters do), by default the newest.
+
+    Raises
+    ------
+    DataError
+        When the dataset has no version.
+    UsageError
+        When there is no such version, or several.
+    """
+    found = numbers(root)
+    if not found:
+        raise DataError(
+            "empty dataset", expected="at least 1 version", where=Where(path=str(root / "versions")),
+            fix="add episodes: candata import, candata generate-sim",
+        )  # fmt: skip
+    if version is None or version in found:
+        return read_version(root, found[-1] if version is None else int(version))
+    digests = {n: read_version(root, n).digest for n in found} if isinstance(version, str) else {}
+    matches = [n for n, d in digests.items() if len(str(version)) >= 6 and d.startswith(str(version))]
+    if len({digests[n] for n in matches}) != 1:
+        raise UsageError(
+            f"{'several versions' if matches else 'no version'} {version}",
+            expected=f"a number from {found[0]} to {found[-1]}, or the start of a digest",
+            where=Where(path=str(root / "versions")),
+        )
+    return read_version(root, matches[-1])
+
+
+def index_of(root: Path, entries: Iterable[PartEntry]) -> dict[str, str]:
+    """Return episode id to content hash over parts that stand.
+
+    Raises
+    ------
+    DataError
+        When a part is damaged.
+    """
+    return {name: digest for entry in entries for name, digest in RawPart(root, entry).manifest().episodes}
+
+
+def digest_of(index: dict[str, str]) -> str:
+    """Return sha256 over sorted (episode id, content hash): what the version is, whatever its parts."""
+    text = "".join(f"{name}\t{digest}\n" for name, digest in sorted(index.items()))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def publish(path: str | Path, part_ids: Iterable[str], lineage: Lineage) -> VersionFile:
+    """Return the version that holds the newest one's parts and these; the newest one if they add nothing.
+
+    Several processes may publish at once: each version file is created exclusively, and the one who comes
+    late starts again from the newest version.
+
+    Parameters
+    ----------
+    path : str or Path
+        Dataset.
+    part_ids : iterable of str
+        Parts that stand, from `write_part` or `pending_parts`.
+    lineage : Lineage
+        How the new episodes came to be.
+
+    Raises
+    ------
+    DataError
+        When a part is missing or damaged, or an episode id stands with another content.
+    UsageError
+        When there are no parts and no version yet, or no dataset.
+    """
+    root = Path(path)
+    read_dataset_file(root)
+    new = [entry_of(root, part_id) for part_id in dict.fromkeys(part_ids)]
+    while True:
+        base = newest(root)
+        version = _next(root, base, new, lineage)
+        if version is base:
+            return version
+        target = version_path(root, version.number)
+        if durable.create_once(root, target, durable.encode_record(version)):
+            return version
+
+
+def _next(root: Path, base: VersionFile | None, new: list[PartEntry], lineage: Lineage) -> VersionFile:
+    """Return the version after `base` with the parts that add something; `base` itself if none does."""
+    index = index_of(root, base.parts) if base else {}
+    added = []
+    for entry in new:
+        fresh = _fresh(root, entry, index)
+        if fresh:
+            added.append(entry)
+            index |= fresh
+    if base and not added:
+        return base
+    if not added:
+        raise UsageError("nothing to publish", expected="at least 1 part", where=Where(path=str(root)))
+    earlier = base.lineage if base else ()
+    return VersionFile(
+        number=base.number + 1 if base else 1,
+        parent=base.digest if base else None,
+        parts=(*(base.parts if base else ()), *added),
+        digest=digest_of(index),
+        lineage=earlier if lineage in earlier else (*earlier, lineage),
+    )
+
+
+def _fresh(root: Path, entry: PartEntry, index: dict[str, str]) -> dict[str, str]:
+    """Return the episodes of a part that `index` lacks; refuse one that stands with another content."""
+    fresh = {}
+    for name, digest in RawPart(root, entry).manifest().episodes:
+        if index.get(name, digest) != digest:
+            raise DataError(
+                "an episode with this id but another content is in the dataset",
+                expected=f"content {index[name][:12]}",
+                found=f"content {digest[:12]}",
+                where=Where(path=str(root), episode=name),
+                fix="give the new episode another id, or write to another dataset",
+            )
+        if name not in index:
+            fresh[name] = digest
+    return fresh
+
+
+def pending_parts(path: str | Path) -> tuple[PartFile, ...]:
+    """Return the parts that are written whole but belong to no version, such as those of a stopped job.
+
+    Raises
+    ------
+    UsageError
+        When there is no dataset.
+    DataError
+        When a version file or the manifest of such a part is damaged.
+    """
+    root = Path(path)
+    read_dataset_file(root)
+    waiting = {p.parent.name for p in (root / "parts").glob("*/part.json")}
+    for number in reversed(numbers(root)):
+        if not waiting:
+            break
+        waiting -= {entry.id for entry in read_version(root, number).parts}
+    return tuple(
+        durable.read_record(PartFile, root / "parts" / part_id / "part.json") for part_id in sorted(waiting)
+    )

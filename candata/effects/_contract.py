@@ -1,0 +1,150 @@
+"""What an effect is: named, bounded parameters and up to four pure hooks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.scenes.assemble import Scene
+
+Array = NDArray[np.float64]
+Elements = Sequence[str | None]
+
+
+class Bounds(NamedTuple):
+    """Smallest and largest value that makes sense in a scene."""
+
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One named number (or vector, or choice) of an effect.
+
+    Attributes
+    ----------
+    name, unit : str
+        Name with its unit, and the unit by `candata.units`.
+    bounds : callable
+        `scene -> Bounds`, the range that is searched.
+    probes : callable
+        `scene -> values` at which signatures are simulated, both sides of the identity where there are two.
+    draws : callable
+        `scene -> intervals` from which a hidden value is drawn: clearly there, still plausible.
+    source : str
+        Where the ranges come from.
+    identity : callable
+        `scene -> value` at which the effect vanishes; NaN where it replaces the model's own values.
+    size : callable
+        `scene -> int`, 1 for a scalar.
+    choices : tuple of str
+        The words of a discrete parameter; its number is the index.
+    """
+
+    name: str
+    unit: str
+    bounds: Callable[[Scene], Bounds]
+    probes: Callable[[Scene], Sequence[float]]
+    draws: Callable[[Scene], Sequence[tuple[float, float]]]
+    source: str
+    identity: Callable[[Scene], float] = lambda scene: float("nan")
+    size: Callable[[Scene], int] = lambda scene: 1
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Hook:
+    """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
+
+    Attributes
+    ----------
+    start : callable
+        `(scene, values (n, d), elements (n,)) -> state`.
+    apply : callable
+        `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
+        readings a dict of channel to `(n, ...)`; for forces x is `(n, nv)` generalised forces [N, N m].
+    """
+
+    start: Callable[[Scene, Array, Elements], Any]
+    apply: Callable[[Any, Any], tuple[Any, Any]]
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A small physical change of the simulated world.
+
+    Attributes
+    ----------
+    about : str
+        One line for people.
+    parameters : tuple of Parameter
+        Flattened in this order into the vector x of length d.
+    acts_on : str
+        joint, fingertip, object, wrist or world: what the report says when it names where.
+    possible : callable
+        `scene -> bool`: whether the effect can act there.
+    edit : callable, optional
+        `(model, scene, x (d,), element)` changes a private copy of the model.
+    set_const : bool
+        Whether `mj_setConst` must follow the edit (masses, inertias, armature).
+    command, force, reading : Hook, optional
+        Filters of the commands, of added forces, of the readings.
+    moves : tuple of str
+        Channels a reading hook changes; empty when it needs a simulation.
+    """
+
+    about: str
+    parameters: tuple[Parameter, ...]
+    acts_on: str
+    possible: Callable[[Scene], bool]
+    edit: Callable[[mujoco.MjModel, Scene, Array, str | None], None] | None = None
+    set_const: bool = False
+    command: Hook | None = None
+    force: Hook | None = None
+    reading: Hook | None = None
+    moves: tuple[str, ...] = ()
+
+
+def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:
+    """Return bounds that are the same in every scene."""
+    return lambda scene: Bounds(low, high)
+
+
+def spans(*intervals: tuple[float, float]) -> Callable[[Scene], Sequence[tuple[float, float]]]:
+    """Return drawing intervals that are the same in every scene."""
+    return lambda scene: intervals
+
+
+def scaled(
+    reference: Callable[[Scene], float], *factors: float
+) -> Callable[[Scene], tuple[float, ...]]:
+    """Return probes that are multiples of a quantity of the scene."""
+    return lambda scene: tuple(f * reference(scene) for f in factors)
+
+
+def scaled_bounds(reference: Callable[[Scene], float], low: float, high: float) -> Callable[[Scene], Bounds]:
+    """Return bounds that are multiples of a quantity of the scene."""
+    return lambda scene: Bounds(low * reference(scene), high * reference(scene))
+
+
+def scaled_spans(
+    reference: Callable[[Scene], float], *intervals: tuple[float, float]
+) -> Callable[[Scene], Sequence[tuple[float, float]]]:
+    """Return drawing intervals that are multiples of a quantity of the scene."""
+    return lambda scene: tuple((a * reference(scene), b * reference(scene)) for a, b in intervals)
+
+
+def values(*numbers: float) -> Callable[[Scene], Sequence[float]]:
+    """Return probes that are the same in every scene."""
+    return lambda scene: numbers
+
+
+def always(number: float) -> Callable[[Scene], float]:
+    """Return an identity that is the same in every scene."""
+    return lambda scene: number

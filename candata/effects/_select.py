@@ -1,0 +1,143 @@
+"""Which joints, actuators and geoms an effect touches in a scene."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import UnknownNameError
+from candata.scenes.assemble import Scene, subtree
+
+Ids = NDArray[np.int64]
+
+
+def has_driven_hinges(scene: Scene) -> bool:
+    """Tell whether the scene has hinge joints with an actuator."""
+    return len(scene.driven_hinges) > 0
+
+
+def has_object(scene: Scene) -> bool:
+    """Tell whether the scene has an object."""
+    return scene.object_id is not None
+
+
+def has_forces(scene: Scene) -> bool:
+    """Tell whether the scene has force-sensing fingertips."""
+    return len(scene.force_sensors) > 0
+
+
+def joints(scene: Scene, element: str | None) -> Ids:
+    """Return indices into `scene.file.joints`: all driven hinges, or the one named.
+
+    Raises
+    ------
+    UnknownNameError
+        When `element` is no driven hinge.
+    """
+    if element is None:
+        return scene.driven_hinges
+    known = {scene.file.joints[i]: i for i in scene.driven_hinges}
+    if element not in known:
+        raise UnknownNameError("joint", element, known)
+    return np.array([known[element]])
+
+
+def dofs(scene: Scene, element: str | None) -> Ids:
+    """Return addresses in qvel of the joints."""
+    return scene.joint_dof[joints(scene, element)]
+
+
+def actuators(scene: Scene, element: str | None) -> Ids:
+    """Return actuator ids that drive the joints."""
+    ids = set(scene.joint_ids[joints(scene, element)].tolist())
+    return np.array([a for a in scene.actuator_ids if scene.model.actuator_trnid[a, 0] in ids], int)
+
+
+def fingertips(scene: Scene, element: str | None) -> Ids:
+    """Return indices into `scene.file.fingertips`: all, or the one named.
+
+    Raises
+    ------
+    UnknownNameError
+        When `element` is no fingertip.
+    """
+    names = scene.file.fingertips
+    if element is None:
+        return np.arange(len(names))
+    if element not in names:
+        raise UnknownNameError("fingertip", element, names)
+    return np.array([names.index(element)])
+
+
+@lru_cache(maxsize=64)
+def contact_geoms(scene: Scene) -> tuple[int, ...]:
+    """Return ids of every geom that can touch the object, and the object's own."""
+    model, own = scene.model, set(scene.object_geoms.tolist())
+    bodies = subtree(model, scene.object_id) if scene.object_id is not None else set()
+    partners = [
+        g
+        for g in range(model.ngeom)
+        if model.geom_bodyid[g] not in bodies and any(_collide(scene, g, o) for o in own)
+    ]
+    return tuple(sorted(own | set(partners)))
+
+
+def _collide(scene: Scene, first: int, second: int) -> bool:
+    """Tell whether the bit masks let two geoms meet."""
+    kind, affinity = scene.model.geom_contype, scene.model.geom_conaffinity
+    return bool((kind[first] & affinity[second]) | (kind[second] & affinity[first]))
+
+
+def drive_torque(scene: Scene) -> float:
+    """Return the median torque limit of the driven hinges [N m]: what joint torques are measured against.
+
+    Unlimited servos count as kp x 0.3 rad, a usual steady error under full load.
+    """
+    ids = actuators(scene, None)
+    if not len(ids):
+        return 1.0
+    limited = scene.model.actuator_forcelimited[ids].astype(bool)
+    limits = np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0])
+    return float(np.median(limits))
+
+
+def drive_damping(scene: Scene) -> float:
+    """Return the median damping of the driven hinges, joint and servo together [N m s/rad].
+
+    A joint without any counts as a tenth of critical damping, 0.2 sqrt(kp M).
+    """
+    ids = actuators(scene, None)
+    if not len(ids):
+        return 1.0
+    model, dof = scene.model, dofs(scene, None)
+    own = model.dof_damping[dof] - model.actuator_biasprm[ids, 2]
+    critical = 0.2 * np.sqrt(np.maximum(model.actuator_gainprm[ids, 0], 0) * model.dof_M0[dof])
+    return float(np.median(np.maximum(own, critical)))
+
+
+def drive_inertia(scene: Scene) -> float:
+    """Return the median inertia that the driven hinges see at rest pose [kg m^2] (`dof_M0`)."""
+    dof = dofs(scene, None)
+    return float(np.median(scene.model.dof_M0[dof])) if len(dof) else 1.0
+
+
+def object_size(scene: Scene) -> float:
+    """Return the smallest half extent of the object [m], from the bounding boxes of its geoms."""
+    if not len(scene.object_geoms):
+        return 0.05
+    return float(scene.model.geom_aabb[scene.object_geoms, 3:].min())
+
+
+def contact_timeconst(scene: Scene) -> float:
+    """Return the median contact time constant of the object's geoms [s].
+
+    Negative solref is (-stiffness, -damping): its time constant is 2 / damping (MuJoCo manual,
+    "Solver parameters", with dampratio 1).
+    """
+    if not len(scene.object_geoms):
+        return 0.02
+    solref = scene.model.geom_solref[scene.object_geoms]
+    time = np.where(solref[:, 0] > 0, solref[:, 0], 2 / np.maximum(-solref[:, 1], 1e-9))
+    return float(np.median(time))

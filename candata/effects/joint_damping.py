@@ -1,0 +1,39 @@
+"""Viscous damping in the joints that the model lacks."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects import _select
+from candata.effects._contract import (
+    Array,
+    Effect,
+    Parameter,
+    always,
+    scaled,
+    scaled_bounds,
+    scaled_spans,
+)
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Add to what the model has."""
+    model.dof_damping[_select.dofs(scene, element)] += x[0]
+
+
+EFFECT = Effect(
+    about="viscous damping is added to the joints",
+    parameters=(
+        Parameter(
+            "damping_Nms_rad", "N m s/rad", scaled_bounds(_select.drive_damping, 0.0, 15.0),
+            scaled(_select.drive_damping, 0.25, 0.7, 1.6, 3.5),
+            scaled_spans(_select.drive_damping, (0.8, 3.0)),
+            "grease and back-EMF, up to a few times the modelled damping",
+            always(0.0),
+        ),
+    ),
+    acts_on="joint",
+    possible=_select.has_driven_hinges,
+    edit=_edit,
+)

@@ -1,0 +1,31 @@
+"""The servo is stiffer or softer than modelled."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects import _select
+from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Scale the position gain; the velocity gain stays (`servo_damping` is another effect)."""
+    ids = _select.actuators(scene, element)
+    model.actuator_gainprm[ids, 0] *= x[0]
+    model.actuator_biasprm[ids, 1] *= x[0]
+
+
+EFFECT = Effect(
+    about="position gain of the servos is scaled",
+    parameters=(
+        Parameter(
+            "kp_scale", "1", fixed(0.15, 4.0), values(0.5, 0.75, 1.35, 2.0), spans((0.5, 0.8), (1.3, 2.0)),
+            "drives of small hands vary by tens of per cent with supply voltage and temperature",
+            always(1.0),
+        ),
+    ),
+    acts_on="joint",
+    possible=_select.has_driven_hinges,
+    edit=_edit,
+)

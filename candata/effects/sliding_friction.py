@@ -1,0 +1,28 @@
+"""Everything that touches the object is more or less slippery than modelled."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects import _select
+from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Scale every geom that can touch the object, as a pair takes the larger of its two values."""
+    model.geom_friction[list(_select.contact_geoms(scene)), 0] *= x[0]
+
+
+EFFECT = Effect(
+    about="sliding friction of object, fingertips and support is scaled",
+    parameters=(
+        Parameter(
+            "scale", "1", fixed(0.1, 5.0), values(0.45, 0.7, 1.4, 2.2), spans((0.35, 0.7), (1.4, 2.2)),
+            "tables of friction coefficients spread by a factor of two", always(1.0),
+        ),
+    ),
+    acts_on="object",
+    possible=_select.has_object,
+    edit=_edit,
+)

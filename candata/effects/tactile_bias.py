@@ -1,0 +1,45 @@
+"""The fingertips read a force when nothing touches them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from candata.effects import _select
+from candata.effects._contract import (
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    always,
+    fixed,
+    spans,
+    values,
+)
+from candata.scenes.assemble import Scene
+
+
+def _start(scene: Scene, x: Array, elements: Elements) -> Array:
+    """Return the biases `(n, F, 3)` [N]."""
+    return x.reshape(len(x), -1, 3)
+
+
+def _apply(bias: Array, readings: dict[str, Array]) -> tuple[Array, dict[str, Array]]:
+    """Return the readings with the bias added."""
+    return bias, {**readings, "fingertip_force": bias + readings["fingertip_force"]}
+
+
+EFFECT = Effect(
+    about="a constant is added to fingertip forces",
+    parameters=(
+        Parameter(
+            "bias_N", "N", fixed(-5.0, 5.0), values(-0.2, 0.2), spans((-0.4, 0.4)),
+            "tare drift of tactile sensors: tenths of a newton to newtons",
+            always(0.0), size=lambda scene: 3 * len(scene.file.fingertips),
+        ),
+    ),
+    acts_on="fingertip",
+    possible=_select.has_forces,
+    reading=Hook(_start, _apply),
+    moves=("fingertip_force",),
+)

@@ -1,0 +1,32 @@
+"""The motors saturate earlier or later than modelled."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects import _select
+from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Replace the force range by +- x."""
+    ids = _select.actuators(scene, element)
+    model.actuator_forcelimited[ids] = True
+    model.actuator_forcerange[ids] = (-x[0], x[0])
+
+
+EFFECT = Effect(
+    about="torque limit of the servos is replaced",
+    parameters=(
+        Parameter(
+            "limit_Nm", "N m", scaled_bounds(_select.drive_torque, 0.02, 2.0),
+            scaled(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
+            scaled_spans(_select.drive_torque, (0.12, 0.3)),
+            "data sheets state stall torque; current limits cut it to a fraction",
+        ),
+    ),
+    acts_on="joint",
+    possible=_select.has_driven_hinges,
+    edit=_edit,
+)

@@ -1,0 +1,58 @@
+"""Names of joints, actuators and fingertips, from the names of their columns."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Sequence
+
+#: First tokens that say what a column holds and not which element it belongs to.
+_KIND = {
+    "joint_position": {"q", "qpos", "pos", "position", "joint", "joint_position"},
+    "joint_velocity": {"dq", "qd", "qvel", "v", "vel", "velocity", "joint_velocity"},
+    "joint_effort": {"tau", "eff", "effort", "torque", "joint_effort"},
+    "action": {"a", "u", "act", "action", "cmd", "command", "ctrl", "target"},
+    "fingertip_force": {"f", "ft", "force", "fingertip_force"},
+    "fingertip_contact": {"c", "contact", "fingertip_contact"},
+}
+_SEPARATORS = "_./:- "
+
+
+def element_names(channel: str, columns: Sequence[str]) -> tuple[str, ...]:
+    """Return the elements' names: the columns without a shared first word such as `q_` or `a_`.
+
+    Where that leaves an empty or repeated name, the columns keep theirs.
+    """
+    words = sorted(_KIND.get(channel, ()), key=len, reverse=True)
+    for word in words:
+        stripped = tuple(_after(column, word) for column in columns)
+        if all(stripped) and len(set(stripped)) == len(stripped):
+            return stripped
+    return tuple(columns)
+
+
+def fingertip_names(triples: Sequence[Sequence[str]]) -> tuple[str, ...]:
+    """Return the fingertips' names: what the three columns of each share, `f0_x f0_y f0_z` -> `f0`."""
+    shared = tuple(_shared(triple) for triple in triples)
+    if not all(shared) or len(set(shared)) < len(shared):
+        return tuple(f"f{i}" for i in range(len(triples)))
+    return element_names("fingertip_force", shared)
+
+
+def _after(column: str, word: str) -> str:
+    """Return what follows `word` and a separator, or nothing."""
+    found = re.match(rf"{re.escape(word)}[{re.escape(_SEPARATORS)}]+(.+)", column, re.IGNORECASE)
+    return found.group(1) if found else ""
+
+
+def _shared(columns: Sequence[str]) -> str:
+    """Return the longer of the columns' common start and common end, without separators."""
+    start = _common_start(columns)
+    end = _common_start([column[::-1] for column in columns])[::-1]
+    return max(start, end, key=len).strip(_SEPARATORS)
+
+
+def _common_start(texts: Sequence[str]) -> str:
+    """Return the longest start that all texts share."""
+    equal = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False))
+    return "".join(letters[0] for letters in equal)

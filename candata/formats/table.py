@@ -1,0 +1,314 @@
+"""Tables: Parquet, CSV or npz columns, read as a `map.yaml` says."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import DataError, Where
+from candata.formats import Format
+from candata.formats._columns import check_lengths, numbers, read_columns
+from candata.formats._mapping import Plan, plans, read_map, time_factor
+from candata.formats._names import element_names, fingertip_names
+from candata.schema.channels import CHANNELS, VALID_SUFFIX
+from candata.schema.contact import fingertip_contact
+from candata.schema.episode import ContactRule, Episode, EpisodeMeta
+from candata.schema.scene import TableMap
+
+#: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
+_RATE_FACTOR = 300.0
+
+
+def read(source: Path, allow_gaps: bool = False) -> Iterator[Episode]:
+    """Yield the episodes of the table that the map file `source` names, in the table's order.
+
+    Parameters
+    ----------
+    source : Path
+        A `map.yaml`; its `file` is relative to its folder.
+    allow_gaps : bool
+        Mark values that are not finite as invalid instead of refusing them.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong.
+    DataError
+        When the table is, or an episode in it.
+    """
+    source = Path(source)
+    mapping = read_map(source)
+    _wanted(mapping, source)
+    yield from read_mapped(mapping, source.parent / mapping.file, allow_gaps)
+
+
+def read_mapped(mapping: TableMap, path: Path, allow_gaps: bool = False) -> Iterator[Episode]:
+    """Yield the episodes of the table `path` under a map that is at hand; its `file` is not looked at.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong.
+    DataError
+        When the table is, or an episode in it.
+    """
+    yield from episodes(mapping, read_columns(path, _wanted(mapping, path)), path, allow_gaps)
+
+
+def digest(source: Path) -> str:
+    """Return the sha256 over a map and its data file, independent of names and layout of the map.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong.
+    DataError
+        When the data file cannot be read.
+    """
+    source = Path(source)
+    mapping = read_map(source)
+    path = source.parent / mapping.file
+    try:
+        with path.open("rb") as file:
+            data = hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        where = Where(path=str(path))
+        raise DataError("the table cannot be read", found=error.strerror, where=where) from None
+    return map_digest(mapping, data)
+
+
+def map_digest(mapping: TableMap, data_digest: str) -> str:
+    """Return the sha256 over a map and the digest of the data it is applied to."""
+    return hashlib.sha256(f"{mapping.model_dump_json()}\n{data_digest}".encode()).hexdigest()
+
+
+def episodes(
+    mapping: TableMap, columns: Mapping[str, NDArray], path: Path, allow_gaps: bool = False
+) -> Iterator[Episode]:
+    """Yield the episodes in `columns`; `path` names the file for messages and episode ids.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong.
+    DataError
+        When a column is, or an episode.
+    """
+    made = plans(mapping, path)
+    check_lengths(columns, path)
+    time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping.time_s, path)
+    values = {c: numbers(columns[c], c, path) for plan in made for c in plan.columns}
+    table = _Table(mapping, made, time_ns, values, path, allow_gaps)
+    for label, rows in _groups(mapping, columns, len(time_ns), path):
+        yield _episode(table, rows, path.stem if label is None else f"{path.stem}-{label}")
+
+
+@dataclass(frozen=True)
+class _Table:
+    """A table at hand: its map and plans, its time in ns, its columns as numbers, its file."""
+
+    mapping: TableMap
+    plans: tuple[Plan, ...]
+    time_ns: NDArray[np.int64]
+    values: Mapping[str, NDArray[np.float64]]
+    path: Path
+    allow_gaps: bool
+
+
+def _wanted(mapping: TableMap, path: Path) -> list[str]:
+    """Return the columns that a map asks for; a wrong map is refused, with `path` in the message."""
+    made = plans(mapping, path)
+    time_factor(mapping, path)
+    named = [mapping.time_s] if mapping.episode is None else [mapping.time_s, mapping.episode]
+    return named + [column for plan in made for column in plan.columns]
+
+
+def _groups(
+    mapping: TableMap, columns: Mapping[str, NDArray], total: int, path: Path
+) -> Iterator[tuple[str | None, NDArray[np.intp]]]:
+    """Yield each episode's label and rows, by first appearance; rows keep the file's order."""
+    if mapping.episode is None:
+        yield None, np.arange(total)
+        return
+    labels = columns[mapping.episode]
+    missing = [k for k, v in enumerate(labels) if v is None or v != v] if labels.dtype.kind in "fO" else []
+    if missing:
+        raise DataError(
+            f"column {mapping.episode} does not name an episode",
+            expected="a value in every row",
+            found="an empty cell",
+            where=Where(path=str(path), index=missing[0]),
+        )
+    known, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse))[:-1])
+    for k in np.argsort(first):
+        value = known[k]
+        whole = labels.dtype.kind == "f" and float(value).is_integer()
+        yield str(int(value) if whole else value), by_label[k]
+
+
+def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray[np.int64]:
+    """Return `(T,) int64 [ns]`; whole numbers stay exact."""
+    missing: NDArray[np.bool_]
+    if values.dtype.kind == "M":
+        missing = np.isnat(values)
+        time_ns = values.astype("datetime64[ns]").astype(np.int64)
+    elif values.dtype.kind in "iu":
+        missing = np.zeros(len(values), bool)
+        time_ns = values.astype(np.int64) * round(factor * 1e9)
+    else:
+        seconds = numbers(values, column, path) * factor
+        missing = ~np.isfinite(seconds)
+        time_ns = np.rint(np.where(missing, 0.0, seconds) * 1e9).astype(np.int64)
+    if missing.any():
+        raise DataError(
+            "time is missing",
+            expected="a number in every row",
+            found=f"{missing.sum()} rows without",
+            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(missing))),
+            fix="drop the rows that have no time",
+        )
+    return time_ns
+
+
+def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
+    """Return one checked episode; a problem in it also names the file."""
+    arrays: dict[str, NDArray] = {"time_ns": table.time_ns[rows]}
+    invalid: dict[str, int] = {}
+    for plan in table.plans:
+        where = Where(path=str(table.path), episode=identity, channel=plan.channel)
+        pairs = zip(plan.columns, plan.factors, strict=True)
+        block = np.stack([table.values[column][rows] * factor for column, factor in pairs], axis=1)
+        gaps = ~np.isfinite(block)
+        if gaps.any():
+            if not table.allow_gaps:
+                raise _gap_error(plan, gaps, rows, where)
+            block[gaps] = np.nan
+            arrays[plan.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
+            invalid[plan.channel] = int(gaps.any(axis=1).sum())
+        arrays[plan.channel] = _typed(plan, block, where).reshape(len(rows), *plan.shape)
+    rule = _derive_contact(arrays, invalid)
+    episode = _checked(_meta(table, identity, rule, invalid), arrays, table.path)
+    _check_rate(episode, table)
+    return episode
+
+
+def _checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: Path) -> Episode:
+    """Return the episode; what is wrong with it is said with the file's name."""
+    try:
+        return Episode(meta, arrays)
+    except DataError as error:
+        where = dataclasses.replace(error.where, path=str(path))
+        facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
+        raise DataError(error.problem, where=where, **facts) from None
+
+
+def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, where: Where) -> DataError:
+    """Return the error of a channel that holds values which are not finite."""
+    row, column = (int(i) for i in np.argwhere(gaps)[0])
+    return DataError(
+        f"{plan.channel} is not finite",
+        expected="finite numbers",
+        found=f"a gap in column {plan.columns[column]}, row {rows[row]} of the file "
+        f"({int(gaps.any(axis=1).sum())} such rows in the episode)",
+        where=dataclasses.replace(where, index=row),
+        fix="import with --allow-gaps: such rows are kept and marked invalid",
+    )
+
+
+def _typed(plan: Plan, block: NDArray, where: Where) -> NDArray:
+    """Return the block as the channel's kind; flags must be 0 or 1 (a gap is False)."""
+    if CHANNELS[plan.channel].dtype != "bool":
+        return block
+    odd = np.argwhere(np.isfinite(block) & (block != 0) & (block != 1))
+    if len(odd):
+        row, column = (int(i) for i in odd[0])
+        raise DataError(
+            f"{plan.channel} is no flag",
+            expected="0 or 1",
+            found=f"{block[row, column]:g}",
+            where=dataclasses.replace(where, index=row),
+        )
+    return block == 1
+
+
+def _derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> ContactRule | None:
+    """Add the contact channels that are missing; return the rule if a threshold was applied."""
+    rule = None
+    if "fingertip_force" in arrays and "fingertip_contact" not in arrays:
+        rule = ContactRule()
+        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
+        _inherit(arrays, invalid, "fingertip_force", "fingertip_contact")
+    if "fingertip_contact" in arrays and "contact" not in arrays:
+        arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
+        _inherit(arrays, invalid, "fingertip_contact", "contact")
+    return rule
+
+
+def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, derived: str) -> None:
+    """Mark a derived channel invalid where the one it comes from is."""
+    if origin in invalid:
+        arrays[derived + VALID_SUFFIX] = arrays[origin + VALID_SUFFIX]
+        invalid[derived] = invalid[origin]
+
+
+def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[str, int]) -> EpisodeMeta:
+    """Return who, what and when of an episode."""
+    mapping = table.mapping
+    by_channel = {plan.channel: plan for plan in table.plans}
+    return EpisodeMeta(
+        id=identity,
+        source=mapping.source,
+        rate_hz=mapping.rate_hz,
+        scene=mapping.scene,
+        object=mapping.object,
+        task=mapping.task,
+        force=mapping.force,
+        action=mapping.action,
+        joint_names=_names(by_channel, "joint_position", "joint_velocity", "joint_effort"),
+        actuator_names=_names(by_channel, "action"),
+        fingertip_names=_names(by_channel, "fingertip_force", "fingertip_contact"),
+        contact_rule=rule,
+        invalid_counts=invalid,
+    )
+
+
+def _names(by_channel: Mapping[str, Plan], *channels: str) -> tuple[str, ...]:
+    """Return the element names from the first of the channels that the map has."""
+    plan = next((by_channel[name] for name in channels if name in by_channel), None)
+    if plan is None:
+        return ()
+    if len(plan.shape) == 2:
+        width = plan.shape[1]
+        return fingertip_names([plan.columns[i : i + width] for i in range(0, len(plan.columns), width)])
+    return element_names(plan.channel, plan.columns)
+
+
+def _check_rate(episode: Episode, table: _Table) -> None:
+    """Raise when the time steps are so far from the nominal rate that their unit must be wrong."""
+    rate_hz, column = table.mapping.rate_hz, table.mapping.time_s
+    if len(episode) < 2:
+        return
+    step_s = float(np.median(np.diff(episode["time_ns"]))) * 1e-9
+    if not 1 / _RATE_FACTOR < step_s * rate_hz < _RATE_FACTOR:
+        raise DataError(
+            "time does not fit the rate",
+            expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
+            found=f"steps of {step_s:g} s",
+            where=Where(path=str(table.path), episode=episode.meta.id, channel="time_ns"),
+            fix=f"give the unit of the time column, such as units: {{{column}: ms}}, or correct rate_hz",
+        )
+
+
+FORMAT = Format(
+    name="table",
+    summary="Parquet, CSV or npz columns, mapped by a map.yaml",
+    read=read,
+    digest=digest,
+)

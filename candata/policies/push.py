@@ -1,0 +1,32 @@
+"""Push the object over its support with half-closed fingers, and come back."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from candata.policies import _postures as p
+from candata.policies._contract import Plan, Policy
+from candata.scenes import Scene
+
+
+def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+    """Return the plan; without wrist slides the fingers alone push by closing and opening twice."""
+    hand, t = p.postures(scene), p.times(scene, duration_s)
+    unit = duration_s / 3.2
+    half = rng.uniform(0.05, 0.2)
+    commands = np.repeat((hand.open + half * (hand.closed - hand.open))[None], len(t), axis=0)
+    stroke = p.blend(t, 0.2 * unit, rng.uniform(0.8, 1.1) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
+    again = p.blend(t, 2.2 * unit, 0.6 * unit)
+    if len(hand.slides):
+        reach = rng.uniform(0.04, 0.07)
+        # A hand pushes along its palm: the second rail where there are several.
+        rail = hand.slides[min(1, len(hand.slides) - 1)]
+        # Backing off along the first rail puts the fingertips, not the links behind them, beside the object.
+        commands[:, hand.slides[0]] -= rng.uniform(0.035, 0.05)
+        commands[:, rail] += reach * (stroke + rng.uniform(0.5, 0.9) * again)
+    else:
+        commands += (0.6 * (stroke + again))[:, None] * (hand.closed - hand.open)
+    return p.finish(scene, commands, rng)
+
+
+POLICY = Policy("push the object over its support", p.has_hand_and_object, _plan)

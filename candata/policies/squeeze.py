@@ -1,0 +1,26 @@
+"""Hold the object where it stands and squeeze it harder and softer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from candata.policies import _postures as p
+from candata.policies._contract import Plan, Policy
+from candata.scenes import Scene
+
+
+def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+    """Return the plan; squeezing rate and depth are random, and the object is dragged up a little."""
+    hand, t = p.postures(scene), p.times(scene, duration_s)
+    unit = duration_s / 3.2
+    closed = p.blend(t, 0.1 * unit, rng.uniform(0.4, 0.7) * unit) - p.blend(t, 2.7 * unit, 0.35 * unit)
+    depth, rate = rng.uniform(0.1, 0.25), rng.uniform(0.7, 1.6)
+    wave = 1 + depth * np.sin(2 * np.pi * rate * (t - 0.8 * unit)) * p.blend(t, 0.8 * unit, 0.2 * unit)
+    commands = hand.open + (closed * wave)[:, None] * (hand.closed - hand.open)
+    if len(hand.slides):
+        pull = p.blend(t, 1.2 * unit, 0.6 * unit) - p.blend(t, 2.1 * unit, 0.5 * unit)
+        commands[:, hand.slides] += pull[:, None] * rng.uniform(-0.012, 0.012, len(hand.slides))
+    return p.finish(scene, commands, rng)
+
+
+POLICY = Policy("hold and squeeze harder and softer", p.has_hand_and_object, _plan)

@@ -1,0 +1,322 @@
+"""Scene: a compiled model plus roles, assembled from `scene.yaml` or the library."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from candata.errors import SceneError, UnknownNameError, UsageError, Where
+from candata.plugins import load, names
+from candata.scenes.contract import BuiltinScene
+from candata.schema.scene import SceneFile, Servo
+
+LIBRARY = "candata.scenes.library"
+_FORCE, _FRAME, _TOUCH = "candata_force_", "candata_frame_", "candata_touch_"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A model and which of its parts are the hand, the object, the fingertips.
+
+    Attributes
+    ----------
+    name : str
+        Name in the library or path of the `scene.yaml`.
+    file : SceneFile
+        The roles as the user wrote them.
+    model : mujoco.MjModel
+        Compiled with the force sensors of the fingertips added and `jacobian="dense"`.
+    """
+
+    name: str
+    file: SceneFile
+    model: mujoco.MjModel
+    policies: tuple[str, ...] = ()
+
+    @property
+    def substeps(self) -> int:
+        """Physics steps a control step."""
+        return max(1, round(1 / self.file.rate_hz / self.model.opt.timestep))
+
+    @cached_property
+    def joint_ids(self) -> NDArray[np.int64]:
+        """`(J,)` joint ids in the order of `joint_position`."""
+        return np.array([self.model.joint(j).id for j in self.file.joints], int)
+
+    @cached_property
+    def joint_qpos(self) -> NDArray[np.int64]:
+        """`(J,)` addresses in qpos."""
+        return self.model.jnt_qposadr[self.joint_ids]
+
+    @cached_property
+    def joint_dof(self) -> NDArray[np.int64]:
+        """`(J,)` addresses in qvel."""
+        return self.model.jnt_dofadr[self.joint_ids]
+
+    @cached_property
+    def actuator_ids(self) -> NDArray[np.int64]:
+        """`(A,)` actuator ids in the order of `action`."""
+        return np.array([self.model.actuator(a).id for a in self.file.actuator_names], int)
+
+    @cached_property
+    def driven_hinges(self) -> NDArray[np.int64]:
+        """Indices into `file.joints` of hinge joints that have an actuator: where drive effects act."""
+        driven = set(self.model.actuator_trnid[self.actuator_ids, 0].tolist())
+        hinge = mujoco.mjtJoint.mjJNT_HINGE
+        return np.array(
+            [i for i, j in enumerate(self.joint_ids) if j in driven and self.model.jnt_type[j] == hinge], int
+        )
+
+    @cached_property
+    def object_id(self) -> int | None:
+        """Body id of the object, or None."""
+        return None if self.file.object is None else self.model.body(self.file.object).id
+
+    @cached_property
+    def object_qpos(self) -> int:
+        """Address of the object's pose in qpos."""
+        return int(self.model.jnt_qposadr[self.model.body_jntadr[self._object()]])
+
+    @cached_property
+    def object_dof(self) -> int:
+        """Address of the object's velocity in qvel."""
+        return int(self.model.jnt_dofadr[self.model.body_jntadr[self._object()]])
+
+    def _object(self) -> int:
+        if self.object_id is None:
+            raise SceneError(f"scene {self.name} has no object", fix="name it: `object: BODY`")
+        return self.object_id
+
+    @cached_property
+    def object_geoms(self) -> NDArray[np.int64]:
+        """Ids of the object's colliding geoms."""
+        if self.object_id is None:
+            return np.zeros(0, int)
+        return _colliding(self.model, subtree(self.model, self.object_id))
+
+    @cached_property
+    def fingertip_bodies(self) -> NDArray[np.int64]:
+        """`(F,)` ids of the bodies that carry the fingertips."""
+        return np.array([_carrier(self.model, tip) for tip in self.file.fingertips], int)
+
+    @cached_property
+    def force_sensors(self) -> NDArray[np.int64]:
+        """`(F, 3)` addresses of the world-frame forces in sensordata; empty without an object."""
+        return self._sensor(_FORCE, 3)
+
+    @cached_property
+    def frame_sensors(self) -> NDArray[np.int64]:
+        """`(F, 4)` addresses of the frames' quaternions in sensordata."""
+        return self._sensor(_FRAME, 4)
+
+    def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
+        if self.object_id is None:
+            return np.zeros((0, width), int)
+        start = [self.model.sensor(f"{prefix}{i}").adr[0] for i in range(len(self.file.fingertips))]
+        return np.array(start, int).reshape(-1, 1) + np.arange(width)
+
+    @cached_property
+    def touch_sensors(self) -> NDArray[np.int64]:
+        """`(R,)` addresses of the flags that tell whether a robot's links touch the object."""
+        found = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(_TOUCH)]
+        return np.array([self.model.sensor(s).adr[0] for s in found], int)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 over the compiled model and the roles: names what was simulated."""
+        size = mujoco.mj_sizeModel(self.model)
+        buffer = np.zeros(size, np.uint8)
+        mujoco.mj_saveModel(self.model, None, buffer)
+        return hashlib.sha256(buffer.tobytes() + self.file.model_dump_json().encode()).hexdigest()
+
+    def group(self, joint: str) -> str:
+        """Return the group of a joint: the one the scene names, else `slides` or `hinges`."""
+        for name, members in self.file.groups.items():
+            if joint in members:
+                return name
+        kind = self.model.jnt_type[self.model.joint(joint).id]
+        return "slides" if kind == mujoco.mjtJoint.mjJNT_SLIDE else "hinges"
+
+
+def subtree(model: mujoco.MjModel, body: int) -> set[int]:
+    """Return the ids of `body` and all bodies it carries."""
+    found = {body}
+    for child in range(body + 1, model.nbody):
+        if model.body_parentid[child] in found:
+            found.add(child)
+    return found
+
+
+def _colliding(model: mujoco.MjModel, bodies: set[int]) -> NDArray[np.int64]:
+    """Return ids of the geoms of `bodies` that can collide."""
+    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.flatnonzero(np.isin(model.geom_bodyid, list(bodies)) & touch)
+
+
+def _carrier(model: mujoco.MjModel, tip: str) -> int:
+    """Return the body id of a fingertip, which may be a body or a geom (a body wins)."""
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
+    return body if body >= 0 else int(model.geom_bodyid[model.geom(tip).id])
+
+
+def load_scene(name: str | Path) -> Scene:
+    """Return the scene of the library called `name`, or the one a `scene.yaml` describes.
+
+    Raises
+    ------
+    SceneError
+        When the model does not compile or lacks a name that the scene uses.
+    UsageError
+        When the file is missing or not valid.
+    """
+    path = Path(name)
+    if path.suffix in (".yaml", ".yml"):
+        return _from_file(path)
+    if str(name) not in names(LIBRARY):
+        raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
+    builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
+    return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
+
+
+def _from_file(path: Path) -> Scene:
+    """Return the scene of a `scene.yaml`."""
+    if not path.is_file():
+        raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
+    try:
+        raw = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
+    file = SceneFile.parse(raw, path)
+    if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
+        raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
+    source = path.parent / file.model
+    if not source.is_file():
+        raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
+    try:
+        spec = mujoco.MjSpec.from_file(str(source))
+    except ValueError as error:
+        raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
+    return assemble(str(path), file, spec)
+
+
+def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:
+    """Return the scene made of `spec` with the roles of `file`.
+
+    Adds servos a URDF lacks, the fingertips' force sensors (object first, so that the force is the one on the
+    fingertip), lets the object's centre of mass move (`simple="false"`), and asks for dense solving, as
+    MuJoCo 4.0.0 has a wrong sparse Newton factor (fixed in 4.0.1).
+
+    Raises
+    ------
+    SceneError
+        When a role names what the model lacks, or the model does not compile.
+    """
+    spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    _check_names(name, file, spec)
+    if isinstance(file.actuators, dict):
+        for joint, servo in file.actuators.items():
+            _add_servo(spec, joint, servo)
+    if file.object is not None:
+        body = spec.body(file.object)
+        _check_free(name, file.object, body)
+        body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
+        for index, tip in enumerate(file.fingertips):
+            _add_sensors(spec, file, index, tip)
+        for index, root in enumerate(sorted({_root(spec.joint(j).parent).name for j in file.joints})):
+            spec.add_sensor(
+                name=f"{_TOUCH}{index}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
+                objname=file.object, reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=root, intprm=(1, 0, 1),
+            )
+    try:
+        model = spec.compile()
+    except ValueError as error:
+        raise SceneError(f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first") from None
+    _check_rate(name, file, model)
+    return Scene(name, file, model, policies)
+
+
+def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
+    """Refuse roles that the model has not."""
+    bodies, geoms = _named(spec.bodies), _named(spec.geoms)
+    joints = _named(spec.joints)
+    needs: list[tuple[str, tuple[str, ...], set[str]]] = [
+        ("object", (file.object,) if file.object else (), bodies),
+        ("joint", file.joints, joints),
+        ("actuator", file.actuator_names, joints if isinstance(file.actuators, dict) else _named(spec.actuators)),
+        ("fingertip", file.fingertips, bodies | geoms),
+        ("fingertip frame", file.fingertip_frames or (), _named(spec.sites)),
+        ("support", (file.support,) if file.support else (), geoms),
+    ]
+    needs += [(f"member of group {g}", m, set(file.joints)) for g, m in file.groups.items()]
+    for role, wanted, known in needs:
+        for item in wanted:
+            if item not in known:
+                raise UnknownNameError(f"{role} of scene {name}:", item, known, Where(path=name))
+    if file.fingertip_frames is not None and len(file.fingertip_frames) != len(file.fingertips):
+        raise SceneError(
+            f"scene {name} needs one frame a fingertip", expected=f"{len(file.fingertips)} fingertip_frames",
+            found=str(len(file.fingertip_frames)),
+        )
+
+
+def _named(elements: list) -> set[str]:
+    """Return the names of spec elements."""
+    return {e.name for e in elements}
+
+
+def _check_free(name: str, object_name: str, body: mujoco.MjsBody) -> None:
+    """Refuse an object that is not free."""
+    if len(body.joints) != 1 or body.joints[0].type != mujoco.mjtJoint.mjJNT_FREE:
+        raise SceneError(
+            f"object {object_name} of scene {name} is not free", expected="a body with one free joint",
+            found=f"{len(body.joints)} joints", fix="add <freejoint/> to the body",
+        )
+
+
+def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
+    """Refuse a physics step that does not fit into the control step."""
+    steps = 1 / file.rate_hz / model.opt.timestep
+    if steps < 0.99 or abs(steps - round(steps)) > 0.02:
+        raise SceneError(
+            f"scene {name}: the physics step does not divide the control step",
+            expected=f"timestep = 1 / ({file.rate_hz:g} x n) s", found=f"{model.opt.timestep:g} s ({steps:.2f} a step)",
+            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(steps)):.9g}"/>',
+        )
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
+    """Add a position servo to a joint of a model without actuators."""
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.set_to_position(kp=servo.kp, kv=servo.kv)
+    if servo.limit is not None:
+        actuator.forcelimited, actuator.forcerange = True, (-servo.limit, servo.limit)
+
+
+def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
+    """Return the ancestor of `body` that stands on the world."""
+    while body.parent.name != "world":
+        body = body.parent
+    return body
+
+
+def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> None:
+    """Add the net contact force object -> fingertip (world frame) and the fingertip's frame."""
+    is_body = spec.body(tip) is not None
+    kind = mujoco.mjtObj.mjOBJ_XBODY if is_body else mujoco.mjtObj.mjOBJ_GEOM
+    # intprm of a contact sensor: data bits (force is bit 1), reduction (3 = netforce), number of slots.
+    spec.add_sensor(
+        name=f"{_FORCE}{index}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
+        objname=file.object, reftype=kind, refname=tip, intprm=(2, 3, 1),
+    )
+    carrier = tip if is_body else spec.geom(tip).parent.name
+    frame = (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index]) if file.fingertip_frames else (
+        mujoco.mjtObj.mjOBJ_XBODY, carrier)
+    spec.add_sensor(name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0],
+                    objname=frame[1])

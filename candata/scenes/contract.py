@@ -1,0 +1,55 @@
+"""What a hand and a built-in scene export."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+
+from candata.schema.scene import SceneFile
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A hand: how to add it to a scene, and the roles of its parts.
+
+    Attributes
+    ----------
+    name : str
+        Registered name, the file's name.
+    add : callable
+        `(spec, parent body, quat w x y z)` adds bodies, joints and servos.
+    joints : tuple of str
+        Joints in the order of `joint_position`; actuators bear the same names.
+    fingertips, fingertip_frames : tuple of str
+        Force-sensing bodies and the sites that carry their frames (+z presses into the object).
+    """
+
+    name: str
+    add: Callable[[mujoco.MjSpec, mujoco.MjsBody, tuple[float, float, float, float]], None]
+    joints: tuple[str, ...]
+    fingertips: tuple[str, ...]
+    fingertip_frames: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class BuiltinScene:
+    """A scene of the library: its roles and how to build its model.
+
+    Attributes
+    ----------
+    file : SceneFile
+        The same record as a user's `scene.yaml`; `model` is the word `builtin`.
+    build : callable
+        Returns a fresh MjSpec.
+    policies : tuple of str
+        Policies that `generate-sim` plays in it by default.
+    about : str
+        One line for people.
+    """
+
+    file: SceneFile
+    build: Callable[[], mujoco.MjSpec]
+    policies: tuple[str, ...]
+    about: str

@@ -1,0 +1,151 @@
+"""Episodes from plans: play a batch, add sensor noise, cut the settling off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.policies import Plan, policy
+from candata.rotation import exp, multiply
+from candata.scenes import Scene
+from candata.schema.contact import fingertip_contact
+from candata.schema.effect import EffectSetting
+from candata.schema.episode import ContactRule, Episode, EpisodeMeta
+from candata.schema.scene import Noise
+from candata.simulate.loop import Trajectory, rollout
+
+Array = NDArray[np.float64]
+#: Streams of an episode's random numbers: what is planned never depends on what is measured.
+PLAN_STREAM, NOISE_STREAM = 0, 1
+
+
+@dataclass(frozen=True)
+class Job:
+    """One episode to make.
+
+    Attributes
+    ----------
+    id : str
+        Id of the episode.
+    index : int
+        Number in its set; seeds its random streams together with `seed`.
+    policy : str
+        Name of the policy.
+    seed : int
+        Seed of the set.
+    effects : tuple of EffectSetting
+        Effects of its world.
+    hidden : bool
+        Keep seed and effects out of the episode.
+    """
+
+    id: str
+    index: int
+    policy: str
+    seed: int
+    effects: tuple[EffectSetting, ...] = ()
+    hidden: bool = False
+
+
+def make_episodes(
+    scene: Scene, jobs: Sequence[Job], *, duration_s: float, noise: Noise | None = None, threads: int = 1
+) -> list[Episode]:
+    """Return the episodes of `jobs`, simulated as one batch; the same for a seed whatever else is in it.
+
+    Parameters
+    ----------
+    scene : Scene
+        The nominal scene; each job adds its own effects.
+    jobs : sequence of Job
+        What to make.
+    duration_s : float
+        Length of each episode after settling.
+    noise : Noise, optional
+        Sensor noise to add; none when omitted.
+    threads : int
+        Threads of the pool.
+    """
+    plans = [policy(j.policy).plan(scene, _rng(j, PLAN_STREAM), duration_s) for j in jobs]
+    settle = round(plans[0].settle_s * scene.file.rate_hz)
+    rows = max(len(p.commands) for p in plans)
+    commands = np.stack([_settling(p, settle, rows) for p in plans])
+    played = rollout(
+        scene, commands, np.stack([p.qpos for p in plans]), np.stack([p.qvel for p in plans]),
+        [j.effects for j in jobs], threads=threads,
+    )
+    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
+
+
+def _rng(job: Job, stream: int) -> np.random.Generator:
+    """Return the generator of one stream of a job."""
+    return np.random.default_rng([job.seed, job.index, stream])
+
+
+def _settling(plan: Plan, settle: int, rows: int) -> Array:
+    """Return the commands with the first held for `settle` rows before and the last held to `rows` after."""
+    before = np.repeat(plan.commands[:1], settle, axis=0)
+    after = np.repeat(plan.commands[-1:], rows - len(plan.commands), axis=0)
+    return np.concatenate([before, plan.commands, after])
+
+
+def _episode(
+    scene: Scene, job: Job, plan: Plan, played: Trajectory, index: int, settle: int, noise: Noise | None
+) -> Episode:
+    """Return one episode of a played batch."""
+    part = slice(settle, settle + len(plan.commands))
+    arrays = {name: value[index, part] for name, value in played.readings.items()}
+    arrays = add_noise(arrays, noise, _rng(job, NOISE_STREAM))
+    count = len(plan.commands)
+    arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
+    if plan.commands.shape[1]:
+        arrays["action"] = plan.commands
+    rule = None
+    if "fingertip_force" in arrays:
+        rule = ContactRule()
+        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
+        arrays["contact"] = arrays["fingertip_contact"].any(1)
+    return Episode(_meta(scene, job, rule), arrays)
+
+
+def _meta(scene: Scene, job: Job, rule: ContactRule | None) -> EpisodeMeta:
+    """Return who, what, when."""
+    return EpisodeMeta(
+        id=job.id, source="sim", rate_hz=scene.file.rate_hz, scene=scene.name, object=scene.file.object,
+        task=job.policy, seed=None if job.hidden else job.seed, effects=None if job.hidden else job.effects,
+        joint_names=scene.file.joints, actuator_names=scene.file.actuator_names,
+        fingertip_names=scene.file.fingertips, contact_rule=rule,
+    )
+
+
+def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Generator) -> dict[str, Array]:
+    """Return the channels with white sensor noise and the force's quantisation, as the scene declares them.
+
+    Parameters
+    ----------
+    arrays : dict of str to ndarray
+        `object_pose (..., 7)`, `joint_position (..., J)`, `fingertip_force (..., F, 3)`; others pass through.
+    noise : Noise or None
+        One standard deviation of each; None returns the arrays as they are.
+    rng : numpy.random.Generator
+        Source of the noise.
+    """
+    if noise is None:
+        return dict(arrays)
+    out = dict(arrays)
+    if "object_pose" in out:
+        pose = out["object_pose"]
+        position = pose[..., :3] + noise.object_pose[0] * rng.standard_normal(pose[..., :3].shape)
+        turn = exp(noise.object_pose[1] * rng.standard_normal(pose[..., :3].shape))
+        out["object_pose"] = np.concatenate([position, multiply(turn, pose[..., 3:])], axis=-1)
+    if "joint_position" in out:
+        joints = out["joint_position"]
+        out["joint_position"] = joints + noise.joint_position * rng.standard_normal(joints.shape)
+    if "fingertip_force" in out:
+        force = out["fingertip_force"]
+        force = force + noise.fingertip_force * rng.standard_normal(force.shape)
+        step = noise.force_step
+        out["fingertip_force"] = np.round(force / step) * step if step > 0 else force
+    return out

@@ -1,0 +1,170 @@
+"""The only stepping loop: generation, replay under an observer and open-loop tosses all run through it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+from mujoco import batch as mujoco_batch
+from numpy.typing import NDArray
+
+from candata.rotation import conjugate, rotate
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.simulate.observer import Observer, correct
+from candata.simulate.world import Filter, Worlds, build_worlds
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What n simulations read over T control steps.
+
+    Attributes
+    ----------
+    readings : dict of str to ndarray
+        `object_pose (n, T, 7)`, `joint_position (n, T, J)`, `fingertip_force (n, T, F, 3)` [N], as the sensors of
+        the world report them. Row 0 of the force is zero: it belongs to the step before.
+    touch : (n, T) bool
+        Whether anything but the support touched the object in the step before the row.
+    tip_force : (n, T, F) float64 [N]
+        True size of the fingertips' forces, without sensing effects.
+    qpos, qvel : (n, T, nq), (n, T, nv) float64
+        True state; empty unless asked for.
+    """
+
+    readings: dict[str, Array]
+    touch: NDArray[np.bool_]
+    tip_force: Array
+    qpos: Array = field(default_factory=lambda: np.zeros(0))
+    qvel: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def rollout(
+    scene: Scene,
+    commands: Array,
+    qpos: Array,
+    qvel: Array,
+    effects: Sequence[Sequence[EffectSetting]],
+    *,
+    observer: Observer | None = None,
+    instant_force: bool = False,
+    keep_state: bool = False,
+    threads: int = 1,
+) -> Trajectory:
+    """Return the readings of n simulations that play recorded commands.
+
+    Parameters
+    ----------
+    scene : Scene
+        The nominal scene.
+    commands : (n, T, A) float64
+        Command held over each control step; `A` may be 0.
+    qpos, qvel : (n, nq), (n, nv) float64
+        State at row 0.
+    effects : sequence of n sequences of EffectSetting
+        Effects of each simulation.
+    observer : Observer, optional
+        Pulls each state towards its recording; without it the simulations run free.
+    instant_force : bool
+        Report the force of the last physics step instead of the mean over the control step.
+    keep_state : bool
+        Also keep qpos and qvel of each row.
+    threads : int
+        Threads of the pool; results do not depend on it.
+
+    Raises
+    ------
+    UsageError
+        When an effect cannot act in the scene.
+    """
+    run = _Run(scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads)
+    return run.play(np.asarray(commands, float), observer, instant_force, keep_state)
+
+
+class _Run:
+    """The state of one batch while it is played."""
+
+    def __init__(self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int) -> None:
+        self.scene, self.worlds, self.n = scene, worlds, len(qpos)
+        self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
+        self.batch.set_models(worlds.models)
+        self.batch.bind("qpos")[:] = qpos
+        self.batch.bind("qvel")[:] = qvel
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self.applied = self.batch.bind("qfrc_applied")
+        self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
+
+    def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool) -> Trajectory:
+        """Step through all rows and collect the readings."""
+        scene, count = self.scene, commands.shape[1]
+        tips = len(scene.force_sensors)
+        force, touch = np.zeros((self.n, tips, 3)), np.zeros(self.n, bool)
+        rows: dict[str, list[Array]] = {}
+        touches, sizes, states = [], [], []
+        for k in range(count):
+            readings = self._filter("reading", self._readings(force))
+            for name, value in readings.items():
+                rows.setdefault(name, []).append(value)
+            touches.append(touch)
+            sizes.append(np.sqrt((force**2).sum(-1)))
+            if keep:
+                states.append((self.qpos.copy(), self.qvel.copy()))
+            if observer is not None:
+                correct(scene, observer, k, readings, touch, self.qpos)
+            if k + 1 < count:
+                force, touch = self._step(commands[:, k], instant)
+        kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
+        return Trajectory({n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept)
+
+    def _readings(self, force: Array) -> dict[str, Array]:
+        """Return what perfect sensors read now."""
+        scene = self.scene
+        out: dict[str, Array] = {}
+        if scene.object_id is not None:
+            at = scene.object_qpos
+            out["object_pose"] = self.qpos[:, at : at + 7].copy()
+        if len(scene.joint_qpos):
+            out["joint_position"] = self.qpos[:, scene.joint_qpos]
+        if len(scene.force_sensors):
+            out["fingertip_force"] = force
+        return out
+
+    def _filter(self, kind: str, x):  # noqa: ANN001, ANN202 - commands, forces or a dict of readings
+        """Pass x through the hooks of one kind."""
+        filters: tuple[Filter, ...] = getattr(self.worlds, kind)
+        for i, f in enumerate(filters):
+            self.states[kind][i], x = f.apply(self.states[kind][i], x)
+        return x
+
+    def _step(self, command: Array, instant: bool) -> tuple[Array, NDArray[np.bool_]]:
+        """Advance one control step; return the force on each fingertip `(n, F, 3)` and the touch flags."""
+        scene, steps = self.scene, self.scene.substeps
+        control = None
+        if len(scene.actuator_ids):
+            held = np.repeat(command[:, None], steps, axis=1)
+            control = np.zeros((self.n, steps, scene.model.nu))
+            control[:, :, scene.actuator_ids] = self._filter("command", held)
+        if self.worlds.force:
+            self.applied[:] = self._filter("force", np.zeros((self.n, scene.model.nv)))
+        data = self.batch.rollout(steps, control, record=("sensordata",))["sensordata"]
+        if not len(scene.force_sensors):
+            return np.zeros((self.n, 0, 3)), np.zeros(self.n, bool)
+        world = data[:, :, scene.force_sensors]
+        local = rotate(conjugate(data[:, :, scene.frame_sensors]), world)
+        force = local[:, -1] if instant else local.mean(1)
+        return force, (data[:, :, scene.touch_sensors] > 0).any((1, 2))
+
+
+def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:
+    """Return `(qpos (n, nq), qvel (n, nv))` of the model's own start."""
+    qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], n, axis=0)
+    return qpos, np.zeros((n, scene.model.nv))
+
+
+def version() -> str:
+    """Return the simulator's version for provenance."""
+    return f"mujoco {mujoco.__version__}"

@@ -1,0 +1,115 @@
+"""Worlds: a scene with effects, one private model and one set of filters for each simulation of a batch."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import Hook, effect, flatten
+from candata.errors import UsageError
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+
+Array = NDArray[np.float64]
+EffectList = Sequence[EffectSetting]
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One hook with its starting state for a batch."""
+
+    apply: Callable[[Any, Any], tuple[Any, Any]]
+    state: Any
+
+
+@dataclass(frozen=True)
+class Worlds:
+    """What differs between the simulations of a batch.
+
+    Attributes
+    ----------
+    models : list of MjModel
+        One a simulation; simulations without model edits share the scene's.
+    command, force, reading : tuple of Filter
+        Hooks of the effects present, in the order of their names.
+    """
+
+    models: list[mujoco.MjModel]
+    command: tuple[Filter, ...]
+    force: tuple[Filter, ...]
+    reading: tuple[Filter, ...]
+
+
+def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
+    """Return the worlds of n simulations, each with its own list of effects.
+
+    Raises
+    ------
+    UsageError
+        When an effect cannot act in the scene, or its parameters are not possible there.
+    """
+    cache: dict[str, mujoco.MjModel] = {}
+    models = [_model(scene, tuple(some), cache) for some in effects]
+    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "reading": []}
+    for name in sorted({s.name for some in effects for s in some}):
+        for hook_name, filters in kinds.items():
+            hook: Hook | None = getattr(effect(name), hook_name)
+            if hook is not None:
+                filters += _filters(scene, name, hook, effects)
+    return Worlds(models, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+
+
+def _filters(scene: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
+    """Return the filters of one effect: several where a simulation has it on several elements."""
+    layers = max(sum(s.name == name for s in some) for some in effects)
+    filters = []
+    for layer in range(layers):
+        chosen = [_nth(some, name, layer) for some in effects]
+        x = np.stack([flatten(s, scene) for s in chosen])
+        filters.append(Filter(hook.apply, hook.start(scene, x, [s.element for s in chosen])))
+    return filters
+
+
+def _nth(some: EffectList, name: str, layer: int) -> EffectSetting:
+    """Return the `layer`-th setting called `name`, or the identity."""
+    found = [s for s in some if s.name == name]
+    return found[layer] if layer < len(found) else EffectSetting(name=name)
+
+
+def _model(
+    scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoco.MjModel]
+) -> mujoco.MjModel:
+    """Return the scene's model, or a private copy with the edits of `some`."""
+    for s in some:
+        if not effect(s.name).possible(scene):
+            raise UsageError(
+                f"effect {s.name} cannot act in scene {scene.name}",
+                expected=f"a scene with what it acts on ({effect(s.name).acts_on})",
+                fix="remove it from the effects",
+            )
+    edits = tuple(s for s in some if effect(s.name).edit is not None)
+    if not edits:
+        return scene.model
+    key = "\n".join(s.model_dump_json() for s in edits)
+    if key not in cache:
+        cache[key] = _edited(scene, edits)
+    return cache[key]
+
+
+def _edited(scene: Scene, edits: tuple[EffectSetting, ...]) -> mujoco.MjModel:
+    """Return a copy of the scene's model with the edits applied."""
+    model = copy.copy(scene.model)
+    for s in edits:
+        kind = effect(s.name)
+        x = flatten(s, scene)
+        if kind.edit is not None and np.isfinite(x).all():
+            kind.edit(model, scene, x, s.element)
+    if any(effect(s.name).set_const for s in edits):
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    return model

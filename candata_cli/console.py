@@ -1,0 +1,64 @@
+"""What commands print: data to stdout, notes and progress to stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+
+def out(text: str) -> None:
+    """Print a line of data to stdout."""
+    typer.echo(text)
+
+
+def out_json(value: Any) -> None:
+    """Print plain data (what `json` knows) to stdout, indented; NaN is refused.
+
+    Raises
+    ------
+    ValueError
+        When the value holds NaN or infinity, which JSON has not.
+    """
+    typer.echo(json.dumps(value, indent=2, allow_nan=False))
+
+
+def out_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print aligned columns to stdout, the header first."""
+    cells = [list(header), *([str(cell) for cell in row] for row in rows)]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(header))]
+    for row in cells:
+        typer.echo("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def note(text: str) -> None:
+    """Print a line to stderr: what is being done, never data."""
+    typer.echo(text, err=True)
+
+
+@contextmanager
+def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar on stderr and yield `advance(steps)`; where stderr is no terminal, one line at the end.
+
+    Parameters
+    ----------
+    label : str
+        What is being done.
+    total : int
+        Number of steps.
+    """
+    if not sys.stderr.isatty():
+        yield lambda _steps: None
+        note(f"{label}: {total} done")
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda steps: bar.advance(task, steps)

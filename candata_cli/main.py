@@ -1,0 +1,95 @@
+"""Entry point: gathers the command groups of this folder and turns errors into exit codes.
+
+A file of this folder that has `register(app)` adds its commands; there is no second table. Heavy imports
+belong inside the commands, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pkgutil
+import sys
+from collections.abc import Sequence
+from typing import Annotated, NoReturn
+
+import typer
+
+import candata_cli
+from candata.errors import CandataError
+
+_HELP = """Say where a recording and its simulation differ, why, and how far that can be mended."""
+
+_EXAMPLE = """\b
+An example session:
+  candata demo --out out/demo                              the whole path on built-in data
+  candata import table map.yaml --out recordings           your recordings
+  candata validate recordings
+  candata inspect recordings
+  candata diagnose recordings --scene scene.yaml --out out/report
+  open out/report/report.html
+
+\b
+Exit codes: 0 fine, 1 a negative finding, 2 usage or data, 3 environment or device.
+"""
+
+
+def build() -> typer.Typer:
+    """Return the application with the commands of every file in this folder."""
+    app = typer.Typer(
+        help=_HELP,
+        epilog=_EXAMPLE,
+        callback=_root,
+        invoke_without_command=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+        context_settings={"help_option_names": ["-h", "--help"]},
+    )
+    for name in sorted(module.name for module in pkgutil.iter_modules(candata_cli.__path__)):
+        register = getattr(importlib.import_module(f"candata_cli.{name}"), "register", None)
+        if register is not None:
+            register(app)
+    return app
+
+
+def main(arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run one command and exit with its code; `arguments` default to the process's own."""
+    try:
+        build()(args=arguments, prog_name="candata")
+        code: int | str | None = 0
+    except CandataError as error:
+        print(error, file=sys.stderr)
+        code = error.exit_code
+    except SystemExit as error:
+        code = error.code
+    _flush()
+    sys.exit(code)
+
+
+def _root(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    """Print the version, or the help where no command was given."""
+    if version:
+        from candata import __version__
+
+        typer.echo(f"candata {__version__}")
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+    else:
+        return
+    raise typer.Exit
+
+
+def _flush() -> None:
+    """Flush stdout; a reader that has gone (`candata ... | head`) is no error."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+if __name__ == "__main__":
+    main()

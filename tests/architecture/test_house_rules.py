@@ -1,0 +1,87 @@
+"""Rules of the house that a reader would otherwise have to check by eye."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+LIBRARY = sorted((ROOT / "candata").rglob("*.py"))
+SOURCE = LIBRARY + sorted((ROOT / "candata_cli").rglob("*.py"))
+
+MODULE_LINES = 400
+FUNCTION_LINES = 60
+PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+
+Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
+
+
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def ids(paths: list[Path]) -> list[str]:
+    return [str(path.relative_to(ROOT)) for path in paths]
+
+
+def code_lines(node: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function without its docstring."""
+    total = (node.end_lineno or node.lineno) - node.lineno + 1
+    first = node.body[0]
+    if ast.get_docstring(node) is not None:
+        total -= (first.end_lineno or first.lineno) - first.lineno + 1
+    return total
+
+
+def public(body: list[ast.stmt]) -> Iterator[Definition]:
+    """Public functions and classes, and the public methods of those classes."""
+    for node in body:
+        if isinstance(node, Definition) and not node.name.startswith("_"):
+            yield node
+            if isinstance(node, ast.ClassDef):
+                yield from public(node.body)
+
+
+def imported_roots(tree: ast.Module) -> set[str]:
+    names = [alias.name for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module]
+    return {name.split(".")[0] for name in names}
+
+
+@pytest.mark.parametrize("path", SOURCE, ids=ids(SOURCE))
+def test_lengths(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MODULE_LINES
+    functions = [n for n in ast.walk(tree_of(path)) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    long = {node.name: code_lines(node) for node in functions if code_lines(node) > FUNCTION_LINES}
+    assert not long
+
+
+@pytest.mark.parametrize("path", SOURCE, ids=ids(SOURCE))
+def test_everything_public_has_a_docstring(path):
+    tree = tree_of(path)
+    assert ast.get_docstring(tree) or not tree.body, "the module says nothing of itself"
+    assert not [node.name for node in public(tree.body) if not ast.get_docstring(node)]
+
+
+@pytest.mark.parametrize("path", SOURCE, ids=ids(SOURCE))
+def test_no_pickle(path):
+    tree = tree_of(path)
+    assert not imported_roots(tree) & PICKLES
+    keywords = [
+        node for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "allow_pickle"
+    ]
+    assert all(isinstance(node.value, ast.Constant) and node.value.value is False for node in keywords)
+
+
+@pytest.mark.parametrize("path", SOURCE, ids=ids(SOURCE))
+def test_no_assert_validates(path):
+    assert not [node.lineno for node in ast.walk(tree_of(path)) if isinstance(node, ast.Assert)]
+
+
+@pytest.mark.parametrize("path", LIBRARY, ids=ids(LIBRARY))
+def test_the_library_prints_nothing(path):
+    calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+    assert not [call.lineno for call in calls if isinstance(call.func, ast.Name) and call.func.id == "print"]

@@ -1,0 +1,102 @@
+"""A room imports only from the rooms above it; nothing sees the command line."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+#: Rooms from the top down; rooms of one row are of one level.
+LAYERS = (
+    ("errors", "units", "plugins", "rotation"),
+    ("schema",),
+    ("align",),
+    ("datasets",),
+    ("formats",),
+    ("fetch",),
+    ("scenes",),
+    ("effects",),
+    ("policies",),
+    ("simulate",),
+    ("checks",),
+    ("record",),
+    ("loaders",),
+    ("models",),
+    ("training",),
+    ("gap",),
+    ("reports",),
+)
+LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
+
+LIBRARY = sorted((ROOT / "candata").rglob("*.py"))
+COMMANDS = sorted((ROOT / "candata_cli").rglob("*.py"))
+
+#: What a command file may import before a command runs, beside the standard library.
+LIGHT = {"typer", "candata_cli", "candata.errors"}
+
+
+def modules_imported(path: Path, nodes: Iterator[ast.AST]) -> Iterator[str]:
+    """Yield the dotted names that `nodes` import, relative imports resolved, `from a import b` as `a.b`."""
+    package = path.relative_to(ROOT).with_suffix("").parts[:-1]
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            stem = ".".join([*base, *filter(None, [node.module])])
+            yield from (f"{stem}.{alias.name}" for alias in node.names)
+
+
+def top_level(tree: ast.Module) -> Iterator[ast.AST]:
+    """Yield what runs at import: bodies of functions and of `if TYPE_CHECKING` are emptied."""
+    for node in ast.walk(tree):
+        types_only = isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        if types_only or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            node.body = []
+    yield from ast.walk(tree)
+
+
+def room_of(path: Path) -> str:
+    """Return the room of a file of the library; the package's own file has none."""
+    first = path.relative_to(ROOT / "candata").parts[0]
+    return first.removesuffix(".py")
+
+
+def ids(paths: list[Path]) -> list[str]:
+    return [str(path.relative_to(ROOT)) for path in paths]
+
+
+def room_files() -> list[Path]:
+    return [path for path in LIBRARY if room_of(path) != "__init__"]
+
+
+@pytest.mark.parametrize("path", room_files(), ids=ids(room_files()))
+def test_a_room_imports_only_from_rooms_above(path):
+    room = room_of(path)
+    assert room in LEVEL, f"{room} is no room of the design: give it a layer in LAYERS"
+    for name in modules_imported(path, ast.walk(ast.parse(path.read_text(encoding="utf-8")))):
+        parts = name.split(".")
+        if name == "candata.__version__" or parts[0] != "candata":
+            assert parts[0] != "candata_cli", f"{name}: the library must not see the command line"
+            continue
+        assert parts[1] in LEVEL, f"{name}: import from the room, not the public surface"
+        allowed = parts[1] == room or LEVEL[parts[1]] < LEVEL[room] or LEVEL[room] == 0 == LEVEL[parts[1]]
+        assert allowed, f"{room} is above {parts[1]} and must not import {name}"
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=ids(COMMANDS))
+def test_a_command_file_imports_nothing_heavy_before_a_command_runs(path):
+    light = LIGHT | set(sys.stdlib_module_names)
+    for name in modules_imported(path, top_level(ast.parse(path.read_text(encoding="utf-8")))):
+        known = name.split(".")[0] in light or any(name.startswith(f"{module}.") for module in light)
+        assert known, f"import {name} inside the command that needs it"
+
+
+def test_the_rule_sees_a_wrong_import():
+    tree = ast.parse("def f():\n    from candata.gap import fit\n")
+    assert list(modules_imported(ROOT / "candata/effects/x.py", ast.walk(tree))) == ["candata.gap.fit"]

@@ -1,0 +1,142 @@
+"""The entry point: discovery of commands, help, version, errors as exit codes."""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import types
+
+import pytest
+import typer
+
+from candata import __version__
+from candata.errors import SetupError, UnknownNameError, Where
+from candata_cli import main as entry
+
+
+def exit_code(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        entry.main(arguments)
+    return stop.value.code or 0
+
+
+@pytest.fixture
+def with_command(monkeypatch):
+    """Put one more command group, made of a function, beside those of the folder."""
+
+    def add(action) -> None:
+        group = types.ModuleType("candata_cli.planted")
+        group.register = lambda app: app.command("planted")(action)
+        monkeypatch.setitem(sys.modules, "candata_cli.planted", group)
+        listed = [types.SimpleNamespace(name="planted")]
+        monkeypatch.setattr(entry.pkgutil, "iter_modules", lambda _path: listed)
+
+    return add
+
+
+def test_version_is_the_package_s(capsys):
+    assert exit_code("--version") == 0
+    assert capsys.readouterr().out == f"candata {__version__}\n"
+
+
+def test_no_command_prints_help_with_an_example_session(capsys):
+    assert exit_code() == 0
+    text = capsys.readouterr().out
+    assert "candata diagnose recordings --scene scene.yaml" in text
+    assert "Exit codes: 0 fine" in text
+
+
+def test_a_file_with_register_is_a_command(with_command, capsys):
+    with_command(lambda: typer.echo("here"))
+    assert exit_code("planted") == 0
+    assert capsys.readouterr().out == "here\n"
+
+
+def test_an_error_is_its_text_on_stderr_and_its_exit_code(with_command, capsys):
+    def fail() -> None:
+        raise UnknownNameError("scene", "cube_tos", ["cube_toss"], Where(path="scene.yaml"))
+
+    with_command(fail)
+    assert exit_code("planted") == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err == (
+        "unknown scene 'cube_tos'\n"
+        "  expected: one of cube_toss\n"
+        "  found: 'cube_tos'\n"
+        "  where: scene.yaml\n"
+        "  do: did you mean 'cube_toss'?\n"
+    )
+
+
+def test_a_missing_thing_of_the_machine_exits_3(with_command):
+    def fail() -> None:
+        raise SetupError("no space left")
+
+    with_command(fail)
+    assert exit_code("planted") == 3
+
+
+def test_an_interrupt_exits_130(with_command):
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with_command(interrupt)
+    assert exit_code("planted") == 130
+
+
+def test_a_negative_finding_keeps_its_code(with_command):
+    def negative() -> None:
+        raise typer.Exit(1)
+
+    with_command(negative)
+    assert exit_code("planted") == 1
+
+
+def test_an_unexpected_exception_stays_a_traceback(with_command):
+    def broken() -> None:
+        raise ZeroDivisionError
+
+    with_command(broken)
+    with pytest.raises(ZeroDivisionError):
+        entry.main(["planted"])
+
+
+def test_an_unknown_command_is_a_usage_error(capsys):
+    assert exit_code("no-such-command") == 2
+    assert "no-such-command" in capsys.readouterr().err
+
+
+def test_a_reader_that_leaves_is_no_error():
+    code = "from candata_cli.main import main; main([])"
+    read, write = os.pipe()
+    os.close(read)
+    try:
+        done = subprocess.run([sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE, check=False)
+    finally:
+        os.close(write)
+    assert done.stderr == b""
+
+
+def test_help_costs_less_than_a_third_of_a_second():
+    def cpu_s() -> float:
+        before = os.times()
+        subprocess.run([sys.executable, "-m", "candata_cli.main", "--help"], check=True, capture_output=True)
+        after = os.times()
+        return sum(after[2:4]) - sum(before[2:4])
+
+    # CPU rather than wall time, and the median: neighbours on the machine do not count.
+    assert statistics.median(cpu_s() for _ in range(5)) < 0.3
+
+
+def test_help_loads_no_heavy_package():
+    heavy = ("numpy", "scipy", "mujoco", "pyarrow", "pydantic", "plotly", "zarr", "rich")
+    code = (
+        "import sys\nfrom candata_cli.main import main\n"
+        "try: main(['--help'])\n"
+        f"except SystemExit: print([name for name in {heavy!r} if name in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == "[]\n"
