@@ -87,7 +87,7 @@ th,td { padding:7px 14px 7px 0; text-align:left; border-bottom:1px solid var(--r
 th { font-size:12.5px; font-weight:600; color:var(--muted); white-space:nowrap; }
 td.n,th.n { text-align:right; } td.n,th.n,td.u { white-space:nowrap; }
 td:last-child,th:last-child { padding-right:0; }
-.wrap td { overflow-wrap:anywhere; } .wrap th { white-space:normal; width:34%; }
+.wrap td { overflow-wrap:anywhere; } .wrap th { white-space:normal; width:170px; }
 tr.now td { font-weight:600; } tr.now td:first-child { color:var(--tone); }
 .two { display:grid; grid-template-columns:minmax(0,1fr) minmax(0,1fr); gap:16px 32px;
   align-items:start; }

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 
 from candata.gap.evidence import EpisodeLosses, Evidence, Example, HeatMap, Trace
+from candata.reports import filmstrip
 from candata.schema.report import Report
 
 PHASES = ("free", "onset", "sustained", "slip", "release")
@@ -235,3 +237,38 @@ def report(verdict: str = "explained", **changes) -> Report:
         "provenance": {"candata": "0.1.0", "mujoco": "4.0.0", "scene": "xhand_tabletop", "seed": "0"},
     }
     return Report.model_validate({**fields, **changes})
+
+
+@pytest.fixture(scope="session")
+def hand() -> mujoco.MjModel:
+    return hand_model()
+
+
+@pytest.fixture(scope="session")
+def full_evidence(hand: mujoco.MjModel) -> Evidence:
+    return evidence(hand)
+
+
+@pytest.fixture(scope="session")
+def make_report():
+    """The function that makes a record of a given verdict."""
+    return report
+
+
+@pytest.fixture(scope="session")
+def make_heat():
+    """The function that makes a heat map with a given number of rows."""
+    return heat
+
+
+@pytest.fixture
+def no_gl(monkeypatch):
+    """Asks for pictures without a GL library."""
+    monkeypatch.setenv("MUJOCO_GL", "off")
+
+
+@pytest.fixture
+def small_pictures(monkeypatch):
+    """A filmstrip of few pixels, for tests that do not look at it."""
+    monkeypatch.setattr(filmstrip, "WIDTH", 48)
+    monkeypatch.setattr(filmstrip, "HEIGHT", 40)
