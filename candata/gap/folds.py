@@ -61,23 +61,36 @@ def cross_fit(response: Curve | Plane, score: Score, parts: list[Index], base: A
 
 
 def null_threshold(
-    responses: list[Curve | Plane], score: Score, parts: list[Index], rng: np.random.Generator
-) -> tuple[float, Array]:
-    """Return the 99 % quantile of the best mean held-out gain over null sets, and all of these gains.
+    responses: list[Curve | Plane], score: Score, parts: list[Index], luck: Array, rng: np.random.Generator
+) -> float:
+    """Return the 99 % quantile of the best mean held-out gain over null sets.
 
     A null set takes one null replay of each episode at random; every candidate is fitted and scored on it exactly
-    as on the recording, its response added to the null residual.
+    as on the recording, its response added to the null residual. Contact is chaotic: any change of the world deals
+    an episode another outcome, so each candidate also draws, for each episode, the gain of a replay that differs
+    in nothing but its start.
+
+    Parameters
+    ----------
+    luck : (J, E) float64
+        Gain of nominal replays from other starts over the typical one, in floors.
     """
     tables = [_null_tables(r, score) if isinstance(r, Curve) else null_quadratic(r, score) for r in responses]
     best = np.zeros(NULL_SETS)
     episodes = np.arange(score.null.shape[1])
     for i in range(NULL_SETS):
         chosen = rng.integers(len(score.null), size=len(episodes))
-        best[i] = max(
-            (_quadratic_gain(t, chosen, parts) if isinstance(t, NullQuadratic) else _table_gain(t, chosen, parts))
-            for t in tables
-        ) if tables else 0.0
-    return float(np.quantile(best, NULL_QUANTILE)), best
+        draws = rng.integers(len(luck), size=(len(tables), len(episodes)))
+        lucky = luck[draws, episodes].mean(1)
+        best[i] = max((_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0)
+    return float(np.quantile(best, NULL_QUANTILE))
+
+
+def _null_gain(table: Array | NullQuadratic, chosen: Index, parts: list[Index]) -> float:
+    """Return the mean held-out gain of one candidate on one null set."""
+    if isinstance(table, NullQuadratic):
+        return _quadratic_gain(table, chosen, parts)
+    return _table_gain(table, chosen, parts)
 
 
 

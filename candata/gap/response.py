@@ -42,6 +42,10 @@ class Curve:
         order = np.argsort(at)
         return replace(self, at=at[order], z=z[order])
 
+    def rescaled(self, factor: Compact) -> Curve:
+        """Return the curve with residuals times `factor (E, K)`: another floor's units."""
+        return replace(self, z=self.z * factor)
+
     def grid(self) -> Array:
         """Return `(G,)` coordinates at which losses are read: the probes and points between them."""
         if self.who.choices:
@@ -91,6 +95,10 @@ class Plane:
     at: Array
     z: Compact
     slope: Compact
+
+    def rescaled(self, factor: Compact) -> Plane:
+        """Return the plane with residuals times `factor (E, K)`: another floor's units."""
+        return replace(self, z=self.z * factor, slope=self.slope * factor)
 
     def read(self, u: Array) -> Compact:
         """Return `(E, K)` residuals at coordinates `u (d,)`."""
