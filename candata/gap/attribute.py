@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, candidates, probes
 from candata.gap.folds import CrossFit, cross_fit, null_threshold
-from candata.gap.floor import floor, perturbed
+from candata.gap.floor import FloorKind, floor, perturbed
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, residual
@@ -49,6 +49,7 @@ class Problem:
     score: Score
     parts: list[Index]
     noise: Noise
+    floor_kind: FloorKind
     rng: np.random.Generator
 
     def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:

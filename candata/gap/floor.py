@@ -92,8 +92,7 @@ def null_recordings(
 ) -> Recordings:
     """Return R x E recordings of a world on the same commands, starting near the recorded starts."""
     worlds = min(WORLDS, replicas)
-    many = Starts(*(np.concatenate([getattr(begin, f)] * worlds) for f in ("rows", "qpos", "qvel", "qpos0", "qvel0")))
-    true = perturbed(replayer, many, noise, rng)
+    true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
     qpos, qvel = true.qpos0, true.qvel0
     played = rollout(
         replayer.scene, np.concatenate([recs.commands] * worlds), qpos, qvel, [world] * len(qpos),

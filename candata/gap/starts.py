@@ -40,6 +40,12 @@ class Starts:
     qpos0: Array
     qvel0: Array
 
+    def take(self, index: NDArray[np.int64]) -> Starts:
+        """Return the starts of some episodes; an index may come more than once."""
+        return Starts(
+            self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index]
+        )
+
 
 def is_toss(scene: Scene) -> bool:
     """Tell whether the scene is an object alone, replayed open loop."""
