@@ -124,9 +124,7 @@ def spans(*intervals: tuple[float, float]) -> Callable[[Scene], Sequence[tuple[f
     return lambda scene: intervals
 
 
-def scaled(
-    reference: Callable[[Scene], float], *factors: float
-) -> Callable[[Scene], tuple[float, ...]]:
+def scaled(reference: Callable[[Scene], float], *factors: float) -> Callable[[Scene], tuple[float, ...]]:
     """Return probes that are multiples of a quantity of the scene."""
     return lambda scene: tuple(f * reference(scene) for f in factors)
 

@@ -109,7 +109,9 @@ def _drive_limits(scene: Scene) -> NDArray[np.float64]:
     if not len(ids):
         return np.ones(1)
     limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    return np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0])
+    return np.where(
+        limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0]
+    )
 
 
 def drive_damping(scene: Scene) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, candidates, probes
-from candata.gap.folds import CrossFit, cross_fit, null_threshold
 from candata.gap.floor import FloorKind, floor, perturbed
+from candata.gap.folds import CrossFit, cross_fit, null_threshold
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, residual
@@ -229,9 +229,7 @@ def _first_response(c: Candidate, nominal: Compact, mine: list[tuple[Array, Comp
     return Plane(c.low, c.high, c.neutral, nominal, np.stack(slope))
 
 
-def _fits(
-    problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array
-) -> list[Fit]:
+def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:
     """Return single-candidate fits by interpolated responses, best held-out gain first."""
     return sorted((_fit_one(problem, c, r, base) for c, r in responses), key=lambda f: -f.gain)
 
@@ -254,7 +252,9 @@ def _refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> l
     return fits
 
 
-def _probe(problem: Problem, fits: list[Fit], base: Array, held: Members, points: list[list[Array]]) -> list[Fit]:
+def _probe(
+    problem: Problem, fits: list[Fit], base: Array, held: Members, points: list[list[Array]]
+) -> list[Fit]:
     """Return the fits with the first ones simulated at more coordinates, sorted again."""
     count = len(points)
     flat = [(f.members[0][0], u) for f, some in zip(fits, points, strict=False) for u in some]
@@ -289,7 +289,9 @@ def _closer_probes(fit: Fit) -> list[Array]:
     around = np.array([u[0] - 0.3 * gap, u[0], u[0] + 0.3 * gap])
     if u[0] in (at[0], at[-1]):  # the best lies at the last probe: look beyond it
         outwards = 1 if u[0] == at[-1] else -1
-        around = np.array([u[0] - 0.3 * outwards * gap, u[0] + 0.6 * outwards * gap, u[0] + 1.5 * outwards * gap])
+        around = np.array(
+            [u[0] - 0.3 * outwards * gap, u[0] + 0.6 * outwards * gap, u[0] + 1.5 * outwards * gap]
+        )
     return [np.array([v]) for v in np.unique(np.clip(around, c.low[0], c.high[0]))]
 
 
@@ -310,7 +312,8 @@ def _sharpened(fit: Fit, points: list[Array], zs: list[Compact]) -> Curve | Plan
 def _plane_from(plane: Plane, points: list[Array], zs: list[Compact]) -> Plane:
     """Return the plane through a simplex's corners."""
     slope = [
-        (z - zs[0]) / np.float32((u - points[0])[i]) for i, (u, z) in enumerate(zip(points[1:], zs[1:], strict=True))
+        (z - zs[0]) / np.float32((u - points[0])[i])
+        for i, (u, z) in enumerate(zip(points[1:], zs[1:], strict=True))
     ]
     return replace(plane, at=points[0], z=zs[0], slope=np.stack(slope))
 
@@ -362,8 +365,12 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:
     """Return problem, fit and nominal residuals in units of the floor of the fitted world."""
     world = problem.setting(best.members)
-    spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
-    raw = residual(problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0])
+    spread = floor(
+        problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world
+    )
+    raw = residual(
+        problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
+    )
     new = replace(problem, score=score(raw, spread))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)
@@ -401,8 +408,12 @@ def _joint(problem: Problem, members: Members, base: Array) -> Fit:
             break
         at = int(np.argmin(losses))
         plane = replace(plane, at=trials[at], z=zs[at])
-    return replace(fit, members=fit.split(plane.at), response=plane,
-                   evidence=cross_fit(plane, problem.score, problem.parts, base))
+    return replace(
+        fit,
+        members=fit.split(plane.at),
+        response=plane,
+        evidence=cross_fit(plane, problem.score, problem.parts, base),
+    )
 
 
 def _constant(problem: Problem, members: Members) -> Plane:

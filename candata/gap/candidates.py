@@ -76,7 +76,9 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
             column += [value] * p.size(scene)
         logarithmic += [is_log] * p.size(scene)
     discrete = bool(effect(name).parameters[0].choices)
-    return Candidate(name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete)
+    return Candidate(
+        name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete
+    )
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:

@@ -95,7 +95,9 @@ def diagnose(
         When the dataset is empty or does not fit the scene.
     """
     if len(dataset) == 0:
-        raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
+        raise DataError(
+            "the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path))
+        )
     rng = np.random.default_rng(seed)
     progress("reading")
     everything = recordings(scene, dataset.episodes())
@@ -128,7 +130,9 @@ def _problem(
     spread = floor(replayer, recs, begin, plan, rng)
     level = score(raw, spread)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(raw)
+    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(
+        raw
+    )
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
@@ -175,16 +179,23 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
     named = _named(f, rng) if word in ("explained", "partly_explained") else ()
     report = Report(
-        verdict=word, effects=named,
+        verdict=word,
+        effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
         unknown=unknown(word, f.found, left, acts_on(left, _slides(f.scene)), typical, unit),
-        ranking=_ranking(f, rng), gap=size, where=where,
+        ranking=_ranking(f, rng),
+        gap=size,
+        where=where,
         next_motion=_next_motion(f) if word == "ambiguous" else None,
-        data=_data_used(f), measures=measures(f.held), provenance=provenance(f.scene),
+        data=_data_used(f),
+        measures=measures(f.held),
+        provenance=provenance(f.scene),
     )
     repaired = f.problem.setting(chosen.members) if chosen and named else ()
     losses = EpisodeLosses(
-        f.held.recs.ids, f.held.loss_before, f.held.loss_after,
+        f.held.recs.ids,
+        f.held.loss_before,
+        f.held.loss_after,
         *(np.quantile(f.world.score.null_loss, q, axis=0) for q in (0.05, 0.95)),
     )
     shown = example(f.world, f.held, chosen if named else None)
@@ -194,7 +205,9 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
 def _slides(scene: Scene) -> list[str]:
     """Return the names of slide joints: a wrist on rails."""
     slide = mujoco.mjtJoint.mjJNT_SLIDE
-    return [j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide]
+    return [
+        j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide
+    ]
 
 
 def _typical(f: _Findings, channel: str, element: str | None) -> tuple[float, str]:
@@ -220,12 +233,20 @@ def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
         lows, highs = c.setting(lower, f.scene).parameters, c.setting(upper, f.scene).parameters
         values = c.setting(u, f.scene).parameters
         estimates = {
-            name: Estimate(value=v, low=None if c.choices else lows[name], high=None if c.choices else highs[name])  # type: ignore[arg-type]
+            name: Estimate(
+                value=v, low=None if c.choices else lows[name], high=None if c.choices else highs[name]
+            )  # type: ignore[arg-type]
             for name, v in values.items()
         }
         out.append(
-            NamedEffect(name=c.name, element=c.element, share=share, at_bound=at_bound and not _one_sided(c.neutral, u),
-                        support=round(float(alone if np.isnan(backing) else backing), 3), parameters=estimates)
+            NamedEffect(
+                name=c.name,
+                element=c.element,
+                share=share,
+                at_bound=at_bound and not _one_sided(c.neutral, u),
+                support=round(float(alone if np.isnan(backing) else backing), 3),
+                parameters=estimates,
+            )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
 
@@ -246,19 +267,29 @@ def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
         low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
         c, u = fit.members[0]
         out.append(
-            Ranked(name=c.name, element=c.element, support=round(float(s), 3), held_out_gain=round(fit.gain, 4),
-                   gain_low=round(float(low), 4), gain_high=round(float(high), 4),
-                   parameters=c.setting(u, f.scene).parameters)
+            Ranked(
+                name=c.name,
+                element=c.element,
+                support=round(float(s), 3),
+                held_out_gain=round(fit.gain, 4),
+                gain_low=round(float(low), 4),
+                gain_high=round(float(high), 4),
+                parameters=c.setting(u, f.scene).parameters,
+            )
         )
-    dead = [Ranked(name=d, support=0.0, held_out_gain=0.0, reason="moves nothing in these motions")
-            for d in f.found.first.dead]
+    dead = [
+        Ranked(name=d, support=0.0, held_out_gain=0.0, reason="moves nothing in these motions")
+        for d in f.found.first.dead
+    ]
     return (*out, *dead)
 
 
 def _next_motion(f: _Findings) -> NextMotion:
     """Return the recorded motion in which the tied candidates differ most."""
     task = separating_task(f.problem, f.found)
-    return NextMotion(name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2]))
+    return NextMotion(
+        name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2])
+    )
 
 
 def _data_used(f: _Findings) -> DataUsed:
@@ -267,8 +298,10 @@ def _data_used(f: _Findings) -> DataUsed:
     return DataUsed(
         dataset=f"{f.dataset.name}@{f.dataset.digest[:12]}",
         episodes=EpisodeCount(total=f.episodes, folds=FOLDS, held_out=len(f.held.recs)),
-        floor=f.problem.floor_kind, channels=tuple(f.problem.recs.readings),
-        notes=(f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}",) if untouched
+        floor=f.problem.floor_kind,
+        channels=tuple(f.problem.recs.readings),
+        notes=(f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}",)
+        if untouched
         else (),
     )
 
@@ -279,7 +312,8 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
         verdict="too_little_data",
         data=DataUsed(
             dataset=f"{dataset.name}@{dataset.digest[:12]}",
-            episodes=EpisodeCount(total=len(recs), folds=0, held_out=0), channels=tuple(recs.readings),
+            episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
+            channels=tuple(recs.readings),
             notes=(f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out",),
         ),
         provenance=provenance(scene),
@@ -289,4 +323,9 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
 
 def provenance(scene: Scene) -> dict[str, str]:
     """Return what a report was made with."""
-    return {"candata": candata.__version__, "mujoco": mujoco.__version__, "scene": scene.name, "scene_digest": scene.digest}
+    return {
+        "candata": candata.__version__,
+        "mujoco": mujoco.__version__,
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+    }

@@ -21,7 +21,9 @@ TRACES = 4
 
 def example(problem: Problem, held: HeldOut, fit: Fit | None) -> Example:
     """Return the held-out episode whose loss falls most (without a fit: the one of median loss)."""
-    drop = held.loss_before - held.loss_after if fit else -np.abs(held.loss_before - np.median(held.loss_before))
+    drop = (
+        held.loss_before - held.loss_after if fit else -np.abs(held.loss_before - np.median(held.loss_before))
+    )
     e = int(np.argmax(drop))
     one, begin = held.recs.take([e]), problem.begin.take(np.array([e]))
     worlds = [()] + ([problem.setting(fit.split(held.points[e]))] if fit else [])
@@ -29,15 +31,20 @@ def example(problem: Problem, held: HeldOut, fit: Fit | None) -> Example:
     rows = slice(int(begin.rows[0]), int(one.lengths[0]))
     scene = problem.replayer.scene
     return Example(
-        one.ids[0], np.arange(rows.start, rows.stop) / scene.file.rate_hz, _traces(problem, held, e, rows, fit is not None),
-        _recorded_qpos(scene, one, played[-1])[rows], played[0][rows], played[1][rows] if fit else None,
+        one.ids[0],
+        np.arange(rows.start, rows.stop) / scene.file.rate_hz,
+        _traces(problem, held, e, rows, fit is not None),
+        _recorded_qpos(scene, one, played[-1])[rows],
+        played[0][rows],
+        played[1][rows] if fit else None,
     )
 
 
 def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool) -> tuple[Trace, ...]:
     """Return the elements whose nominal residual stands out most in one episode, by channel at most two."""
     size = np.abs(residual(held.recs, problem.plan, held.before)[e]) / problem.score.sigma[e].reshape(
-        len(problem.plan.phase[e]), -1)
+        len(problem.plan.phase[e]), -1
+    )
     worst = np.argsort(-np.nan_to_num(np.nanmean(np.where(np.isfinite(size), size, 0.0), 0)))
     chosen: list[int] = []
     for column in worst:
@@ -56,7 +63,9 @@ def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool
     return tuple(out)
 
 
-def _element(source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int) -> Array:
+def _element(
+    source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int
+) -> Array:
     """Return `(T,)` one element; rotations as the turn from the first recorded attitude."""
     values = source[channel][e]
     if channel == "object_pose" and column >= 3:

@@ -87,16 +87,26 @@ def _high_pass(recs: Recordings, channel: str, columns: slice) -> float:
 
 
 def null_recordings(
-    replayer: Replayer, recs: Recordings, begin: Starts, noise: Noise, rng: np.random.Generator,
-    replicas: int = REPLICAS, world: EffectSet = (),
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    noise: Noise,
+    rng: np.random.Generator,
+    replicas: int = REPLICAS,
+    world: EffectSet = (),
 ) -> Recordings:
     """Return R x E recordings of a world on the same commands, starting near the recorded starts."""
     worlds = min(WORLDS, replicas)
     true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
     qpos, qvel = true.qpos0, true.qvel0
     played = rollout(
-        replayer.scene, np.concatenate([recs.commands] * worlds), qpos, qvel, [world] * len(qpos),
-        instant_force=recs.instant_force, threads=replayer.threads,
+        replayer.scene,
+        np.concatenate([recs.commands] * worlds),
+        qpos,
+        qvel,
+        [world] * len(qpos),
+        instant_force=recs.instant_force,
+        threads=replayer.threads,
     )
     replayer.count(len(qpos) * recs.commands.shape[1] * replayer.scene.substeps)
     copies = replicas // worlds
@@ -138,8 +148,13 @@ def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Ge
 
 
 def floor(
-    replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, rng: np.random.Generator,
-    replicas: int = REPLICAS, world: EffectSet = (),
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    plan: Layout,
+    rng: np.random.Generator,
+    replicas: int = REPLICAS,
+    world: EffectSet = (),
 ) -> Floor:
     """Return the floor of a set of recordings by null replays through the same observer.
 
@@ -169,7 +184,8 @@ def floor(
 def smallest(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
     table = {
-        "joint_position": noise.joint_position, "fingertip_force": max(noise.fingertip_force, noise.force_step / 3.5),
+        "joint_position": noise.joint_position,
+        "fingertip_force": max(noise.fingertip_force, noise.force_step / 3.5),
     }
     pose = {"position": noise.object_pose[0], "rotation": noise.object_pose[1]}
     size = [table[c] if c in table else pose[e.split()[0]] for c, e, _ in plan.columns]

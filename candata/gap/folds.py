@@ -54,7 +54,11 @@ def cross_fit(response: Curve | Plane, score: Score, parts: list[Index], base: A
     table = response.table(score) if isinstance(response, Curve) else None
     for f, test in enumerate(parts):
         train = rest(parts, f)
-        u = response.best(table, train) if isinstance(response, Curve) and table is not None else response.best(train)  # type: ignore[call-arg, arg-type]
+        u = (
+            response.best(table, train)
+            if isinstance(response, Curve) and table is not None
+            else response.best(train)
+        )  # type: ignore[call-arg, arg-type]
         points.append(u)
         loss[test] = score.take(test).loss(response.read(u)[test])
     return CrossFit(base - loss, loss, np.array(points))
@@ -82,7 +86,9 @@ def null_threshold(
         chosen = rng.integers(len(score.null), size=len(episodes))
         draws = rng.integers(len(luck), size=(len(tables), len(episodes)))
         lucky = luck[draws, episodes].mean(1)
-        best[i] = max((_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0)
+        best[i] = max(
+            (_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0
+        )
     return float(np.quantile(best, NULL_QUANTILE))
 
 
@@ -91,8 +97,6 @@ def _null_gain(table: Array | NullQuadratic, chosen: Index, parts: list[Index]) 
     if isinstance(table, NullQuadratic):
         return _quadratic_gain(table, chosen, parts)
     return _table_gain(table, chosen, parts)
-
-
 
 
 def _null_tables(curve: Curve, score: Score) -> Array:
@@ -119,5 +123,3 @@ def _quadratic_gain(quadratic: NullQuadratic, chosen: Index, parts: list[Index])
     for f, test in enumerate(parts):
         gain[test] = quadratic.gain(chosen, test, quadratic.step(chosen, rest(parts, f)))
     return float(gain.mean())
-
-

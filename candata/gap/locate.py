@@ -37,7 +37,10 @@ def locate(plan: Layout, score: Score, nominal: Compact, rng: np.random.Generato
     rows = tuple(c if e is None else f"{c} {e}" for c, e, _ in plan.columns)
     shape = (len(plan.phases), len(plan.columns))
     return HeatMap(
-        rows, plan.phases, np.where(seen, ratio, np.nan).reshape(shape).T, np.where(seen, p, np.nan).reshape(shape).T
+        rows,
+        plan.phases,
+        np.where(seen, ratio, np.nan).reshape(shape).T,
+        np.where(seen, p, np.nan).reshape(shape).T,
     )
 
 
@@ -71,8 +74,13 @@ def symptoms(plan: Layout, heat: HeatMap) -> tuple[Symptom, ...]:
         for j, phase in enumerate(heat.phases):
             if np.isfinite(heat.ratio[i, j]) and heat.p[i, j] <= LEVEL and heat.ratio[i, j] > 1:
                 found.append(
-                    Symptom(channel=channel, element=element, phase=phase, ratio=round(float(heat.ratio[i, j]), 3),
-                            p=round(float(heat.p[i, j]), 5))
+                    Symptom(
+                        channel=channel,
+                        element=element,
+                        phase=phase,
+                        ratio=round(float(heat.ratio[i, j]), 3),
+                        p=round(float(heat.p[i, j]), 5),
+                    )
                 )
     return tuple(sorted(found, key=lambda s: -s.ratio)[:LISTED])
 

@@ -52,7 +52,13 @@ class Score:
 
     def take(self, index: NDArray[np.int64]) -> Score:
         """Return the score of some episodes."""
-        return Score(self.sigma[index], self.mask[index], self.null[:, index], self.floor[index], self.null_loss[:, index])
+        return Score(
+            self.sigma[index],
+            self.mask[index],
+            self.null[:, index],
+            self.floor[index],
+            self.null_loss[:, index],
+        )
 
 
 def score(residual: Array, floor: Floor) -> Score:

@@ -52,7 +52,9 @@ def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
     before = replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
     loss_before = problem.score.loss(problem.score.normal(residual(problem.recs, problem.plan, before)))
     if fit is None:
-        return HeldOut(problem.recs, before, before, loss_before, loss_before, np.zeros((len(problem.recs), 0)))
+        return HeldOut(
+            problem.recs, before, before, loss_before, loss_before, np.zeros((len(problem.recs), 0))
+        )
     after = {n: v.copy() for n, v in before.items()}
     points = np.zeros((len(problem.recs), fit.evidence.points.shape[1]))
     for test, u in zip(problem.parts, fit.evidence.points, strict=True):
@@ -76,8 +78,10 @@ def gap(before: Array, after: Array, rng: np.random.Generator, named: bool) -> G
     many = _closed(before[picks].mean(1), after[picks].mean(1))
     low, high = np.quantile(many, ENDS)
     return Gap(
-        before=round(float(before.mean()), 4), after=round(float(after.mean()), 4),
-        closed=round(float(_closed(before.mean(), after.mean())), 4), low=round(float(low), 4),
+        before=round(float(before.mean()), 4),
+        after=round(float(after.mean()), 4),
+        closed=round(float(_closed(before.mean(), after.mean())), 4),
+        low=round(float(low), 4),
         high=round(float(high), 4),
     )
 
@@ -135,8 +139,10 @@ def measures(held: HeldOut) -> dict[str, dict[str, float]]:
     for name, size in _errors(held.recs, held.before).items():
         repaired = _errors(held.recs, held.after)[name]
         out[name] = {
-            "before": float(np.nanmean(size)), "after": float(np.nanmean(repaired)),
-            "before_median": float(np.nanmedian(size)), "after_median": float(np.nanmedian(repaired)),
+            "before": float(np.nanmean(size)),
+            "after": float(np.nanmean(repaired)),
+            "before_median": float(np.nanmedian(size)),
+            "after_median": float(np.nanmedian(repaired)),
         }
     return out
 
@@ -152,7 +158,9 @@ def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
                 out["object_position_m"] = np.nanmean(shift, 1)
                 out["object_rotation_deg"] = np.degrees(np.nanmean(turn, 1))
             else:
-                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[channel]
+                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[
+                    channel
+                ]
                 error = np.abs(recorded - readings[channel]).reshape(*recorded.shape[:2], -1)
                 out[name] = np.nanmean(np.nanmean(error, 2), 1)
     return out
@@ -166,6 +174,6 @@ def separating_task(problem: Problem, attribution: Attribution) -> str | None:
     tasks = sorted(set(problem.recs.tasks) - {""})
     if not tasks:
         return None
-    return max(tasks, key=lambda t: float(apart[[i for i, own in enumerate(problem.recs.tasks) if own == t]].mean()))
-
-
+    return max(
+        tasks, key=lambda t: float(apart[[i for i, own in enumerate(problem.recs.tasks) if own == t]].mean())
+    )

@@ -28,7 +28,12 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
 
 
 def unknown(
-    word: Verdict, found: Attribution, where: Sequence[Symptom], place: str | None, size: float | None, unit: str | None
+    word: Verdict,
+    found: Attribution,
+    where: Sequence[Symptom],
+    place: str | None,
+    size: float | None,
+    unit: str | None,
 ) -> Unknown | None:
     """Return what is not known: filled for `unknown_effect` and `partly_explained`."""
     if word not in ("unknown_effect", "partly_explained"):
@@ -37,7 +42,10 @@ def unknown(
     element = where[0].element if where else None
     return Unknown(
         acts_on=place,  # type: ignore[arg-type]
-        element=element, size=size, unit=unit, depends_on=depends,
+        element=element,
+        size=size,
+        unit=unit,
+        depends_on=depends,
         words=_words(word, found, where, size, unit),
     )
 
@@ -62,5 +70,3 @@ def _words(
 def class_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     """Return the sorted names of candidates that cannot be told apart."""
     return tuple(sorted(f.labels[0] for f in fits))
-
-
