@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 import candata
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
-from candata.gap.attribute import Attribution, Fit, Problem, attribute
+from candata.gap.attribute import Attribution, attribute
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.floor import floor
@@ -22,6 +22,7 @@ from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
+from candata.gap.search import Fit, Problem
 from candata.gap.shrink import (
     HeldOut,
     gap,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.attribute import Fit, Problem
 from candata.gap.evidence import Example, Trace
 from candata.gap.recordings import Recordings
 from candata.gap.replay import replay
 from candata.gap.residuals import residual
+from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut
 from candata.rotation import difference
 from candata.scenes import Scene

@@ -14,8 +14,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 #: Points between two neighbouring probes at which a scalar's loss is read off the interpolated response.
 BETWEEN = 6
-#: Rounds of iteratively reweighted least squares; the weights settle in a handful.
-ROUNDS = 6
+#: Scales by which residuals are divided in the rounds of iteratively reweighted least squares. Large residuals first
+#: count as in plain least squares, and only near the fit as outliers (graduated non-convexity, Blake & Zisserman 1987):
+#: a far optimum is found too.
+SCALES = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -112,9 +114,9 @@ class Plane:
         slope, z = self.slope[:, train], self.z[train]
         ridge = _ridge(slope, self.high - self.low)
         step = np.zeros(len(self.at))
-        for _ in range(ROUNDS):
+        for scale in SCALES:
             now = z + np.tensordot(step.astype(np.float32), slope, 1)
-            step = _solve(slope, z, weights(now), ridge)
+            step = _solve(slope, z, weights(now / np.float32(scale)), ridge)
         return np.clip(self.at + step, self.low, self.high)
 
 

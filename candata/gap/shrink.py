@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.attribute import Attribution, Fit, Problem
+from candata.gap.attribute import Attribution
 from candata.gap.recordings import Recordings
 from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
 from candata.gap.response import Curve
+from candata.gap.search import Fit, Problem
 from candata.rotation import difference
 from candata.schema.report import Gap
 

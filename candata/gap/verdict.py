@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from candata.gap.attribute import Attribution, Fit
+from candata.gap.attribute import Attribution
+from candata.gap.search import Fit
 from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.

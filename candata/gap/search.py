@@ -1,0 +1,95 @@
+"""What a search works on: the problem, and a fitted set of candidates with its held-out evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate
+from candata.gap.floor import FloorKind
+from candata.gap.folds import CrossFit, cross_fit
+from candata.gap.recordings import Recordings
+from candata.gap.replay import EffectSet, Replayer, replay_all
+from candata.gap.residuals import Layout, residual
+from candata.gap.response import Curve, Plane
+from candata.gap.score import Compact, Score
+from candata.gap.starts import Starts
+from candata.schema.scene import Noise
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Members = tuple[tuple[Candidate, Array], ...]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every step of the attribution needs."""
+
+    replayer: Replayer
+    recs: Recordings
+    begin: Starts
+    plan: Layout
+    score: Score
+    parts: list[Index]
+    noise: Noise
+    floor_kind: FloorKind
+    rng: np.random.Generator
+
+    def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
+        """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
+        found = replay_all(self.replayer, self.recs, begin or self.begin, variants)
+        return [self.score.normal(residual(self.recs, self.plan, r)) for r in found]
+
+    def setting(self, members: Sequence[tuple[Candidate, Array]]) -> EffectSet:
+        """Return the effect settings of candidates at coordinates."""
+        return tuple(c.setting(u, self.replayer.scene) for c, u in members)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A set of candidates, fitted.
+
+    Attributes
+    ----------
+    members : tuple of (Candidate, coordinates)
+        Fitted on all episodes.
+    response : Curve or Plane
+        Around the fit; a plane's coordinates are the members' in order.
+    evidence : CrossFit
+        Held-out losses and gains over the empty set.
+    """
+
+    members: Members
+    response: Curve | Plane
+    evidence: CrossFit
+
+    @property
+    def gain(self) -> float:
+        """Mean held-out gain in floors."""
+        return float(self.evidence.gain.mean())
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels of the members."""
+        return tuple(c.label for c, _ in self.members)
+
+    def split(self, u: Array) -> Members:
+        """Return the members at stacked coordinates `u (d,)`."""
+        out, start = [], 0
+        for c, _ in self.members:
+            out.append((c, u[start : start + c.size]))
+            start += c.size
+        return tuple(out)
+
+
+def fit_one(problem: Problem, c: Candidate, response: Curve | Plane, base: Array) -> Fit:
+    """Return one candidate's fit on all episodes and its held-out evidence."""
+    everyone = np.arange(len(base))
+    if isinstance(response, Curve):
+        u = response.best(response.table(problem.score), everyone)
+    else:
+        u = response.best(everyone)
+    return Fit(((c, u),), response, cross_fit(response, problem.score, problem.parts, base))
