@@ -75,7 +75,8 @@ def job(recipe: Recipe, index: int) -> Job:
     """Return the job of episode `index`; policies take turns."""
     return Job(
         id=episode_id(recipe, index), index=index, policy=recipe.policies[index % len(recipe.policies)],
-        seed=recipe.seed, effects=recipe.effects, hidden=recipe.sealed is not None, point_cloud=recipe.point_cloud,
+        seed=recipe.seed, effects=recipe.effects, hidden=recipe.sealed is not None,
+        point_cloud=recipe.point_cloud,
     )  # fmt: skip
 
 
