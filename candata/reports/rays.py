@@ -13,7 +13,7 @@ Array = NDArray[np.float64]
 
 #: Geom groups that MuJoCo's viewers show by default: 0 to 2.
 SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
-#: Colours of the drawing: sky, and the two of an untextured plane's tiles.
+#: Colours of the drawing: sky, and the two tiles of a plane (they shade a plane that has its own colour).
 SKY, TILES = (0.93, 0.94, 0.95), np.array([[0.86, 0.87, 0.88], [0.80, 0.81, 0.83]])
 #: Direction towards the sun (unit length) and what reaches a place in its shadow.
 SUN, SHADE = np.array([0.32, -0.48, 0.817]), 0.55
@@ -114,5 +114,6 @@ def _base_colour(model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.in
     plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
     tile = max(float(model.stat.extent), 0.1) / 8
     cells = np.floor(points[plane, :2] / tile).astype(int).sum(axis=1) % 2
-    colour[plane] = TILES[cells]
+    plain = np.all(np.abs(colour[plane] - 0.5) < 1e-3, axis=1)
+    colour[plane] = np.where(plain[:, None], TILES[cells], colour[plane] * TILES[cells] / TILES.max())
     return colour

@@ -90,7 +90,7 @@ def example(model: mujoco.MjModel) -> Example:
     )
 
 
-def heat(rows: int = 22) -> HeatMap:
+def heat(rows: int = 19) -> HeatMap:
     """A map in which index2 stands out at onset and release; no force data in free motion."""
     names = ["object_position", "object_rotation", "joint_position lift x", "joint_position lift y"]
     names += [f"joint_position {f}{k}" for f in FINGERS for k in (1, 2)]
