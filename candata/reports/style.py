@@ -1,0 +1,160 @@
+"""The page's style sheet and script; no fonts, images or code from elsewhere."""
+
+from __future__ import annotations
+
+#: Name of a colour to its value on a light and on a dark page; print takes the light one.
+COLOURS = {
+    "paper": ("#fbfaf7", "#14171a"),
+    "card": ("#ffffff", "#1b1f23"),
+    "ink": ("#1c2126", "#e8e6e1"),
+    "muted": ("#666d75", "#9aa1a8"),
+    "rule": ("#e6e2d9", "#2b3036"),
+    "rule2": ("#c9c4b9", "#454c54"),
+    "accent": ("#0f766e", "#4fc3b4"),
+    "quiet": ("#a9aeb4", "#6b737b"),
+    "recorded": ("#8d959e", "#7d8791"),
+    "before": ("#cc6a1f", "#f0954a"),
+    "after": ("#0f766e", "#4fc3b4"),
+    "band": ("#d6d9dc", "#343b42"),
+    "hole": ("#d3d6da", "#3c434a"),
+    "heat0": ("#faf4e6", "#26231f"),
+    "heat1": ("#f8d9a0", "#5d3a26"),
+    "heat2": ("#ee9d55", "#a8482a"),
+    "heat3": ("#cc4b33", "#e8853d"),
+    "heat4": ("#7c1533", "#fde4a8"),
+    "good": ("#0f766e", "#4fc3b4"),
+    "part": ("#a86a12", "#e0b04f"),
+    "bad": ("#b4432c", "#ee7f66"),
+    "tie": ("#6d4fa8", "#b39be6"),
+    "none": ("#55606b", "#a3adb7"),
+}
+
+
+def _palette(theme: int) -> str:
+    """Return the declarations of the light (0) or dark (1) colours."""
+    return " ".join(f"--{name}:{pair[theme]};" for name, pair in COLOURS.items())
+
+
+_LAYOUT = """
+* { box-sizing:border-box; }
+html { -webkit-text-size-adjust:100%; }
+body { margin:0; background:var(--paper); color:var(--ink); font:15px/1.5 system-ui,-apple-system,
+  "Segoe UI",Roboto,"Helvetica Neue",Arial,sans-serif; font-variant-numeric:tabular-nums; }
+main { max-width:1280px; margin:0 auto; padding:22px 24px 56px; }
+.kicker { margin:0; color:var(--muted); font-size:13px; overflow-wrap:anywhere; }
+h1 { margin:2px 0 0; font:600 clamp(34px,5.2vw,54px)/1.1 "Iowan Old Style","Palatino Linotype",Palatino,
+  Georgia,"Times New Roman",serif; letter-spacing:-.015em; color:var(--tone); }
+.meaning { margin:4px 0 18px; color:var(--muted); max-width:88ch; text-wrap:balance; }
+h2 { margin:44px 0 12px; font-size:19px; font-weight:650; letter-spacing:-.01em; }
+h3 { margin:0; font-size:14px; font-weight:650; }
+h3 + .sub { margin:1px 0 6px; }
+.sub,.note { color:var(--muted); font-size:13px; margin:0; }
+.note { margin-top:8px; }
+.answers { display:grid; grid-template-columns:repeat(4,minmax(0,1fr)); gap:0 28px; margin:0;
+  border-top:2px solid var(--ink); }
+.answers div { padding:10px 0 16px; min-width:0; }
+.answers dt { font-size:12.5px; font-weight:650; color:var(--muted); margin:0 0 3px; }
+.answers dd { margin:0; overflow-wrap:break-word; }
+.lead { display:block; font:600 24px/1.2 "Iowan Old Style","Palatino Linotype",Palatino,Georgia,serif; }
+.lead { margin:0 0 5px; text-wrap:balance; } .answers .lead.big { font-size:34px; line-height:1;
+  margin-top:-2px; }
+.bar { display:block; position:relative; height:6px; margin:8px 0 9px; background:var(--rule);
+  border-radius:3px; }
+.bar i { position:absolute; top:0; bottom:0; left:0; border-radius:3px; background:var(--tone); }
+.bar b { position:absolute; top:-3px; bottom:-3px; border:solid var(--ink); border-width:0 1.5px; }
+.first { display:grid; grid-template-columns:minmax(0,1.08fr) minmax(0,1fr) minmax(0,1fr); gap:16px;
+  align-items:start; }
+figure,.card { margin:0; padding:14px 16px; background:var(--card); border:1px solid var(--rule);
+  border-radius:8px; min-width:0; }
+.strip { margin-top:16px; }
+.traces { display:grid; grid-template-columns:repeat(auto-fit,minmax(280px,1fr)); gap:4px 20px; }
+.traces p { margin:6px 0 0; font-size:12.5px; overflow-wrap:anywhere; }
+.traces small { color:var(--muted); font-size:inherit; }
+.key span { white-space:nowrap; margin-right:12px; }
+.key span::before { content:""; display:inline-block; width:16px; height:3px; margin-right:5px;
+  vertical-align:middle; border-radius:2px; background:currentColor; }
+.recorded { color:var(--recorded); } .nominal { color:var(--before); } .repaired { color:var(--after); }
+.scroll { overflow-x:auto; }
+.film { display:grid; grid-template-columns:72px repeat(var(--n),minmax(120px,1fr)); gap:5px;
+  align-items:center;
+  min-width:min-content; }
+.film img { width:100%; height:auto; display:block; border-radius:4px; }
+.when { font-size:12px; color:var(--muted); text-align:center; }
+.who { font-size:13px; font-weight:600; } .who.recorded { color:var(--ink); }
+table { border-collapse:collapse; width:100%; font-size:14px; }
+th,td { padding:7px 14px 7px 0; text-align:left; border-bottom:1px solid var(--rule);
+  vertical-align:top; }
+th { font-size:12.5px; font-weight:600; color:var(--muted); white-space:nowrap; }
+td.n,th.n { text-align:right; } td.n,th.n,td.u { white-space:nowrap; }
+td:last-child,th:last-child { padding-right:0; }
+.wrap td { overflow-wrap:anywhere; } .wrap th { white-space:normal; width:170px; }
+tr.now td { font-weight:600; } tr.now td:first-child { color:var(--tone); }
+.two { display:grid; grid-template-columns:minmax(0,1fr) minmax(0,1fr); gap:16px 32px;
+  align-items:start; }
+.file { position:relative; }
+.file button { position:absolute; top:8px; right:8px; padding:4px 11px; font:inherit; font-size:13px;
+  cursor:pointer;
+  color:var(--ink); background:var(--paper); border:1px solid var(--rule2); border-radius:6px; }
+.file button:focus-visible,.scroll:focus-visible { outline:2px solid var(--accent); outline-offset:2px; }
+pre { margin:0; padding:14px 16px; overflow-x:auto; background:var(--card); border:1px solid var(--rule);
+  border-radius:8px; font:13px/1.5 ui-monospace,SFMono-Regular,Menlo,Consolas,monospace; }
+@media (max-width:1000px) { .first { grid-template-columns:minmax(0,1fr) minmax(0,1fr); }
+  .first figure:last-child { grid-column:1/-1; }
+  .answers { grid-template-columns:minmax(0,1fr) minmax(0,1fr); } }
+@media (max-width:680px) { main { padding:16px 14px 40px; }
+  .first,.answers,.two { grid-template-columns:minmax(0,1fr); }
+  .answers div { border-bottom:1px solid var(--rule); } .answers { margin-bottom:16px; }
+  figure,.card { padding:12px 10px; } .film { grid-template-columns:repeat(var(--n),minmax(128px,1fr)); }
+  .film .corner { display:none; } .film .who { grid-column:1/-1; position:sticky; left:0;
+  width:max-content; } }
+@media print { main { max-width:none; padding:0; } .file button { display:none; }
+  figure,.card,tr,.answers div { break-inside:avoid; } h2 { break-after:avoid; }
+  .first { grid-template-columns:1fr 1fr; } .first figure:last-child { grid-column:1/-1; }
+  table { font-size:11px; } th,td { padding:4px 8px 4px 0; } th { font-size:10.5px; }
+  .scroll { overflow:visible; } .film { grid-template-columns:66px repeat(var(--n),minmax(0,1fr)); }
+  body { font-size:12px; } }""".strip()
+
+#: The whole style sheet: the colours of each theme, then the layout.
+STYLE = f"""
+:root {{ color-scheme: light dark; {_palette(0)} }}
+@media (prefers-color-scheme: dark) {{ :root {{ {_palette(1)} }} }}
+@media print {{ :root {{ color-scheme: light; {_palette(0)} --paper:#ffffff; }} }}
+{_LAYOUT}
+""".strip()
+
+
+#: Draws every figure in the theme's colours, again when the theme changes or the page is printed.
+SCRIPT = """
+(() => {
+  const figures = JSON.parse(document.getElementById("figures").textContent);
+  const colour = name => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+  const themed = node => typeof node === "string" ? (node[0] === "@" ? colour(node.slice(1)) : node)
+    : Array.isArray(node) ? node.map(themed)
+    : node && typeof node === "object"
+      ? Object.fromEntries(Object.entries(node).map(([k, v]) => [k, themed(v)])) : node;
+  const axis = own => ({ gridcolor: colour("rule"), linecolor: colour("rule2"),
+    zerolinecolor: colour("rule"), ...own });
+  const draw = () => {
+    for (const [id, spec] of Object.entries(figures)) {
+      const own = themed(spec.layout);
+      const layout = { showlegend: false, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+        font: { family: getComputedStyle(document.body).fontFamily, size: 11, color: colour("ink") },
+        hoverlabel: { bgcolor: colour("paper"), bordercolor: colour("rule2"),
+          font: { color: colour("ink") } },
+        ...own, xaxis: axis(own.xaxis), yaxis: axis(own.yaxis) };
+      Plotly.react(id, themed(spec.data), layout, { displayModeBar: false, responsive: true });
+    }
+  };
+  draw();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  addEventListener("beforeprint", draw);
+  addEventListener("afterprint", draw);
+  const button = document.getElementById("copy");
+  const file = document.getElementById("effects-file");
+  if (button) button.addEventListener("click", async () => {
+    try { await navigator.clipboard.writeText(file.textContent); button.textContent = "Copied"; }
+    catch { getSelection().selectAllChildren(file); button.textContent = "Selected: press Ctrl+C"; }
+    setTimeout(() => { button.textContent = "Copy"; }, 2000);
+  });
+})();
+""".strip()

@@ -1,0 +1,223 @@
+"""A report in plain English: one sentence each for where, which, how far and what is not known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from candata.reports.numbers import SUFFIX_UNITS, digits, percent, reading, unit_of
+from candata.schema.report import NamedEffect, Report, Symptom, Verdict
+
+#: The verdict as a headline.
+HEADLINES: dict[Verdict, str] = {
+    "no_gap": "No gap found",
+    "explained": "Explained",
+    "partly_explained": "Partly explained",
+    "ambiguous": "Ambiguous",
+    "unknown_effect": "Unknown effect",
+    "too_little_data": "Too little data",
+}
+
+_MEANINGS: dict[Verdict, str] = {
+    "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
+    "explained": "The named effects pass the held-out test and close at least 80 % of the gap.",
+    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, "
+    "but something else remains.",
+    "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
+    "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
+    "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
+}
+
+_CHANNELS = {
+    "object_pose": "the object's pose",
+    "object_position": "the object's position",
+    "object_rotation": "the object's rotation",
+    "object_velocity": "the object's velocity",
+    "joint_position": "joint position",
+    "joint_velocity": "joint velocity",
+    "joint_effort": "joint effort",
+    "hand_pose": "the hand's pose",
+    "fingertip_force": "fingertip force",
+}
+
+
+def explain(verdict: Verdict) -> str:
+    """Return one sentence that says what a verdict word means."""
+    return _MEANINGS[verdict]
+
+
+def where(report: Report) -> str:
+    """Return the sentence that says in which channels and phases the gap shows."""
+    if report.verdict == "too_little_data" and not report.where:
+        return "Not examined: there are too few episodes."
+    if not report.where:
+        return "No channel leaves the range that sensor noise alone explains."
+    first, *rest = report.where
+    text = f"The gap shows most in {place(first)}: {times(first.ratio)} ({chance(first.p)})"
+    others = list(dict.fromkeys(place(symptom) for symptom in rest))[:2]
+    return f"{text}; then in {listed(others)}." if others else f"{text}."
+
+
+def where_short(report: Report) -> str:
+    """Return the strongest symptom in a few words; empty when there is none."""
+    if not report.where:
+        return ""
+    first = report.where[0]
+    phase = f", {plain(first.phase)}" if first.phase else ""
+    return capital(first.element or _CHANNELS.get(first.channel, plain(first.channel))) + phase
+
+
+def which_short(report: Report) -> str:
+    """Return the named or tied effects in a few words; empty when none is."""
+    if report.verdict == "ambiguous":
+        return capital(listed([plain(name) for name in report.ambiguous_class], "or"))
+    return capital(listed([title(effect.name, effect.element) for effect in report.effects]))
+
+
+def which(report: Report) -> str:
+    """Return the sentence that names the effects, or says why none is named."""
+    if report.verdict == "no_gap":
+        return "None: no effect does better than the unchanged simulation."
+    if report.verdict == "too_little_data":
+        return "None is named: no effect can be tested on held-out episodes."
+    if report.verdict == "ambiguous":
+        tied = listed([plain(name) for name in report.ambiguous_class], "or") or "several candidates"
+        return f"{capital(tied)}: these recordings cannot tell them apart."
+    if not report.effects:
+        nearest = next(iter(report.ranking), None)
+        text = "No effect in the library explains the gap"
+        return f"{text}; the nearest is {title(nearest.name, nearest.element)}." if nearest else f"{text}."
+    return capital(listed([effect_phrase(effect) for effect in report.effects])) + "."
+
+
+def how_far(report: Report) -> str:
+    """Return the sentence that says how much of the gap closes on held-out episodes."""
+    gap = report.gap
+    if gap is None:
+        return "Not measured."
+    before, after = digits(gap.before), digits(gap.after)
+    if gap.closed is None:
+        return f"On held-out episodes the mismatch is {before} times the floor; noise alone gives about 1."
+    span = "" if gap.low is None or gap.high is None else f" (90 % interval {_span(gap.low, gap.high)})"
+    doer = "Adding them" if len(report.effects) > 1 else "Adding it"
+    doer = doer if report.effects else "The best candidate"
+    verb = "would close" if not report.effects else "closes"
+    return (
+        f"{doer} {verb} {percent(gap.closed)} of the gap on held-out episodes{span}: "
+        f"the mismatch goes from {before} to {after} times the floor."
+    )
+
+
+def not_known(report: Report) -> str:
+    """Return what the diagnosis does not know: the unknown part, ties, bounds and a guessed floor."""
+    parts = []
+    if report.unknown is not None:
+        parts.append(report.unknown.words.strip().rstrip("."))
+    if report.verdict == "ambiguous":
+        parts.append("Which of the tied candidates is the cause" + _what_separates(report))
+    if report.verdict == "too_little_data":
+        parts.append("Everything: record at least eight episodes")
+    parts += [
+        f"{capital(title(effect.name, effect.element))} stopped at its bound; its true value may lie beyond"
+        for effect in report.effects
+        if effect.at_bound
+    ]
+    if report.data.floor == "assumed":
+        parts.append("The floor is assumed from quiet stretches, so the size of the gap is uncertain")
+    if not parts:
+        parts.append(_nothing_more(report))
+    return ". ".join(parts) + "."
+
+
+def after_name(report: Report) -> str:
+    """Return what to call the simulation after the repair: no repair is made when nothing is named."""
+    return "repaired" if report.effects else "best candidate"
+
+
+def next_motion(report: Report) -> str:
+    """Return the sentence that says what to record next; empty when nothing is proposed."""
+    motion = report.next_motion
+    if motion is None:
+        return ""
+    separates = listed([plain(name) for name in motion.separates], "from")
+    text = f"Record {plain(motion.name)}" + (f" ({motion.file})" if motion.file else "")
+    return f"{text}: it separates {separates}." if separates else f"{text}."
+
+
+def place(symptom: Symptom) -> str:
+    """Return `joint position of index2 during release`, with the regime where one is known."""
+    text = _CHANNELS.get(symptom.channel, plain(symptom.channel))
+    text += f" of {symptom.element}" if symptom.element else ""
+    text += f" during {plain(symptom.phase)}" if symptom.phase else ""
+    return text + (f" ({plain(symptom.regime)})" if symptom.regime else "")
+
+
+def title(name: str, element: str | None) -> str:
+    """Return `joint dry friction at index2`, or the bare effect when it acts everywhere."""
+    return plain(name) + (f" at {element}" if element else "")
+
+
+def effect_phrase(effect: NamedEffect) -> str:
+    """Return the effect with its parameters, intervals and units."""
+    values = [
+        f"{label(parameter)}{reading(estimate, unit_of(effect.name, parameter))}"
+        for parameter, estimate in effect.parameters.items()
+    ]
+    return title(effect.name, effect.element) + (f", {listed(values)}" if values else "")
+
+
+def label(parameter: str) -> str:
+    """Return the parameter's name without its unit, ready to stand before a number."""
+    ending = next((ending for ending, _ in SUFFIX_UNITS if parameter.endswith(ending)), "")
+    return plain(parameter.removesuffix(ending)) + " "
+
+
+def times(ratio: float) -> str:
+    """Return `4.2 times the floor`."""
+    return f"{digits(ratio)} times the floor"
+
+
+def chance(p: float) -> str:
+    """Return a p-value as `p = 0.004`, never as zero."""
+    return f"p = {p:.3g}" if p >= 1e-4 else "p < 0.0001"
+
+
+def plain(name: str) -> str:
+    """Return a registered name with spaces for underscores."""
+    return name.replace("_", " ")
+
+
+def capital(text: str) -> str:
+    """Return the text with its first letter raised and the rest as it is."""
+    return text[:1].upper() + text[1:]
+
+
+def listed(parts: Sequence[str], last: str = "and") -> str:
+    """Return `a`, `a and b` or `a, b and c`; semicolons where a part holds a comma."""
+    if len(parts) < 2:
+        return "".join(parts)
+    gap = "; " if any("," in part for part in parts) else ", "
+    joint = f"; {last} " if gap == "; " else f" {last} "
+    return gap.join(parts[:-1]) + joint + parts[-1]
+
+
+def _span(low: float, high: float) -> str:
+    """Return `95 to 99 %`."""
+    return f"{percent(low).removesuffix(' %')} to {percent(high)}"
+
+
+def _what_separates(report: Report) -> str:
+    """Return the motion that would decide a tie, as the rest of a sentence."""
+    motion = report.next_motion
+    return f"; the motion {plain(motion.name)} would tell" if motion else ""
+
+
+def _nothing_more(report: Report) -> str:
+    """Return what is honest to say when the record lists nothing unknown."""
+    if report.verdict == "no_gap":
+        return "Differences smaller than the floor, and motions that these episodes do not contain"
+    if report.gap is not None and report.gap.closed is not None:
+        return (
+            f"What makes up the remaining {digits(max(report.gap.after - report.gap.floor, 0.0))} floors, "
+            "and whether the repair carries over to other objects and motions"
+        )
+    return "What causes the gap"

@@ -1,0 +1,44 @@
+"""The filmstrip beside the traces."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from candata.reports.filmstrip import COLUMNS, filmstrip, moments
+from candata.reports.render import DRAWN_NOTE
+
+
+def test_three_rows_of_six_and_a_note_without_gl(full_evidence, hand, no_gl, small_pictures):
+    text = filmstrip(hand, full_evidence.example, "repaired")
+    assert text.count("<img ") == 3 * COLUMNS
+    assert text.count("data:image/png;base64,") == 3 * COLUMNS
+    assert DRAWN_NOTE in text
+
+
+def test_it_is_left_out_without_a_model_or_with_other_positions(full_evidence, hand):
+    example = full_evidence.example
+    assert filmstrip(None, example, "repaired") == ""
+    assert filmstrip(hand, replace(example, qpos_before=np.zeros((3, 2))), "repaired") == ""
+    gone = replace(example, qpos_real=np.full_like(example.qpos_real, np.nan))
+    assert filmstrip(hand, gone, "repaired") == ""
+
+
+def test_moments_spread_over_the_rows_that_are_known(full_evidence):
+    example = full_evidence.example
+    real = example.qpos_real.copy()
+    real[:100] = np.nan
+    steps = moments(replace(example, qpos_real=real))
+    assert len(steps) == COLUMNS
+    assert steps[0] == 100
+    assert steps[-1] == len(example.time_s) - 1
+
+
+def test_a_short_episode_shows_each_moment_once(full_evidence):
+    example = full_evidence.example
+    few = replace(
+        example, time_s=example.time_s[:3], qpos_real=example.qpos_real[:3],
+        qpos_before=example.qpos_before[:3], qpos_after=None,
+    )  # fmt: skip
+    assert moments(few).tolist() == [0, 1, 2]

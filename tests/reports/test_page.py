@@ -1,0 +1,166 @@
+"""The page: whole, well-formed, self-contained, and it says what the record says."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from candata import reports
+from candata.gap.evidence import Evidence
+from candata.reports import figures, words
+from candata.schema.report import Verdict
+
+VOID = {"meta", "link", "img", "br", "hr", "input"}
+YAML = "scene: s\neffects:\n- name: a<b & c\n"
+#: A page carries plotly.js (5 MB) and small pictures; browsers and mail still take this.
+LARGEST_PAGE = 6_500_000
+
+
+class Page(HTMLParser):
+    """Checks nesting and keeps addresses, ids and the texts of script elements."""
+
+    def __init__(self, text: str):
+        super().__init__(convert_charrefs=True)
+        self.open, self.addresses, self.ids, self.scripts = [], [], [], {}
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [
+            value for name, value in attrs if name in ("src", "href", "srcset", "action", "data")
+        ]
+        self.ids += [value for name, value in attrs if name == "id"]
+        self.script = dict(attrs).get("id") if tag == "script" else None
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "script" and self.script:
+            self.scripts[self.script] = data
+
+
+def said(text: str) -> str:
+    """The page's text as a reader sees it, scripts left out."""
+    body = re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)
+    return html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\N{NO-BREAK SPACE}", " ")
+
+
+@pytest.mark.parametrize("verdict", get_args(Verdict))
+def test_every_verdict_is_written_with_its_sentences(tmp_path, make_report, full_evidence, verdict):
+    report = make_report(verdict)
+    path = reports.write_report(report, full_evidence, None, tmp_path / "new", YAML)
+    assert path == tmp_path / "new" / "report.html"
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+    text = said(path.read_text(encoding="utf-8"))
+    for sentence in (words.where, words.which, words.how_far, words.not_known):
+        assert sentence(report) in text
+    assert reports.explain(verdict) in text
+
+
+def test_the_page_is_well_formed_and_asks_for_nothing(tmp_path, make_report, full_evidence, hand, no_gl):
+    path = reports.write_report(make_report(), full_evidence, hand, tmp_path, YAML)
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert page.open == []
+    assert page.addresses
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert len(page.ids) == len(set(page.ids))
+    assert not re.search(r"url\(|@import", text[: text.index("<body")])
+    assert path.stat().st_size < LARGEST_PAGE
+
+
+def test_every_figure_has_its_box_and_valid_json(tmp_path, make_report, full_evidence):
+    page = Page(reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8"))
+    specs = json.loads(page.scripts["figures"])
+    assert {"heat", "ranking", "losses", "trace0", "trace4"} <= set(specs)
+    assert set(specs) <= set(page.ids)
+
+
+def test_the_yaml_is_shown_escaped(tmp_path, make_report):
+    text = reports.write_report(make_report(), Evidence(), None, tmp_path, YAML).read_text("utf-8")
+    assert "a&lt;b &amp; c" in text
+
+
+def test_hostile_names_stay_text(tmp_path, make_report, full_evidence):
+    bad = "</script><script>alert(1)</script>"
+    trace = replace(full_evidence.example.traces[0], element=bad)
+    example = replace(full_evidence.example, traces=(trace,), episode=bad)
+    evidence = replace(full_evidence, example=example, heat=replace(full_evidence.heat, phases=(bad,) * 5))
+    page = reports.write_report(make_report(provenance={"x": bad}), evidence, None, tmp_path, bad)
+    assert bad not in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize("part", ["heat", "example", "losses"])
+def test_a_missing_part_of_the_evidence_is_left_out(tmp_path, make_report, full_evidence, part):
+    text = reports.write_report(
+        make_report(), replace(full_evidence, **{part: None}), None, tmp_path, YAML
+    ).read_text("utf-8")
+    box = {"heat": 'id="heat"', "example": 'id="trace0"', "losses": 'id="losses"'}[part]
+    assert box not in text
+
+
+def test_nothing_repaired(tmp_path, make_report, full_evidence, hand, no_gl, small_pictures):
+    traces = tuple(replace(t, after=None) for t in full_evidence.example.traces)
+    example = replace(full_evidence.example, traces=traces, qpos_after=None)
+    evidence = replace(full_evidence, example=example)
+    text = reports.write_report(make_report("no_gap"), evidence, hand, tmp_path, "").read_text("utf-8")
+    assert text.count("<img ") == 12
+    assert "effects: []" in text
+    assert ">best candidate<" not in text
+
+
+def test_unknown_and_measures_are_tabled(tmp_path, make_report):
+    measures = {"position_percent_of_width": {"before": 23.1, "after": 13.4}, "rotation_deg": {"after": 18.6}}
+    report = make_report("partly_explained", measures=measures)
+    text = said(reports.write_report(report, Evidence(), None, tmp_path, "").read_text("utf-8"))
+    assert "position percent of width" in text
+    assert "What stays unexplained" in text
+    assert "0.4 N" in text
+
+
+def test_the_heat_map_shows_numbers_only_where_significant(make_heat):
+    spec = figures.heat_map(make_heat())
+    grey, cells = spec["data"]
+    row = list(cells["y"]).index("joint_position index2")
+    assert cells["text"][row] == ["3.1", "4.6", "2.2", "2.8", "17"]
+    thumb = list(cells["y"]).index("fingertip_force thumb_tip")
+    assert cells["z"][thumb][0] is None
+    assert grey["z"][thumb][0] == 0.0
+    assert "p = 0.001" in cells["customdata"][row][4]
+    json.dumps(spec, allow_nan=False)
+
+
+@pytest.mark.parametrize("rows", [1, 40])
+def test_the_heat_map_takes_any_number_of_rows(make_heat, rows):
+    spec = figures.heat_map(make_heat(rows))
+    assert len(spec["data"][1]["z"]) == rows
+    assert spec["layout"]["height"] < 700
+
+
+def test_a_heat_map_of_nothing_but_gaps(make_heat):
+    heat = make_heat(3)
+    spec = figures.heat_map(replace(heat, ratio=np.full((3, 5), np.nan), p=np.full((3, 5), np.nan)))
+    json.dumps(spec, allow_nan=False)
+
+
+def test_the_ranking_shows_a_named_effect_wherever_it_ranks(make_report):
+    report = make_report()
+    late = report.effects[0].model_copy(update={"name": "tactile_bias", "element": None})
+    shown = figures.shown_candidates(report.model_copy(update={"effects": (late,)}))
+    assert len(shown) == figures.MOST_RANKED + 1
+    assert shown[-1].name == "tactile_bias"
+
+
+def test_losses_that_are_not_finite_are_left_out(full_evidence):
+    values = replace(full_evidence.losses, after=np.full(24, np.nan))
+    json.dumps(figures.losses(values), allow_nan=False)

@@ -1,0 +1,127 @@
+"""What the report says in words."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from candata import reports
+from candata.reports import words
+from candata.reports.numbers import digits, percent, reading, unit_of
+from candata.schema.report import Estimate, Verdict
+
+VERDICTS = get_args(Verdict)
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_each_verdict_has_one_sentence(verdict):
+    sentence = reports.explain(verdict)
+    assert sentence.endswith(".")
+    assert sentence.count(". ") == 0
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
+def test_summary_is_short_and_begins_with_the_verdict(make_report, verdict):
+    lines = reports.summary(make_report(verdict)).splitlines()
+    assert len(lines) <= 25
+    assert lines[0].startswith(f"{verdict}: ")
+    assert max(map(len, lines)) <= 98
+    assert [line.split("  ")[0] for line in lines if line and not line.startswith(" ")][-1] == "data"
+
+
+def test_summary_names_parameter_interval_and_unit(make_report):
+    text = " ".join(reports.summary(make_report()).split())
+    assert "joint_dry_friction on index2: frictionloss_Nm 0.0412 N m (90 % interval 0.0373 to 0.0458)" in text
+    assert "closes 98 % of the gap on held-out episodes (90 % interval 95 to 99 %)" in text
+    assert "17.3 times the floor (p = 0.001)" in text
+
+
+def test_summary_of_many_long_effects_stays_short(make_report):
+    effect = {
+        "name": "tactile_bias", "share": 0.1, "support": 0.5,
+        "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
+    }  # fmt: skip
+    text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
+    assert len(text.splitlines()) <= 25
+    assert "and 5 more in report.json" in text
+
+
+def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
+    report = make_report("ambiguous")
+    assert (
+        words.which(report) == "Joint damping or joint dry friction: these recordings cannot tell them apart."
+    )
+    expected = "Record slow reversals (motion.parquet): it separates joint damping from joint dry friction."
+    assert words.next_motion(report) == expected
+
+
+def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
+    assert "the nearest is joint dry friction at index2" in words.which(make_report("unknown_effect"))
+
+
+def test_no_gap_claims_no_repair(make_report):
+    text = reports.summary(make_report("no_gap"))
+    assert "closes" not in text
+    assert "No channel leaves the range" in text
+
+
+def test_an_assumed_floor_and_a_bound_are_said(make_report):
+    report = make_report()
+    bound = report.effects[0].model_copy(update={"at_bound": True})
+    data = report.data.model_copy(update={"floor": "assumed"})
+    text = words.not_known(report.model_copy(update={"effects": (bound,), "data": data}))
+    assert "stopped at its bound" in text
+    assert "floor is assumed" in text
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameter", "unit"),
+    [
+        ("actuation_delay", "delay_s", "s"),
+        ("joint_damping", "damping_Nms_rad", "N m s/rad"),
+        ("no_such", "ppm", "ppm"),
+        ("no_such", "x_Nm", "N m"),
+        ("no_such", "x_N", "N"),
+        ("no_such", "x_kgm2", "kg m^2"),
+        ("no_such", "scale", "1"),
+    ],
+)
+def test_a_parameters_unit(effect, parameter, unit):
+    assert unit_of(effect, parameter) == unit
+
+
+@pytest.mark.parametrize(
+    ("estimate", "unit", "text"),
+    [
+        (Estimate(value=0.0125, low=0.0119, high=0.0131), "s", "12.5 ms (90 % interval 11.9 to 13.1)"),
+        (Estimate(value=(0.0, 0.0, 0.015)), "m", "[0, 0, 15] mm"),
+        (Estimate(value="elliptic"), "1", "elliptic"),
+        (Estimate(value=1.35, low=1.2, high=1.5), "1", "1.35 (90 % interval 1.2 to 1.5)"),
+        (Estimate(value=0.0), "rad", "0 rad"),
+        (Estimate(value=float("nan")), "N", "? N"),
+        (
+            Estimate(value=(0.01, 0.02), low=(0.0, 0.01), high=(0.02, 0.03)),
+            "N",
+            "[0.01, 0.02] N (90 % interval [0 to 0.02, 0.01 to 0.03])",
+        ),
+    ],
+)
+def test_a_reading(estimate, unit, text):
+    assert str(reading(estimate, unit)) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(1234.5, "1,230"), (0.04123, "0.0412"), (-2.0, "-2"), (1.5e-7, "1.50e-7"), (99.96, "100")],
+)
+def test_digits(value, text):
+    assert digits(value) == text
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(0.98, "98 %"), (0.996, "99.6 %"), (1.0, "100 %"), (-0.12, "-12 %"), (0.9999, "99.9 %")],
+)
+def test_percent_never_rounds_up_to_all(share, text):
+    assert percent(share) == text
