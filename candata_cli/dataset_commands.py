@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from candata_cli import console
 
 if TYPE_CHECKING:
     from candata.checks import Finding
@@ -24,18 +26,21 @@ def register(app: typer.Typer) -> None:
 
 def validate(dataset: DatasetPath, version: Version = None, json: Json = False) -> None:
     """Check schema, hashes, finite values, time and quaternions; exit 1 when something is wrong."""
+    from dataclasses import asdict
+
     from candata.checks import check
     from candata.datasets import open_dataset
 
     data = open_dataset(dataset, _version(version), partial=True)
-    with _progress("checking", len(data.file.parts)) as advance:
-        findings = check(data, advance)
+    with console.progress("checking parts", len(data.file.parts)) as advance:
+        findings = check(data, lambda: advance(1))
     if json:
-        _print_findings_json(data.name, data.digest, len(data), findings)
+        record = {"dataset": data.name, "digest": data.digest, "episodes": len(data)}
+        console.out_json(record | {"findings": [asdict(finding) for finding in findings]})
     elif findings:
         _print_findings(findings)
     else:
-        typer.echo(f"{len(data)} episodes, no findings")
+        console.out(f"{len(data)} episodes, no findings")
     if any(finding.level == "error" for finding in findings):
         raise typer.Exit(1)
 
@@ -46,10 +51,10 @@ def inspect(dataset: DatasetPath, version: Version = None, json: Json = False) -
     from candata.datasets.summary import summarise
 
     data = open_dataset(dataset, _version(version))
-    with _progress("reading", len(data)) as advance:
-        summary = summarise(data, advance)
+    with console.progress("reading episodes", len(data)) as advance:
+        summary = summarise(data, lambda: advance(1))
     if json:
-        typer.echo(summary.model_dump_json(indent=1))
+        console.out_json(summary.model_dump(mode="json"))
     else:
         _print_summary(summary)
 
@@ -59,72 +64,43 @@ def _version(text: str | None) -> int | str | None:
     return int(text) if text and text.isdigit() and len(text) < 6 else text
 
 
-def _progress(label: str, total: int) -> Any:
-    """Return a context that gives a function to call after each step; a bar on stderr if it is a terminal."""
-    from contextlib import contextmanager
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    @contextmanager
-    def bar() -> Any:
-        console = Console(stderr=True)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-            task = progress.add_task(label, total=total)
-            yield lambda: progress.advance(task)
-
-    return bar()
-
-
-def _print_findings_json(name: str, digest: str, episodes: int, findings: tuple[Finding, ...]) -> None:
-    """Print the findings as one JSON object."""
-    import json
-    from dataclasses import asdict
-
-    record = {
-        "dataset": name,
-        "digest": digest,
-        "episodes": episodes,
-        "findings": list(map(asdict, findings)),
-    }
-    typer.echo(json.dumps(record, indent=1))
-
-
 def _print_findings(findings: tuple[Finding, ...]) -> None:
     """Print the findings as a table."""
-    rows = [(f.level, f.rule, f.episode, f.channel, f.index, f.message) for f in findings]
-    _table(("level", "rule", "episode", "channel", "row", "what"), rows)
+    rows = [
+        (f.level, f.rule, _known(f.episode), _known(f.channel), _known(f.index), f.message) for f in findings
+    ]
+    console.out_table(("level", "rule", "episode", "channel", "row", "what"), rows)
 
 
 def _print_summary(summary: Summary) -> None:
     """Print the summary for people."""
-    typer.echo(f"{summary.name}@{summary.digest[:12]}  version {summary.version} of {summary.versions}")
-    typer.echo(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
+    console.out(f"{summary.name}@{summary.digest[:12]}  version {summary.version} of {summary.versions}")
+    console.out(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
     for label in ("sources", "scenes", "objects", "tasks"):
-        counts = ", ".join(f"{name} {count}" for name, count in sorted(getattr(summary, label).items()))
-        typer.echo(f"{label}: {counts}")
+        counts = sorted(getattr(summary, label).items())
+        console.out(f"{label}: {', '.join(f'{name} {count}' for name, count in counts) or 'not stated'}")
     rows = [
         (c.name, c.unit, " ".join(_shape(s) for s in c.shapes), _number(c.low), _number(c.high),
          f"{c.invalid_share:.1%}", c.episodes)
         for c in summary.channels
     ]  # fmt: skip
-    _table(("channel", "unit", "shape", "min", "max", "invalid", "episodes"), rows)
+    console.out_table(("channel", "unit", "shape", "min", "max", "invalid", "episodes"), rows)
     _print_contact(summary)
     for step in summary.lineage:
         parents = f" from {', '.join(step.parents)}" if step.parents else ""
         tools = ", ".join(f"{name} {version}" for name, version in sorted(step.tools.items()))
-        typer.echo(f"lineage: {step.operation}{parents}{f' ({tools})' if tools else ''}")
+        console.out(f"lineage: {step.operation}{parents}{f' ({tools})' if tools else ''}")
 
 
 def _print_contact(summary: Summary) -> None:
     """Print shares of contact and phases, as far as they are known."""
     if summary.contact_share is None:
-        typer.echo("contact: not known")
+        console.out("contact: not known")
         return
     tips = "".join(f", {name} {share:.1%}" for name, share in summary.fingertip_contact_shares.items())
-    typer.echo(f"contact: any {summary.contact_share:.1%}{tips}")
+    console.out(f"contact: any {summary.contact_share:.1%}{tips}")
     shares = (summary.phases or {}).items()
-    typer.echo("phases: " + ", ".join(f"{name} {share:.1%}" for name, share in shares))
+    console.out("phases: " + ", ".join(f"{name} {share:.1%}" for name, share in shares))
 
 
 def _shape(shape: tuple[int, ...]) -> str:
@@ -137,16 +113,6 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
-    """Print a table to stdout; as wide as needed where stdout is no terminal."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(*header, box=box.SIMPLE_HEAD)
-    for row in rows:
-        table.add_row(*("-" if value is None else str(value) for value in row))
-    console = Console(highlight=False, markup=False)
-    if not console.is_terminal:
-        console = Console(highlight=False, markup=False, width=max(80, console.measure(table).maximum))
-    console.print(table)
+def _known(value: object) -> object:
+    """Return the value, or a dash."""
+    return "-" if value is None else value

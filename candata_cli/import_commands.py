@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli import console
+
 if TYPE_CHECKING:
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
@@ -32,6 +34,7 @@ def import_(
     ] = False,
 ) -> None:
     """Import recordings into a dataset: all of a source or nothing; the same source twice adds nothing."""
+    from candata import __version__
     from candata.plugins import load
     from candata.schema.manifest import Lineage
 
@@ -40,6 +43,7 @@ def import_(
     lineage = Lineage(
         operation=f"import {format_name}",
         config_digest=reader.digest(source),
+        tools={"candata": __version__},
         details={"source": source.name, "allow_gaps": allow_gaps},
     )
     _publish(out, reader.read(source, allow_gaps), lineage)
@@ -57,19 +61,21 @@ def fetch(
     append: Append = False,
 ) -> None:
     """Fetch a public data set into a dataset, its hashes and licence checked."""
+    from candata import __version__
     from candata.plugins import load
     from candata.schema.manifest import Lineage
 
     source = load("candata.fetch", "SOURCE", name.replace("-", "_"))
     _refuse_standing(out, append)
-    typer.echo(f"{source.summary}; {source.origin}; licence {source.licence}", err=True)
+    console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
     if folder is not None:
         fetched = source.from_folder(folder)
     else:
-        fetched = source.download(cache or _cache_folder(), lambda line: typer.echo(line, err=True))
+        fetched = source.download(cache or _cache_folder(), console.note)
     lineage = Lineage(
         operation=f"fetch {name}",
         config_digest=fetched.digest,
+        tools={"candata": __version__},
         details={"origin": source.origin, "licence": source.licence, "licence_text": fetched.notice},
     )
     _publish(out, fetched.episodes, lineage)
@@ -115,7 +121,7 @@ def _publish(out: Path, episodes: Iterable[Episode], lineage: Lineage) -> None:
             staged.rename(out)
     total = _count(version)
     added = total - (_count(standing) if standing else 0)
-    typer.echo(f"{out}: {added} episodes added, {total} in version {version.number}")
+    console.out(f"{out}: {added} episodes added, {total} in version {version.number}")
 
 
 def _count(version: VersionFile) -> int:
@@ -128,4 +134,4 @@ def _told(episodes: Iterable[Episode], every: int = 100) -> Iterator[Episode]:
     for count, episode in enumerate(episodes, start=1):
         yield episode
         if count % every == 0:
-            typer.echo(f"{count} episodes", err=True)
+            console.note(f"{count} episodes")

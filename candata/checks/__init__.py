@@ -44,4 +44,4 @@ def _check_part(part: RawPart, rules: list[Rule]) -> Iterator[Finding]:
             for rule in rules:
                 yield from rule.episode(episode)
     except DataError as error:
-        yield Finding("error", "hashes", f"{error.where}: {error.found}")
+        yield Finding("error", "hashes", f"{part.relative(error.where.path)}: {error.found}")

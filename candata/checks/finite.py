@@ -16,7 +16,7 @@ def _finite(episode: RawEpisode) -> Iterator[Finding]:
     for name, array in episode.arrays.items():
         if array.dtype.kind != "f":
             continue
-        finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        finite = np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
         bad = np.flatnonzero(valid_rows(episode, name) & ~finite)
         if len(bad):
             text = f"{len(bad)} of {len(array)} rows are not finite"

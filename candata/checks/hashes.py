@@ -8,7 +8,7 @@ from typing import Any
 
 from candata.checks._finding import Finding, Rule
 from candata.datasets import RawEpisode, RawPart, get_cloud
-from candata.datasets.durable import file_sha256
+from candata.datasets.durable import file_sha256, reason
 from candata.datasets.parts import EPISODES, MANIFEST
 from candata.errors import DataError, UsageError
 from candata.schema.episode import EpisodeMeta
@@ -19,19 +19,20 @@ def _files(part: RawPart) -> Iterator[Finding]:
     try:
         manifest = part.manifest()
     except DataError as error:
-        yield Finding("error", "hashes", _text(error))
+        yield Finding("error", "hashes", _text(part, error))
         return
     for entry in manifest.files:
         path = part.folder / entry.path
         try:
             found = file_sha256(path)
         except OSError as error:
-            yield Finding("error", "hashes", f"{path}: {error.strerror}")
+            yield Finding("error", "hashes", f"{part.relative(path)}: {reason(error)}")
             continue
         if found != entry.sha256:
-            yield Finding("error", "hashes", f"{path}: sha256 {found[:12]}, expected {entry.sha256[:12]}")
+            text = f"sha256 {found[:12]}, expected {entry.sha256[:12]}"
+            yield Finding("error", "hashes", f"{part.relative(path)}: {text}")
     try:
-        rows = part.table().to_pylist()
+        rows = part.rows()
     except DataError:
         return  # the file's own hash tells
     yield from _pairs(rows, dict(manifest.episodes))
@@ -61,7 +62,7 @@ def _clouds(part: RawPart, rows: list[dict[str, Any]]) -> Iterator[Finding]:
         try:
             get_cloud(part.root, cloud)
         except DataError as error:
-            yield Finding("error", "hashes", _text(error), episode=episode, channel="point_cloud")
+            yield Finding("error", "hashes", _text(part, error), episode=episode, channel="point_cloud")
 
 
 def _content(episode: RawEpisode) -> Iterator[Finding]:
@@ -72,9 +73,9 @@ def _content(episode: RawEpisode) -> Iterator[Finding]:
         yield Finding("error", "hashes", text, episode=episode.id)
 
 
-def _text(error: DataError) -> str:
+def _text(part: RawPart, error: DataError) -> str:
     """Return `file: found, expected ...`."""
-    return f"{error.where}: {error.found}, expected {error.expected}"
+    return f"{part.relative(error.where.path)}: {error.found}, expected {error.expected}"
 
 
 RULE = Rule(meaning="files and episodes are what was written", part=_files, episode=_content)

@@ -24,7 +24,7 @@ def _unit(episode: RawEpisode) -> Iterator[Finding]:
         norm = np.linalg.norm(np.where(finite[:, None], part, 0.0), axis=1)
         bad = np.flatnonzero(valid_rows(episode, name) & finite & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
         if len(bad):
-            text = f"norm {norm[bad[0]]:.4f}, expected 1 +- {QUATERNION_TOLERANCE} ({len(bad)} rows)"
+            text = f"norm {norm[bad[0]]:.6g}, expected 1 +- {QUATERNION_TOLERANCE} ({len(bad)} rows)"
             yield Finding("error", "quaternions", text, episode.id, name, int(bad[0]))
 
 

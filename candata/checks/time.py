@@ -22,7 +22,7 @@ GAP_STEPS = 5.0
 def _time(episode: RawEpisode) -> Iterator[Finding]:
     """Yield a clock that runs back, a rate that the record does not state, and gaps."""
     time_ns = episode.arrays.get("time_ns")
-    if time_ns is None or time_ns.ndim != 1 or len(time_ns) < 2:
+    if time_ns is None or time_ns.ndim != 1 or time_ns.dtype.kind != "i" or len(time_ns) < 2:
         return
     stamps = time_ns.astype(np.int64)
     steps = stamps[1:] - stamps[:-1]

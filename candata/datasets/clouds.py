@@ -67,7 +67,7 @@ def get_cloud(path: str | Path, sha: str) -> NDArray[np.float32]:
         table = pq.read_table(target, use_threads=False, partitioning=None)
         cloud = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise durable.damaged(target, str(error).splitlines()[0]) from None
+        raise durable.damaged(target, durable.reason(error)) from None
     if _cloud_hash(cloud) != sha:
         raise durable.damaged(target, f"content {_cloud_hash(cloud)[:12]}", f"content {sha[:12]}")
     return cloud

@@ -109,7 +109,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise damaged(path, error.strerror or str(error)) from None
+        raise damaged(path, reason(error)) from None
 
 
 def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -> SomeRecord:
@@ -138,3 +138,11 @@ def damaged(path: Path, found: str, expected: str = "the file as it was written"
         where=Where(path=str(path)),
         fix="restore the file from a copy; candata validate lists everything that is damaged",
     )
+
+
+def reason(error: Exception) -> str:
+    """Return why reading failed, in one line."""
+    if isinstance(error, FileNotFoundError):
+        return "no such file"
+    text = getattr(error, "strerror", None) or str(error)
+    return (text.splitlines() or [type(error).__name__])[0]

@@ -168,7 +168,8 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[
     counts = [int(str(row["rows"])) for row in rows]
     if sum(counts) != steps.num_rows:
         raise ValueError(f"{steps.num_rows} rows where the episodes claim {sum(counts)}")
-    layout = json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}"))
+    layout = {name: _stored_shape(steps.schema.field(name).type) for name in steps.column_names[1:]}
+    layout |= json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}"))
     columns = {name: _decode_column(steps, name, tuple(shape)) for name, shape in layout.items()}
     ends = np.cumsum(counts)
     return [
@@ -180,6 +181,11 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[
         )
         for row, count, end in zip(rows, counts, ends, strict=True)
     ]
+
+
+def _stored_shape(kind: pa.DataType) -> tuple[int, ...]:
+    """Return the shape without the time axis that a column's type tells."""
+    return (kind.list_size,) if pa.types.is_fixed_size_list(kind) else ()
 
 
 def _decode_column(steps: pa.Table, name: str, shape: tuple[int, ...]) -> NDArray:

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,6 +19,8 @@ from candata.schema.episode import Episode
 from candata.schema.manifest import FileEntry, PartEntry, PartFile
 
 EPISODES_PER_ROW_GROUP = 8
+#: What pyarrow and the decoding raise on bytes that are not what was written.
+UNREADABLE = (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError)
 STEPS, EPISODES, MANIFEST = "steps.parquet", "episodes.parquet", "part.json"
 
 
@@ -178,6 +181,11 @@ class RawPart:
         """Folder of the part."""
         return part_folder(self.root, self.entry.id)
 
+    def relative(self, path: Path | str | None) -> str:
+        """Return a path below the dataset as seen from it, another one as it is."""
+        given = Path(path or self.folder)
+        return str(given.relative_to(self.root) if given.is_relative_to(self.root) else given)
+
     def manifest(self) -> PartFile:
         """Return `part.json`, which must be the one the version was published with.
 
@@ -204,25 +212,46 @@ class RawPart:
         path = self.folder / EPISODES
         try:
             return pq.read_table(path, schema=encode.EPISODE_COLUMNS, use_threads=False, partitioning=None)
-        except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-            raise durable.damaged(path, _first_line(error)) from None
+        except UNREADABLE as error:
+            raise durable.damaged(path, durable.reason(error)) from None
 
-    def group(self, number: int, rows: list[dict[str, object]] | None = None) -> list[encode.RawEpisode]:
-        """Return the episodes of one row group as stored; `rows` are those of `table`, if at hand.
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the rows of `episodes.parquet`, each with at least id, rows, row group, hash and record.
+
+        Raises
+        ------
+        DataError
+            When the file is missing or unreadable, or a row lacks one of these; names it.
+        """
+        path = self.folder / EPISODES
+        try:
+            rows = self.table().to_pylist()
+        except UNREADABLE as error:
+            raise durable.damaged(path, durable.reason(error)) from None
+        for row in rows:
+            lacking = [
+                name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None
+            ]
+            if lacking:
+                raise durable.damaged(path, f"an episode without {', '.join(lacking)}")
+        return rows
+
+    def group(self, number: int, rows: list[dict[str, Any]] | None = None) -> list[encode.RawEpisode]:
+        """Return the episodes of one row group as stored; `rows` are those of `rows()`, if at hand.
 
         Raises
         ------
         DataError
             When a file is missing or does not decode; names it.
         """
-        rows = self.table().to_pylist() if rows is None else rows
+        rows = self.rows() if rows is None else rows
         path = self.folder / STEPS
         try:
             with pq.ParquetFile(path) as file:
                 steps = file.read_row_group(number, use_threads=False)
             return encode.decode_group(steps, [row for row in rows if row["row_group"] == number])
-        except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
-            raise durable.damaged(path, _first_line(error)) from None
+        except UNREADABLE as error:
+            raise durable.damaged(path, durable.reason(error)) from None
 
     def episodes(self) -> Iterator[encode.RawEpisode]:
         """Yield the episodes as stored, at most 8 held at a time.
@@ -232,8 +261,8 @@ class RawPart:
         DataError
             When a file is missing or does not decode; names it.
         """
-        rows = self.table().to_pylist()
-        for number in sorted({int(row["row_group"]) for row in rows}):
+        rows = self.rows()
+        for number in sorted({row["row_group"] for row in rows}):
             yield from self.group(number, rows)
 
     def size_problem(self, manifest: PartFile) -> DataError | None:
@@ -245,8 +274,3 @@ class RawPart:
             if path.stat().st_size != entry.bytes:
                 return durable.damaged(path, f"{path.stat().st_size} bytes", f"{entry.bytes} bytes")
         return None
-
-
-def _first_line(error: Exception) -> str:
-    """Return the first line of a library's message."""
-    return (str(error).splitlines() or [type(error).__name__])[0]

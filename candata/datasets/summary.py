@@ -34,7 +34,10 @@ class ChannelSummary(Record):
 
 
 class Summary(Record):
-    """What `candata inspect` prints; shares are of rows, null where no episode knows contact."""
+    """What `candata inspect` prints; shares are of rows, null where no episode knows contact.
+
+    Counts by scene, object and task leave out episodes that state none.
+    """
 
     name: str
     digest: str
@@ -113,7 +116,7 @@ def summarise(dataset: Dataset, progress: Callable[[], None] = lambda: None) -> 
         for name in (n for n in episode.arrays if not n.endswith(VALID_SUFFIX)):
             ranges[name].add(episode[name], episode.valid(name))
         for key in ("source", "scene", "object", "task"):
-            counts[key][getattr(episode.meta, key) or "(none)"] += 1
+            counts[key].update([v for v in [getattr(episode.meta, key)] if v is not None])
         for label, flags in touches(episode).items():
             touch[label].append(flags)
             if label == ANY:

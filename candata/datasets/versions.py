@@ -57,10 +57,10 @@ def _refuse_foreign(root: Path) -> None:
     """Refuse a path that is a file, or a folder with other things in it."""
     if root.exists() and not root.is_dir():
         raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
-    if not root.is_dir() or (root / DATASET).exists():
+    if not root.is_dir():
         return
     others = sorted(p.name for p in root.iterdir() if p.name not in (durable.STAGING, DATASET))
-    if others:
+    if others and not (root / DATASET).exists():  # asked last: another process may just have made it
         raise UsageError(
             "the folder is not empty and no dataset",
             expected="an empty or missing folder, or a dataset",

@@ -47,13 +47,7 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
             found=path.name,
             where=Where(path=str(path)),
         )
-    if not path.is_file():
-        raise DataError(
-            "the table does not exist",
-            found="no such file",
-            where=Where(path=str(path)),
-            fix="correct `file` in the map; it is relative to the map's folder",
-        )
+    require_file(path)
     try:
         columns = reader(path, list(dict.fromkeys(wanted)))
     except (pa.ArrowException, OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
@@ -66,6 +60,23 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
         ) from None
     check_lengths(columns, path)
     return columns
+
+
+def require_file(path: Path) -> None:
+    """Raise when the table is not there.
+
+    Raises
+    ------
+    DataError
+        Says how the map's `file` is read.
+    """
+    if not path.is_file():
+        raise DataError(
+            "the table does not exist",
+            found="no such file",
+            where=Where(path=str(path)),
+            fix="correct `file` in the map; it is relative to the map's folder",
+        )
 
 
 def check_lengths(columns: Mapping[str, NDArray], path: Path) -> None:
@@ -134,8 +145,11 @@ def _csv(path: Path, wanted: list[str]) -> Columns:
 
 def _npz(path: Path, wanted: list[str]) -> Columns:
     """Return the one-dimensional arrays of an npz file."""
-    with np.load(path, allow_pickle=False) as arrays:
-        _require(wanted, arrays.files, path)
+    with path.open("rb") as file:
+        arrays = np.load(file, allow_pickle=False)
+        if not isinstance(arrays, Mapping):
+            raise ValueError("one array without a name")
+        _require(wanted, list(arrays), path)
         columns = {name: arrays[name] for name in wanted}
     for name, values in columns.items():
         if values.ndim != 1:
@@ -165,11 +179,19 @@ def _from_arrow(table: pa.Table, wanted: list[str]) -> Columns:
 
 
 def _require(wanted: list[str], known: list[str], path: Path) -> None:
-    """Raise when the table lacks a wanted column; names the nearest it has."""
+    """Raise when the table lacks a wanted column (names the nearest it has) or has it twice."""
+    twice = [name for name in wanted if known.count(name) > 1]
+    if twice:
+        raise DataError(
+            f"the table has several columns {', '.join(twice)}",
+            expected="each name once",
+            where=Where(path=str(path)),
+            fix="rename the columns in the table",
+        )
     missing = [name for name in wanted if name not in known]
     if not missing:
         return
-    near = {name: difflib.get_close_matches(name, known, n=3) for name in missing}
+    near = {name: _nearest(name, known) for name in missing}
     hints = [f"{name} -> {' or '.join(matches)}" for name, matches in near.items() if matches]
     raise DataError(
         f"the table has no column {', '.join(missing)}",
@@ -178,3 +200,10 @@ def _require(wanted: list[str], known: list[str], path: Path) -> None:
         where=Where(path=str(path)),
         fix=f"did you mean {'; '.join(hints)}?" if hints else "correct the column names in the map",
     )
+
+
+def _nearest(name: str, known: list[str]) -> list[str]:
+    """Return the names that differ in case or space alone, else up to three that look alike."""
+    plain = name.strip().casefold()
+    equal = [other for other in known if other.strip().casefold() == plain]
+    return equal or difflib.get_close_matches(name, known, n=3)

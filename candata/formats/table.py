@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.formats import Format
-from candata.formats._columns import check_lengths, numbers, read_columns
+from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._mapping import Plan, plans, read_map, time_factor
 from candata.formats._names import element_names, fingertip_names
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
@@ -23,6 +23,8 @@ from candata.schema.scene import TableMap
 
 #: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
 _RATE_FACTOR = 300.0
+#: Largest number the schema's float32 holds; beyond it are only the fill values of other formats.
+_LARGEST = float(np.finfo(np.float32).max)
 
 
 def read(source: Path, allow_gaps: bool = False) -> Iterator[Episode]:
@@ -74,6 +76,7 @@ def digest(source: Path) -> str:
     source = Path(source)
     mapping = read_map(source)
     path = source.parent / mapping.file
+    require_file(path)
     try:
         with path.open("rb") as file:
             data = hashlib.file_digest(file, "sha256").hexdigest()
@@ -185,7 +188,7 @@ def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
         where = Where(path=str(table.path), episode=identity, channel=plan.channel)
         pairs = zip(plan.columns, plan.factors, strict=True)
         block = np.stack([table.values[column][rows] * factor for column, factor in pairs], axis=1)
-        gaps = ~np.isfinite(block)
+        gaps = ~(np.abs(block) <= _LARGEST)
         if gaps.any():
             if not table.allow_gaps:
                 raise _gap_error(plan, gaps, rows, where)

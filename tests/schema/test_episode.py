@@ -53,7 +53,8 @@ def test_a_channel_that_is_not_there_lists_those_that_are():
     with pytest.raises(DataError) as caught:
         Episode(META, arrays())["action"]
     assert str(caught.value) == (
-        "episode has no channel action\n  expected: action\n  found: time_ns, object_pose\n  where: episode e1"
+        "episode has no channel action\n  expected: action\n  found: time_ns, object_pose\n"
+        "  where: episode e1"
     )
 
 

@@ -1,0 +1,160 @@
+"""Replay: the recorded commands in the scene with effects added, under the guarded slow observer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import effect, flatten
+from candata.gap.recordings import Recordings
+from candata.gap.starts import Starts, is_toss
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.simulate import Observer, rollout
+
+Array = NDArray[np.float64]
+EffectSet = tuple[EffectSetting, ...]
+#: Simulations stepped together: enough to hide the loop's overhead, few enough to stay in cache.
+BATCH = 256
+
+
+@dataclass(frozen=True)
+class Replayer:
+    """What every replay of a diagnosis shares.
+
+    Attributes
+    ----------
+    scene : Scene
+    threads : int
+    count : callable
+        Called with the number of physics steps done, for progress.
+    """
+
+    scene: Scene
+    threads: int = 1
+    count: Callable[[int], None] = lambda steps: None
+
+
+def replay(
+    replayer: Replayer, recs: Recordings, begin: Starts, variants: Sequence[EffectSet], *, keep_state: bool = False
+) -> list[dict[str, Array]]:
+    """Return the readings of each variant, aligned with the recording's rows.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    recs : Recordings
+        E recorded episodes.
+    begin : Starts
+        Where they start.
+    variants : sequence of V tuples of EffectSetting
+        Effect sets to add to the nominal scene.
+    keep_state : bool
+        Also return `qpos (E, T, nq)`.
+
+    Returns
+    -------
+    list of V dict
+        Channel to `(E, T, ...)`, NaN before the start row; `touch (E, T)` beside the channels.
+    """
+    per = max(1, BATCH // len(recs))
+    out: list[dict[str, Array]] = []
+    for first in range(0, len(variants), per):
+        out += _batch(replayer, recs, begin, variants[first : first + per], keep_state)
+    return out
+
+
+def _batch(
+    replayer: Replayer, recs: Recordings, begin: Starts, variants: Sequence[EffectSet], keep_state: bool
+) -> list[dict[str, Array]]:
+    """Return the readings of variants that are stepped together."""
+    scene, count, copies = replayer.scene, len(recs), len(variants)
+    shifted = {n: _shift(v, begin.rows) for n, v in recs.readings.items()}
+    observer = None if is_toss(scene) else Observer({n: _tile(v, copies) for n, v in shifted.items()})
+    effects = [v for v in variants for _ in range(count)]
+    commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
+    played = rollout(
+        scene, commands, _tile(begin.qpos, copies), _tile(begin.qvel, copies), effects, observer=observer,
+        instant_force=recs.instant_force, keep_state=keep_state, threads=replayer.threads,
+    )
+    replayer.count(commands.shape[0] * commands.shape[1] * scene.substeps)
+    found = dict(played.readings) | {"touch": played.touch.astype(float)}
+    if keep_state:
+        found["qpos"] = played.qpos
+    return [
+        {n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)
+    ]
+
+
+def _tile(values: Array, copies: int) -> Array:
+    """Return the values repeated for each variant."""
+    return np.concatenate([values] * copies)
+
+
+def _shift(values: Array, rows: NDArray[np.int64], hold: bool = False) -> Array:
+    """Return `(E, T, ...)` with row `rows[e]` moved to row 0; the tail is NaN, or held."""
+    if not rows.any():
+        return values
+    out = np.full_like(values, np.nan)
+    for e, row in enumerate(rows):
+        kept = values.shape[1] - row
+        out[e, :kept] = values[e, row:]
+        if hold and row:
+            out[e, kept:] = values[e, -1]
+    return out
+
+
+def _unshift(values: Array, rows: NDArray[np.int64]) -> Array:
+    """Return the inverse of `_shift`, NaN before the start."""
+    if not rows.any():
+        return values
+    out = np.full_like(values, np.nan)
+    for e, row in enumerate(rows):
+        out[e, row:] = values[e, : values.shape[1] - row]
+    return out
+
+
+def needs_simulation(some: EffectSet) -> bool:
+    """Tell whether a set changes more than what is read after the fact.
+
+    A reading that the observer follows (pose, joints) changes the replay; forces are only compared.
+    """
+    return any(effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some)
+
+
+def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:
+    """Return the readings of a replay passed through sensing effects that need no simulation."""
+    for s in some:
+        hook = effect(s.name).reading
+        if hook is None:
+            continue
+        n = len(readings["fingertip_force"])
+        state = hook.start(scene, np.repeat(flatten(s, scene)[None], n, axis=0), [s.element] * n)
+        rows = []
+        for k in range(readings["fingertip_force"].shape[1]):
+            state, row = hook.apply(state, {"fingertip_force": readings["fingertip_force"][:, k]})
+            rows.append(row["fingertip_force"])
+        readings = readings | {"fingertip_force": np.stack(rows, 1)}
+    return readings
+
+
+def replay_all(
+    replayer: Replayer, recs: Recordings, begin: Starts, variants: Sequence[EffectSet]
+) -> list[dict[str, Array]]:
+    """Return the readings of each variant; those that differ by force sensing alone share one simulation."""
+    physical = [tuple(s for s in v if needs_simulation((s,))) for v in variants]
+    distinct = list(dict.fromkeys(_key(p) for p in physical))
+    first = {_key(p): p for p in reversed(physical)}
+    simulated = dict(zip(distinct, replay(replayer, recs, begin, [first[k] for k in distinct]), strict=True))
+    return [
+        sense(replayer.scene, simulated[_key(p)], tuple(s for s in v if not needs_simulation((s,))))
+        for v, p in zip(variants, physical, strict=True)
+    ]
+
+
+def _key(some: EffectSet) -> str:
+    """Return a text that names a set of effects."""
+    return "\n".join(s.model_dump_json() for s in some)

@@ -1,0 +1,126 @@
+"""Residuals: recorded minus replayed, in the tangent space, as block means by element and phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.recordings import Recordings
+from candata.gap.starts import Starts, is_toss, reach, support_height
+from candata.rotation import difference
+from candata.scenes import Scene
+from candata.schema.contact import fingertip_contact
+from candata.schema.phases import contact_phases
+
+Array = NDArray[np.float64]
+#: Length of the blocks over which residuals are averaged [s].
+BLOCK_S = 0.05
+HAND_PHASES = ("free", "onset", "sustained", "release")
+TOSS_PHASES = ("flight", "impact", "rest")
+#: A tossed object counts as resting below this speed [m/s] until the end.
+REST_SPEED_MPS = 0.05
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns and rows of a residual mean.
+
+    Attributes
+    ----------
+    columns : tuple of (channel, element, unit)
+        D columns.
+    phases : tuple of str
+        P phases.
+    phase : (E, B) int64
+        Phase of each block, -1 where the episode has ended or not begun.
+    rows : int
+        Rows a block.
+    """
+
+    columns: tuple[tuple[str, str, str], ...]
+    phases: tuple[str, ...]
+    phase: NDArray[np.int64]
+    rows: int
+
+
+def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Array]) -> Layout:
+    """Return the layout of a set of recordings.
+
+    Parameters
+    ----------
+    nominal : dict of str to ndarray
+        Readings of the nominal replay: its contact decides where recorded contact flags cannot be trusted.
+    """
+    columns: list[tuple[str, str, str]] = []
+    if "joint_position" in recs.readings:
+        kinds = scene.model.jnt_type[scene.joint_ids]
+        columns += [("joint_position", j, "m" if k == 2 else "rad") for j, k in zip(scene.file.joints, kinds, strict=True)]
+    if "object_pose" in recs.readings:
+        columns += [("object_pose", f"position {a}", "m") for a in _AXES]
+        columns += [("object_pose", f"rotation {a}", "rad") for a in _AXES]
+    if "fingertip_force" in recs.readings:
+        columns += [("fingertip_force", f"{f} {a}", "N") for f in scene.file.fingertips for a in _AXES]
+    rows = max(1, round(BLOCK_S * scene.file.rate_hz))
+    phases = TOSS_PHASES if is_toss(scene) else HAND_PHASES
+    labels = _toss_labels(scene, recs) if is_toss(scene) else _hand_labels(scene, recs, nominal)
+    live = np.arange(labels.shape[1])[None] < recs.lengths[:, None]
+    live &= np.arange(labels.shape[1])[None] >= begin.rows[:, None]
+    code = np.select([labels == p for p in phases], range(len(phases)), -1)
+    blocks = np.where(live, code, -1)[:, : code.shape[1] // rows * rows].reshape(len(recs), -1, rows)
+    return Layout(tuple(columns), phases, np.where((blocks >= 0).all(2), blocks[:, :, rows // 2], -1), rows)
+
+
+def _hand_labels(scene: Scene, recs: Recordings, nominal: dict[str, Array]) -> NDArray[np.str_]:
+    """Return `(E, T)` phases by contact: the recorded one where it can be trusted, else the simulated one."""
+    simulated = nominal["touch"] > 0
+    flags = simulated
+    if "fingertip_force" in recs.readings:
+        tips = np.stack([fingertip_contact(f) for f in recs.readings["fingertip_force"]])
+        # A bias keeps a flag on where the simulation is free: such a fingertip tells nothing about phases.
+        free = ~simulated[:, :, None]
+        stuck = (tips & free).sum((0, 1)) > 0.5 * np.maximum(free.sum((0, 1)), 1)
+        recorded = tips[:, :, ~stuck].any(2)
+        flags = recorded if (~stuck).any() else simulated
+    return np.stack([contact_phases(c, scene.file.rate_hz) for c in flags])
+
+
+def _toss_labels(scene: Scene, recs: Recordings) -> NDArray[np.str_]:
+    """Return `(E, T)` flight, impact, rest by height and speed."""
+    pose = recs.readings["object_pose"]
+    low = pose[:, :, 2] - support_height(scene) < reach(scene)
+    hit = np.logical_or.accumulate(np.nan_to_num(low).astype(bool), axis=1)
+    window = max(1, round(0.05 * scene.file.rate_hz))
+    speed = np.full(pose.shape[:2], np.inf)
+    moved = np.linalg.norm(pose[:, window:, :3] - pose[:, :-window, :3], axis=2)
+    speed[:, window:] = moved * scene.file.rate_hz / window
+    fast = ~(np.nan_to_num(speed, nan=0.0) < REST_SPEED_MPS)
+    resting = ~np.logical_or.accumulate(fast[:, ::-1], axis=1)[:, ::-1]
+    return np.where(resting & hit, "rest", np.where(hit, "impact", "flight"))
+
+
+def residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Array:
+    """Return recorded minus replayed, `(E, B, D)` block means; NaN where either is missing.
+
+    Joints in rad or m, positions in m, rotations as world-frame rotation vectors in rad (Sola 2018, eq. 105), forces
+    in N in the fingertip's frame.
+    """
+    parts = []
+    for channel in dict.fromkeys(c for c, _, _ in plan.columns):
+        recorded, replayed = recs.readings[channel], readings[channel]
+        if channel == "object_pose":
+            parts += [recorded[..., :3] - replayed[..., :3], difference(recorded[..., 3:], replayed[..., 3:])]
+        else:
+            parts.append((recorded - replayed).reshape(*recorded.shape[:2], -1))
+    joined = np.concatenate(parts, axis=-1)
+    joined[:, 0, [c == "fingertip_force" for c, _, _ in plan.columns]] = np.nan
+    count = joined.shape[1] // plan.rows
+    blocks = joined[:, : count * plan.rows].reshape(len(recs), count, plan.rows, -1)
+    finite = np.isfinite(blocks)
+    n = finite.sum(2)
+    mean = np.where(finite, blocks, 0.0).sum(2) / np.maximum(n, 1)
+    # A block counts when at least half of it was seen.
+    seen = (2 * n >= plan.rows) & (plan.phase >= 0)[:, :, None]
+    return np.where(seen, mean, np.nan)

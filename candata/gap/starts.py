@@ -1,0 +1,147 @@
+"""Where a replay starts: the state at rest, or the state before a toss hits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.recordings import Recordings
+from candata.rotation import conjugate, difference, exp, log, multiply, normalise
+from candata.scenes import Scene
+
+Array = NDArray[np.float64]
+#: Rows over which a still object's pose is averaged at most (0.1 s at 80 Hz).
+STILL_ROWS = 8
+#: A toss is replayed from this many rows before it comes within reach of the support (Acosta, Yang, Posa 2022).
+ROWS_BEFORE = 3
+#: Fewest rows from which velocities are fitted.
+FIT_ROWS = 4
+
+
+@dataclass(frozen=True)
+class Starts:
+    """State at the row from which each episode is replayed, and the state at row 0 that leads there.
+
+    Attributes
+    ----------
+    rows : (E,) int64
+        First replayed row.
+    qpos, qvel : (E, nq), (E, nv) float64
+        State at that row.
+    qpos0, qvel0 : (E, nq), (E, nv) float64
+        State at row 0.
+    """
+
+    rows: NDArray[np.int64]
+    qpos: Array
+    qvel: Array
+    qpos0: Array
+    qvel0: Array
+
+
+def is_toss(scene: Scene) -> bool:
+    """Tell whether the scene is an object alone, replayed open loop."""
+    return len(scene.actuator_ids) == 0 and scene.object_id is not None
+
+
+def starts(scene: Scene, recs: Recordings) -> Starts:
+    """Return the starts of all episodes, from recorded positions only."""
+    if is_toss(scene):
+        return _tosses(scene, recs)
+    count = len(recs)
+    qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], count, axis=0)
+    if "joint_position" in recs.readings:
+        first = recs.readings["joint_position"][:, :STILL_ROWS]
+        qpos[:, scene.joint_qpos] = np.where(np.isfinite(first[:, 0]), first[:, 0], qpos[:, scene.joint_qpos])
+        qpos[:, scene.joint_qpos] = _still_mean(first, qpos[:, scene.joint_qpos])
+    if "object_pose" in recs.readings:
+        at = scene.object_qpos
+        qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
+    qvel = np.zeros((count, scene.model.nv))
+    return Starts(np.zeros(count, int), qpos, qvel, qpos, qvel)
+
+
+def _still_mean(rows: Array, fallback: Array) -> Array:
+    """Return the mean `(E, D)` of the first rows where they show no trend, else the first row.
+
+    A trend is a change between the halves of more than three standard errors.
+    """
+    half = rows.shape[1] // 2
+    with np.errstate(invalid="ignore"):
+        early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
+        spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
+        still = np.abs(late - early) <= 3 * spread + 1e-7
+        return np.where(still, rows.mean(1), fallback)
+
+
+def _still_pose(rows: Array, fallback: Array) -> Array:
+    """Return the mean pose `(E, 7)` of the first rows, where still."""
+    first = rows[:, :1]
+    seen = np.isfinite(rows).all((1, 2))
+    anchor = np.where(seen[:, None], first[:, 0], fallback)
+    tangent = np.concatenate(
+        [rows[:, :, :3] - anchor[:, None, :3], difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))],
+        axis=-1,
+    )
+    mean = _still_mean(np.where(seen[:, None, None], tangent, 0.0), np.zeros((len(rows), 6)))
+    return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)
+
+
+def _tosses(scene: Scene, recs: Recordings) -> Starts:
+    """Return the fitted state before the first impact of every toss."""
+    count, model = len(recs), scene.model
+    qpos0 = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
+    out = Starts(np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv)))
+    at, dof = scene.object_qpos, scene.object_dof
+    for e in range(count):
+        pose = recs.readings["object_pose"][e, : recs.lengths[e]]
+        row = _row_before_reach(scene, pose)
+        for target, target_v, where in ((out.qpos, out.qvel, row), (out.qpos0, out.qvel0, 0)):
+            state = _ballistic(scene, pose[: max(row + 1, FIT_ROWS)], where)
+            target[e, at : at + 7], target_v[e, dof : dof + 6] = state
+        out.rows[e] = row
+    return out
+
+
+def reach(scene: Scene) -> float:
+    """Return the largest distance of the object's surface from its frame's origin [m]."""
+    model = scene.model
+    offset = np.linalg.norm(model.geom_pos[scene.object_geoms], axis=1)
+    return float((offset + model.geom_rbound[scene.object_geoms]).max())
+
+
+def support_height(scene: Scene) -> float:
+    """Return the height of the support's top [m]; 0 without one."""
+    if scene.file.support is None:
+        return 0.0
+    geom = scene.model.geom(scene.file.support)
+    top = 0.0 if geom.type[0] == 0 else float(geom.size[2])
+    return float(geom.pos[2]) + top
+
+
+def _row_before_reach(scene: Scene, pose: Array) -> int:
+    """Return the row from which a toss is replayed."""
+    low = np.flatnonzero(pose[:, 2] - support_height(scene) < reach(scene))
+    first = int(low[0]) if len(low) else len(pose) - 1
+    return max(0, first - ROWS_BEFORE)
+
+
+def _ballistic(scene: Scene, pose: Array, row: int) -> tuple[Array, Array]:
+    """Return pose `(7,)` and velocity `(6,)` at `row` of a flight: parabola and constant body-frame spin.
+
+    Linear least squares on positions with gravity known; rotation as the mean body-frame spin about the pose that
+    fits all rows best in the tangent space.
+    """
+    t = (np.arange(len(pose)) - row) / scene.file.rate_hz
+    gravity = np.array(scene.model.opt.gravity)
+    falling = pose[:, :3] - 0.5 * gravity * t[:, None] ** 2
+    design = np.stack([np.ones_like(t), t], axis=1)
+    position, velocity = np.linalg.lstsq(design, falling, rcond=None)[0]
+    steps = log(multiply(conjugate(pose[:-1, 3:]), pose[1:, 3:]))
+    spin = steps.mean(0) * scene.file.rate_hz
+    back = multiply(pose[:, 3:], exp(-spin * t[:, None]))
+    offset = difference(back, np.broadcast_to(back[0], back.shape)).mean(0)
+    turn = normalise(multiply(exp(offset), back[0]))
+    return np.concatenate([position, turn]), np.concatenate([velocity, spin])
