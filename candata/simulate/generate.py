@@ -92,7 +92,7 @@ def generate(
         When the scene is not sound.
     """
     model = load_scene(scene)
-    _check_count(episodes, seed)
+    _check_count(episodes, seed, workers)
     recipe = Recipe(
         scene=scene, seed=seed, effects=tuple(effects), policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s, noise=noise,
@@ -144,10 +144,10 @@ def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, se
     return recipe.model_copy(update=secret)
 
 
-def _check_count(episodes: int, seed: int) -> None:
+def _check_count(episodes: int, seed: int, workers: int | None) -> None:
     """Refuse counts and seeds that mean nothing."""
-    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0)):
-        if value < least:
+    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
+        if value is not None and value < least:
             raise UsageError(f"--{name} is too small", expected=f"at least {least}", found=str(value))
 
 
