@@ -91,27 +91,62 @@ def test_a_cloud_lies_on_the_surface_and_repeats():
     assert not np.array_equal(cloud, surface_cloud(scene, seed=1))
 
 
-@pytest.mark.parametrize(
-    ("geom", "reach"),
-    [
-        ('type="sphere" size=".03"', 0.03),
-        ('type="capsule" size=".01 .03"', 0.04),
-        ('type="ellipsoid" size=".01 .02 .03"', 0.03),
-        ('type="cylinder" size=".03 .01"', np.hypot(0.03, 0.01)),
-        ('type="mesh" mesh="tetra"', 0.03 * np.sqrt(3)),
-    ],
-)
-def test_a_cloud_of_any_solid_is_in_the_object_s_frame(tmp_path, geom, reach):
-    (tmp_path / "scene.xml").write_text(
+def thing(folder, geoms: str):
+    """A scene whose object is made of `geoms`, away from the origin and turned."""
+    (folder / "scene.xml").write_text(
         '<mujoco><asset><mesh name="tetra" vertex=".03 .03 .03 -.03 -.03 .03 -.03 .03 -.03 .03 -.03 -.03"/>'
         '</asset><worldbody><body name="thing" pos="1 2 3" euler="30 40 50"><freejoint/>'
-        f"<geom {geom}/></body></worldbody></mujoco>"
+        f"{geoms}</body></worldbody></mujoco>"
     )
-    (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\nobject: thing\n")
-    cloud = surface_cloud(load_scene(tmp_path / "scene.yaml"))
-    far = np.linalg.norm(cloud, axis=1).max()
-    # 512 random points come close to the farthest one; facets cut at most 2 % off round shapes.
-    assert 0.75 * reach < far <= reach * (1 + 1e-6)
+    (folder / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\nobject: thing\n")
+    return load_scene(folder / "scene.yaml")
+
+
+@pytest.mark.parametrize("kind", ["sphere", "capsule", "ellipsoid", "cylinder"])
+def test_a_cloud_lies_on_the_solid_and_is_uniform(tmp_path, kind):
+    scene = thing(tmp_path, f'<geom type="{kind}" size=".02 .03 .04"/>')
+    x, y, z = surface_cloud(scene, 4000).astype(float).T
+    side = np.hypot(x, y)
+    on_surface, moments = {
+        "sphere": (np.hypot(side, z) - 0.02, 0.02**2 / 3),
+        "capsule": (np.hypot(side, np.maximum(np.abs(z) - 0.03, 0)) - 0.02, None),
+        "ellipsoid": (np.sqrt((x / 0.02) ** 2 + (y / 0.03) ** 2 + (z / 0.04) ** 2) - 1, None),
+        # Share of the side 3/4, spread h^2 / 3 there and h^2 on the lids.
+        "cylinder": (
+            np.where(side < 0.02 - 1e-6, np.abs(z) - 0.03, side - 0.02),
+            0.03**2 * (0.75 / 3 + 0.25),
+        ),
+    }[kind]
+    np.testing.assert_allclose(on_surface, 0, atol=1e-6)
+    # The mean of 4000 points is known to about 1 %: 5 % is 4 standard deviations and more.
+    assert np.abs([x.mean(), y.mean(), z.mean()]).max() < 0.05 * 0.04
+    if moments is not None:
+        assert np.mean(z**2) == pytest.approx(moments, rel=0.08)
+
+
+def test_an_ellipsoid_s_cloud_is_uniform_over_the_area(tmp_path):
+    cloud = surface_cloud(thing(tmp_path, '<geom type="ellipsoid" size=".01 .01 .04"/>'), 4000)
+    u = np.linspace(-1, 1, 20001)
+    # Area element of a spheroid with half axes a, a, c at z = c u: 2 pi a sqrt(a^2 u^2 + c^2 (1 - u^2)) du.
+    weight = np.sqrt((0.01 * u) ** 2 + 0.04**2 * (1 - u**2))
+    expected = np.average((0.04 * u) ** 2, weights=weight)
+    assert np.mean(cloud[:, 2] ** 2) == pytest.approx(expected, rel=0.08)
+
+
+def test_a_cloud_of_a_mesh_lies_in_its_faces(tmp_path):
+    cloud = surface_cloud(thing(tmp_path, '<geom type="mesh" mesh="tetra"/>'))
+    # A regular tetrahedron with edge e: inner radius e / (2 sqrt 6), outer e sqrt 6 / 4.
+    edge = 0.06 * np.sqrt(2)
+    far = np.linalg.norm(cloud, axis=1)
+    assert far.min() >= edge / (2 * np.sqrt(6)) - 1e-6
+    assert far.max() <= edge * np.sqrt(6) / 4 + 1e-6
+
+
+def test_a_cloud_covers_all_geoms_by_their_area(tmp_path):
+    geoms = '<geom size=".01" pos="-.1 0 0"/><geom size=".02" pos=".1 0 0"/>'
+    cloud = surface_cloud(thing(tmp_path, geoms), 2000)
+    # Areas as 1 to 4; 2000 draws: 0.2 +- 0.009.
+    assert (cloud[:, 0] < 0).mean() == pytest.approx(0.2, abs=0.03)
 
 
 def test_a_scene_without_an_object_has_no_cloud(tmp_path):
