@@ -67,24 +67,27 @@ def main() -> None:
     parser.add_argument("--scene", default="xhand_tabletop")
     parser.add_argument("--episodes", type=int, default=192)
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=2)
     asked = parser.parse_args()
-    ratios = []
+    ratios: dict[int, list[float]] = {1: [], 2: []}
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(asked.rounds):
-            out = Path(folder) / str(seed)
-            whole_s = generate(asked.scene, asked.episodes, seed, asked.jobs, out)
-            commands = [e.arrays.get("action", np.zeros((len(e), 0))) for e in open_dataset(out)]
+            whole_s = {
+                jobs: generate(asked.scene, asked.episodes, seed, jobs, Path(folder) / f"{seed}-{jobs}")
+                for jobs in ratios
+            }
+            episodes = open_dataset(Path(folder) / f"{seed}-1")
+            commands = [e.arrays.get("action", np.zeros((len(e), 0))) for e in episodes]
             loop_s, steps = bare(asked.scene, seed, commands)
-            ratios.append(loop_s / whole_s)
-            print(
-                f"round {seed}: generate-sim {steps / whole_s:,.0f} steps/CPU-s, "
-                f"bare mj_step {steps / loop_s:,.0f} steps/CPU-s, ratio {ratios[-1]:.2f}"
-            )
-    print(
-        f"generate-sim / bare mj_step, {asked.scene}, {asked.episodes} episodes, {asked.jobs} processes: "
-        f"median {statistics.median(ratios):.2f}, target >= {TARGET}"
-    )
+            print(f"round {seed}: bare mj_step {steps / loop_s:,.0f} steps/CPU-s", end="")
+            for jobs, used_s in whole_s.items():
+                ratios[jobs].append(loop_s / used_s)
+                print(f"; {jobs} process(es) {steps / used_s:,.0f}, ratio {ratios[jobs][-1]:.2f}", end="")
+            print()
+    for jobs, found in ratios.items():
+        print(
+            f"generate-sim / bare mj_step, {asked.scene}, {asked.episodes} episodes, {jobs} process(es): "
+            f"median {statistics.median(found):.2f}, target >= {TARGET}"
+        )
 
 
 if __name__ == "__main__":
