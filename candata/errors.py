@@ -113,6 +113,4 @@ class MissingExtraError(SetupError):
 
     def __init__(self, package: str, extra: str):
         """Write the one-line install hint."""
-        super().__init__(
-            f"{package} is not installed", fix=f'pip install "candata[{extra}]"'
-        )
+        super().__init__(f"{package} is not installed", fix=f'pip install "candata[{extra}]"')

@@ -41,6 +41,8 @@ class Parameter:
         Where the ranges come from.
     identity : callable
         `scene -> value` at which the effect vanishes; NaN where it replaces the model's own values.
+    neutral : callable, optional
+        `scene -> value` that comes closest to the model's own, where there is no identity.
     size : callable
         `scene -> int`, 1 for a scalar.
     choices : tuple of str
@@ -54,6 +56,7 @@ class Parameter:
     draws: Callable[[Scene], Sequence[tuple[float, float]]]
     source: str
     identity: Callable[[Scene], float] = lambda scene: float("nan")
+    neutral: Callable[[Scene], float] | None = None
     size: Callable[[Scene], int] = lambda scene: 1
     choices: tuple[str, ...] = ()
 
@@ -121,9 +124,7 @@ def spans(*intervals: tuple[float, float]) -> Callable[[Scene], Sequence[tuple[f
     return lambda scene: intervals
 
 
-def scaled(
-    reference: Callable[[Scene], float], *factors: float
-) -> Callable[[Scene], tuple[float, ...]]:
+def scaled(reference: Callable[[Scene], float], *factors: float) -> Callable[[Scene], tuple[float, ...]]:
     """Return probes that are multiples of a quantity of the scene."""
     return lambda scene: tuple(f * reference(scene) for f in factors)
 

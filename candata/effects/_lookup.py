@@ -62,7 +62,8 @@ def _numbers(given: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
         raise UsageError(
             f"{given.name}: {parameter.name} is not possible in scene {scene.name}",
-            expected=f"{size} number(s) in [{low:g}, {high:g}] {parameter.unit}", found=str(value),
+            expected=f"{size} number(s) in [{low:g}, {high:g}] {parameter.unit}",
+            found=str(value),
         )
     return array
 

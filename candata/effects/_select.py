@@ -95,12 +95,23 @@ def drive_torque(scene: Scene) -> float:
 
     Unlimited servos count as kp x 0.3 rad, a usual steady error under full load.
     """
+    return float(np.median(_drive_limits(scene)))
+
+
+def largest_drive_torque(scene: Scene) -> float:
+    """Return the largest torque limit of the driven hinges [N m]."""
+    return float(np.max(_drive_limits(scene)))
+
+
+def _drive_limits(scene: Scene) -> NDArray[np.float64]:
+    """Return the torque limits of the driven hinges [N m]; one entry of 1 without any."""
     ids = actuators(scene, None)
     if not len(ids):
-        return 1.0
+        return np.ones(1)
     limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    limits = np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0])
-    return float(np.median(limits))
+    return np.where(
+        limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0]
+    )
 
 
 def drive_damping(scene: Scene) -> float:

@@ -63,8 +63,13 @@ EFFECT = Effect(
     about="commands reach the servos late",
     parameters=(
         Parameter(
-            "delay_s", "s", fixed(0.0, MAX_DELAY_S), values(0.006, 0.015, 0.03, 0.06), spans((0.008, 0.045)),
-            "serial buses and drive firmware: 5 to 50 ms", always(0.0),
+            "delay_s",
+            "s",
+            fixed(0.0, MAX_DELAY_S),
+            values(0.006, 0.015, 0.03, 0.06),
+            spans((0.008, 0.045)),
+            "serial buses and drive firmware: 5 to 50 ms",
+            always(0.0),
         ),
     ),
     acts_on="joint",

@@ -26,7 +26,9 @@ EFFECT = Effect(
     about="reflected rotor inertia is added to the joints",
     parameters=(
         Parameter(
-            "armature_kgm2", "kg m^2", scaled_bounds(_select.drive_inertia, 0.0, 60.0),
+            "armature_kgm2",
+            "kg m^2",
+            scaled_bounds(_select.drive_inertia, 0.0, 60.0),
             scaled(_select.drive_inertia, 0.7, 2.0, 5.0, 12.0),
             scaled_spans(_select.drive_inertia, (3.0, 12.0)),
             "rotor inertia times gear ratio squared, often left out of models",

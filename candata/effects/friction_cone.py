@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, fixed, values
+from candata.effects._contract import Array, Effect, Parameter, fixed
 from candata.scenes.assemble import Scene
 
 
@@ -23,7 +23,11 @@ EFFECT = Effect(
     about="friction cone of the contact solver is replaced",
     parameters=(
         Parameter(
-            "cone", "1", fixed(0, 1), _other, lambda scene: tuple((v, v) for v in _other(scene)),
+            "cone",
+            "1",
+            fixed(0, 1),
+            _other,
+            lambda scene: tuple((v, v) for v in _other(scene)),
             "MuJoCo manual, option/cone: pyramidal is the default, elliptic is the isotropic law",
             choices=("pyramidal", "elliptic"),
         ),

@@ -18,8 +18,13 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 def _tilt(name: str) -> Parameter:
     """Return the parameter of one axis."""
     return Parameter(
-        name, "rad", fixed(-0.3, 0.3), values(-0.06, 0.06), spans((-0.12, -0.05), (0.05, 0.12)),
-        "a table or a base plate levelled by eye is off by one to a few degrees", always(0.0),
+        name,
+        "rad",
+        fixed(-0.3, 0.3),
+        values(-0.06, 0.06),
+        spans((-0.12, -0.05), (0.05, 0.12)),
+        "a table or a base plate levelled by eye is off by one to a few degrees",
+        always(0.0),
     )
 
 

@@ -26,7 +26,9 @@ EFFECT = Effect(
     about="viscous damping is added to the joints",
     parameters=(
         Parameter(
-            "damping_Nms_rad", "N m s/rad", scaled_bounds(_select.drive_damping, 0.0, 15.0),
+            "damping_Nms_rad",
+            "N m s/rad",
+            scaled_bounds(_select.drive_damping, 0.0, 15.0),
             scaled(_select.drive_damping, 0.25, 0.7, 1.6, 3.5),
             scaled_spans(_select.drive_damping, (0.8, 3.0)),
             "grease and back-EMF, up to a few times the modelled damping",

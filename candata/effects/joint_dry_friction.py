@@ -26,7 +26,9 @@ EFFECT = Effect(
     about="dry friction is added to the joints",
     parameters=(
         Parameter(
-            "frictionloss_Nm", "N m", scaled_bounds(_select.drive_torque, 0.0, 0.6),
+            "frictionloss_Nm",
+            "N m",
+            scaled_bounds(_select.drive_torque, 0.0, 0.6),
             scaled(_select.drive_torque, 0.01, 0.03, 0.08, 0.18),
             scaled_spans(_select.drive_torque, (0.04, 0.15)),
             "geared servos lose 2 to 20 % of their torque to dry friction",

@@ -26,10 +26,14 @@ EFFECT = Effect(
     about="centre of mass of the object is moved",
     parameters=(
         Parameter(
-            "offset_m", "m", scaled_bounds(_select.object_size, -0.9, 0.9),
-            scaled(_select.object_size, -0.4, 0.4), scaled_spans(_select.object_size, (-0.6, -0.25), (0.25, 0.6)),
+            "offset_m",
+            "m",
+            scaled_bounds(_select.object_size, -0.9, 0.9),
+            scaled(_select.object_size, -0.4, 0.4),
+            scaled_spans(_select.object_size, (-0.6, -0.25), (0.25, 0.6)),
             "contents and batteries sit off centre, at most within the object",
-            always(0.0), size=lambda scene: 3,
+            always(0.0),
+            size=lambda scene: 3,
         ),
     ),
     acts_on="object",

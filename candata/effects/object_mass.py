@@ -19,8 +19,13 @@ EFFECT = Effect(
     about="mass and inertia of the object are scaled",
     parameters=(
         Parameter(
-            "mass_scale", "1", fixed(0.2, 5.0), values(0.5, 0.75, 1.35, 2.0), spans((0.5, 0.75), (1.3, 2.0)),
-            "fill level, batteries, a label's weight against a scale's", always(1.0),
+            "mass_scale",
+            "1",
+            fixed(0.2, 5.0),
+            values(0.5, 0.75, 1.35, 2.0),
+            spans((0.5, 0.75), (1.3, 2.0)),
+            "fill level, batteries, a label's weight against a scale's",
+            always(1.0),
         ),
     ),
     acts_on="object",

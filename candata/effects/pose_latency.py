@@ -58,8 +58,13 @@ EFFECT = Effect(
     about="the object's pose is reported late",
     parameters=(
         Parameter(
-            "latency_s", "s", fixed(0.0, MAX_LATENCY_S), values(0.012, 0.03, 0.06, 0.12), spans((0.03, 0.1)),
-            "camera exposure, pose estimation and network: 20 to 100 ms", always(0.0),
+            "latency_s",
+            "s",
+            fixed(0.0, MAX_LATENCY_S),
+            values(0.012, 0.03, 0.06, 0.12),
+            spans((0.03, 0.1)),
+            "camera exposure, pose estimation and network: 20 to 100 ms",
+            always(0.0),
         ),
     ),
     acts_on="object",

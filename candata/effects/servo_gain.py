@@ -20,7 +20,11 @@ EFFECT = Effect(
     about="position gain of the servos is scaled",
     parameters=(
         Parameter(
-            "kp_scale", "1", fixed(0.15, 4.0), values(0.5, 0.75, 1.35, 2.0), spans((0.5, 0.8), (1.3, 2.0)),
+            "kp_scale",
+            "1",
+            fixed(0.15, 4.0),
+            values(0.5, 0.75, 1.35, 2.0),
+            spans((0.5, 0.8), (1.3, 2.0)),
             "drives of small hands vary by tens of per cent with supply voltage and temperature",
             always(1.0),
         ),

@@ -18,8 +18,13 @@ EFFECT = Effect(
     about="sliding friction of object, fingertips and support is scaled",
     parameters=(
         Parameter(
-            "scale", "1", fixed(0.1, 5.0), values(0.45, 0.7, 1.4, 2.2), spans((0.35, 0.7), (1.4, 2.2)),
-            "tables of friction coefficients spread by a factor of two", always(1.0),
+            "scale",
+            "1",
+            fixed(0.1, 5.0),
+            values(0.45, 0.7, 1.4, 2.2),
+            spans((0.35, 0.7), (1.4, 2.2)),
+            "tables of friction coefficients spread by a factor of two",
+            always(1.0),
         ),
     ),
     acts_on="object",

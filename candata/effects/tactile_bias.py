@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from candata.effects import _select
 from candata.effects._contract import (
     Array,
@@ -37,9 +35,14 @@ EFFECT = Effect(
     about="a constant is added to fingertip forces",
     parameters=(
         Parameter(
-            "bias_N", "N", fixed(-5.0, 5.0), values(-0.2, 0.2), spans((-0.4, 0.4)),
+            "bias_N",
+            "N",
+            fixed(-5.0, 5.0),
+            values(-0.2, 0.2),
+            spans((-0.4, 0.4)),
             "tare drift of tactile sensors: tenths of a newton to newtons",
-            always(0.0), size=lambda scene: 3 * len(scene.file.fingertips),
+            always(0.0),
+            size=lambda scene: 3 * len(scene.file.fingertips),
         ),
     ),
     acts_on="fingertip",

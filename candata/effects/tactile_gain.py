@@ -36,8 +36,13 @@ EFFECT = Effect(
     about="fingertip forces are scaled",
     parameters=(
         Parameter(
-            "gain", "1", fixed(0.1, 6.0), values(0.5, 1.5), spans((0.5, 0.8), (1.25, 2.0)),
-            "public users of one hand disagree by a factor of two on newtons a count", always(1.0),
+            "gain",
+            "1",
+            fixed(0.1, 6.0),
+            values(0.5, 1.5),
+            spans((0.5, 0.8), (1.25, 2.0)),
+            "public users of one hand disagree by a factor of two on newtons a count",
+            always(1.0),
         ),
     ),
     acts_on="fingertip",

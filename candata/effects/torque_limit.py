@@ -20,10 +20,13 @@ EFFECT = Effect(
     about="torque limit of the servos is replaced",
     parameters=(
         Parameter(
-            "limit_Nm", "N m", scaled_bounds(_select.drive_torque, 0.02, 2.0),
+            "limit_Nm",
+            "N m",
+            scaled_bounds(_select.drive_torque, 0.02, 2.0),
             scaled(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
             scaled_spans(_select.drive_torque, (0.12, 0.3)),
             "data sheets state stall torque; current limits cut it to a fraction",
+            neutral=_select.largest_drive_torque,
         ),
     ),
     acts_on="joint",

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.recordings import Recordings
-from candata.gap.replay import Replayer, replay
+from candata.gap.replay import EffectSet, Replayer, replay
 from candata.gap.residuals import Layout, residual
-from candata.gap.starts import Starts, starts
+from candata.gap.starts import FIT_ROWS, STILL_ROWS, Starts, is_toss, starts
 from candata.rotation import exp, multiply
 from candata.schema.scene import Noise
 from candata.simulate import rollout
@@ -87,47 +87,79 @@ def _high_pass(recs: Recordings, channel: str, columns: slice) -> float:
 
 
 def null_recordings(
-    replayer: Replayer, recs: Recordings, begin: Starts, noise: Noise, rng: np.random.Generator,
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    noise: Noise,
+    rng: np.random.Generator,
     replicas: int = REPLICAS,
+    world: EffectSet = (),
 ) -> Recordings:
-    """Return R x E recordings of the nominal scene on the same commands, starting near the recorded starts."""
+    """Return R x E recordings of a world on the same commands, starting near the recorded starts."""
     worlds = min(WORLDS, replicas)
-    qpos, qvel = _perturbed(replayer, begin, noise, worlds, rng)
+    true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
+    qpos, qvel = true.qpos0, true.qvel0
     played = rollout(
-        replayer.scene, np.concatenate([recs.commands] * worlds), qpos, qvel, [()] * len(qpos),
-        instant_force=recs.instant_force, threads=replayer.threads,
+        replayer.scene,
+        np.concatenate([recs.commands] * worlds),
+        qpos,
+        qvel,
+        [world] * len(qpos),
+        instant_force=recs.instant_force,
+        threads=replayer.threads,
     )
     replayer.count(len(qpos) * recs.commands.shape[1] * replayer.scene.substeps)
     copies = replicas // worlds
     index = np.tile(np.arange(len(recs)), worlds * copies)
     readings = {n: np.concatenate([v] * copies) for n, v in played.readings.items() if n in recs.readings}
     noisy = add_noise(readings, noise, rng)
-    many = recs.take(index)
-    for name, values in many.readings.items():
+    taken = recs.take(index)
+    for name, values in taken.readings.items():
         noisy[name] = np.where(np.isfinite(values), noisy[name], np.nan)
-    return replace(many, readings=noisy)
+    return replace(taken, readings=noisy)
 
 
-def _perturbed(
-    replayer: Replayer, begin: Starts, noise: Noise, worlds: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Return true starts that could have led to the recorded ones: a tenth of the noise off, as averages are."""
-    qpos, qvel = np.concatenate([begin.qpos0] * worlds), np.concatenate([begin.qvel0] * worlds)
-    scene = replayer.scene
-    qpos[:, scene.joint_qpos] += 0.3 * noise.joint_position * rng.standard_normal((len(qpos), len(scene.joint_qpos)))
-    if scene.object_id is not None:
-        at = scene.object_qpos
-        qpos[:, at : at + 2] += 0.3 * noise.object_pose[0] * rng.standard_normal((len(qpos), 2))
-        turn = exp(0.3 * noise.object_pose[1] * rng.standard_normal((len(qpos), 3)))
-        qpos[:, at + 3 : at + 7] = multiply(turn, qpos[:, at + 3 : at + 7])
-    return qpos, qvel
+def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Generator) -> Starts:
+    """Return starts that could have led to the same recordings: off by what averaging leaves of the noise.
+
+    Poses averaged over `STILL_ROWS` rows keep a third of the noise of one. The height stays: a resting object
+    stands on its support.
+    """
+    scene, count = replayer.scene, len(begin.rows)
+    joints = noise.joint_position / np.sqrt(STILL_ROWS) * rng.standard_normal((count, len(scene.joint_qpos)))
+    shift = noise.object_pose[0] / np.sqrt(STILL_ROWS) * rng.standard_normal((count, 2))
+    turn = exp(noise.object_pose[1] / np.sqrt(STILL_ROWS) * rng.standard_normal((count, 3)))
+    moved = {"qvel": begin.qvel.copy(), "qvel0": begin.qvel0.copy()}
+    if is_toss(scene):
+        # A slope fitted to n + 1 rows of noise s at rate f is off by about s f / n.
+        per_row = scene.file.rate_hz / np.maximum(begin.rows, FIT_ROWS)[:, None]
+        push = np.repeat(noise.object_pose, 3) * per_row * rng.standard_normal((count, 6))
+        for name in moved:
+            moved[name][:, scene.object_dof : scene.object_dof + 6] += push
+    for name in ("qpos", "qpos0"):
+        qpos = getattr(begin, name).copy()
+        qpos[:, scene.joint_qpos] += joints
+        if scene.object_id is not None:
+            at = scene.object_qpos
+            qpos[:, at : at + 2] += shift
+            qpos[:, at + 3 : at + 7] = multiply(turn, qpos[:, at + 3 : at + 7])
+        moved[name] = qpos
+    return replace(begin, **moved)
 
 
 def floor(
-    replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, rng: np.random.Generator,
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    plan: Layout,
+    rng: np.random.Generator,
     replicas: int = REPLICAS,
+    world: EffectSet = (),
 ) -> Floor:
     """Return the floor of a set of recordings by null replays through the same observer.
+
+    What a world cannot tell about itself depends on that world: a hand too weak to hold the object is less
+    predictable than one that holds it. Hence `world`, the effects that are taken for true.
 
     Parameters
     ----------
@@ -138,10 +170,12 @@ def floor(
         Noise of the nulls.
     replicas : int
         Null replays of each episode.
+    world : tuple of EffectSetting
+        Effects both in the null recordings and in their replays.
     """
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
-    nulls = null_recordings(replayer, recs, begin, noise, rng, replicas)
-    readings = replay(replayer, nulls, starts(replayer.scene, nulls), [()])[0]
+    nulls = null_recordings(replayer, recs, begin, noise, rng, replicas, world)
+    readings = replay(replayer, nulls, starts(replayer.scene, nulls), [world])[0]
     wide = replace(plan, phase=np.concatenate([plan.phase] * replicas))
     null = residual(nulls, wide, readings).reshape(replicas, len(recs), *plan.phase.shape[1:], -1)
     return Floor(kind, _sigma(plan, null, smallest(plan, noise)), null, noise)
@@ -150,7 +184,8 @@ def floor(
 def smallest(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
     table = {
-        "joint_position": noise.joint_position, "fingertip_force": max(noise.fingertip_force, noise.force_step / 3.5),
+        "joint_position": noise.joint_position,
+        "fingertip_force": max(noise.fingertip_force, noise.force_step / 3.5),
     }
     pose = {"position": noise.object_pose[0], "rotation": noise.object_pose[1]}
     size = [table[c] if c in table else pose[e.split()[0]] for c, e, _ in plan.columns]

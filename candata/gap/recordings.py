@@ -53,8 +53,11 @@ class Recordings:
         """Return the recordings of some episodes."""
         index = np.asarray(index, int)
         return replace(
-            self, ids=tuple(self.ids[i] for i in index), tasks=tuple(self.tasks[i] for i in index),
-            commands=self.commands[index], readings={n: v[index] for n, v in self.readings.items()},
+            self,
+            ids=tuple(self.ids[i] for i in index),
+            tasks=tuple(self.tasks[i] for i in index),
+            commands=self.commands[index],
+            readings={n: v[index] for n, v in self.readings.items()},
             lengths=self.lengths[index],
         )
 
@@ -72,19 +75,30 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     shared = [c for c in COMPARED if _wanted(scene, c) and found and all(c in e for e in found)]
     if not shared:
         raise DataError(
-            "nothing to compare", expected=f"one of {', '.join(COMPARED)} in every episode",
+            "nothing to compare",
+            expected=f"one of {', '.join(COMPARED)} in every episode",
             found=", ".join(found[0].arrays) if found else "no episodes",
         )
     length = max((len(e) for e in found), default=0)
     readings = {
-        c: np.stack([_padded(_masked(e, c)[:, cols[c]] if c != "object_pose" else _masked(e, c), length, np.nan)
-                     for e, cols in zip(found, columns, strict=True)])
+        c: np.stack(
+            [
+                _padded(_masked(e, c)[:, cols[c]] if c != "object_pose" else _masked(e, c), length, np.nan)
+                for e, cols in zip(found, columns, strict=True)
+            ]
+        )
         for c in shared
     }
-    commands = np.stack([_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)])
+    commands = np.stack(
+        [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
+    )
     return Recordings(
-        tuple(e.meta.id for e in found), tuple(e.meta.task or "" for e in found), commands, readings,
-        np.array([len(e) for e in found]), found[0].meta.force == "instant",
+        tuple(e.meta.id for e in found),
+        tuple(e.meta.task or "" for e in found),
+        commands,
+        readings,
+        np.array([len(e) for e in found]),
+        found[0].meta.force == "instant",
     )
 
 
@@ -102,8 +116,11 @@ def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
     meta, file = episode.meta, scene.file
     if abs(meta.rate_hz / file.rate_hz - 1) > RATE_TOLERANCE:
         raise DataError(
-            "the episode's rate is not the scene's", expected=f"{file.rate_hz:g} Hz", found=f"{meta.rate_hz:g} Hz",
-            where=Where(episode=meta.id), fix="set rate_hz in scene.yaml to the rate of the recording",
+            "the episode's rate is not the scene's",
+            expected=f"{file.rate_hz:g} Hz",
+            found=f"{meta.rate_hz:g} Hz",
+            where=Where(episode=meta.id),
+            fix="set rate_hz in scene.yaml to the rate of the recording",
         )
     pairs = {
         "joint_position": (meta.joint_names, file.joints),
@@ -120,8 +137,10 @@ def _order(episode: Episode, channel: str, have: Sequence[str], want: Sequence[s
         return np.array([list(have).index(name) for name in want], int)
     if width != len(want):
         raise DataError(
-            f"{channel} does not fit the scene", expected=f"{len(want)} columns: {', '.join(want)}",
-            found=f"{width}: {', '.join(have) or 'without names'}", where=Where(episode=episode.meta.id, channel=channel),
+            f"{channel} does not fit the scene",
+            expected=f"{len(want)} columns: {', '.join(want)}",
+            found=f"{width}: {', '.join(have) or 'without names'}",
+            where=Where(episode=episode.meta.id, channel=channel),
             fix="list the same joints in scene.yaml and in the map, in the order of the columns",
         )
     return np.arange(width)
@@ -141,8 +160,10 @@ def _commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.int6
         return np.zeros((len(episode), 0))
     if "action" not in episode:
         raise DataError(
-            "the scene has actuators but the episode has no commands", expected="channel action",
-            found=", ".join(episode.arrays), where=Where(episode=episode.meta.id),
+            "the scene has actuators but the episode has no commands",
+            expected="channel action",
+            found=", ".join(episode.arrays),
+            where=Where(episode=episode.meta.id),
             fix="map the commands to `action`, or list no actuators in scene.yaml",
         )
     values = _masked(episode, "action")[:, columns["action"]]
@@ -150,7 +171,9 @@ def _commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.int6
         gap = ~np.isfinite(values[row])
         values[row, gap] = values[row - 1, gap]
     if not np.isfinite(values).all():
-        raise DataError("the first command is not valid", where=Where(episode=episode.meta.id, channel="action", index=0))
+        raise DataError(
+            "the first command is not valid", where=Where(episode=episode.meta.id, channel="action", index=0)
+        )
     if episode.meta.action == "previous":
         values = np.concatenate([values[1:], values[-1:]])
     return values
@@ -159,5 +182,9 @@ def _commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.int6
 def _padded(values: Array, length: int, fill: float | None) -> Array:
     """Return values with rows appended up to `length`: of `fill`, or of the last row."""
     missing = length - len(values)
-    tail = np.repeat(values[-1:], missing, axis=0) if fill is None else np.full((missing, *values.shape[1:]), fill)
+    tail = (
+        np.repeat(values[-1:], missing, axis=0)
+        if fill is None
+        else np.full((missing, *values.shape[1:]), fill)
+    )
     return np.concatenate([values, tail])

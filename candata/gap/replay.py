@@ -39,7 +39,12 @@ class Replayer:
 
 
 def replay(
-    replayer: Replayer, recs: Recordings, begin: Starts, variants: Sequence[EffectSet], *, keep_state: bool = False
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    variants: Sequence[EffectSet],
+    *,
+    keep_state: bool = False,
 ) -> list[dict[str, Array]]:
     """Return the readings of each variant, aligned with the recording's rows.
 
@@ -77,15 +82,23 @@ def _batch(
     effects = [v for v in variants for _ in range(count)]
     commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
     played = rollout(
-        scene, commands, _tile(begin.qpos, copies), _tile(begin.qvel, copies), effects, observer=observer,
-        instant_force=recs.instant_force, keep_state=keep_state, threads=replayer.threads,
+        scene,
+        commands,
+        _tile(begin.qpos, copies),
+        _tile(begin.qvel, copies),
+        effects,
+        observer=observer,
+        instant_force=recs.instant_force,
+        keep_state=keep_state,
+        threads=replayer.threads,
     )
     replayer.count(commands.shape[0] * commands.shape[1] * scene.substeps)
     found = dict(played.readings) | {"touch": played.touch.astype(float)}
     if keep_state:
         found["qpos"] = played.qpos
     return [
-        {n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)
+        {n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()}
+        for i in range(copies)
     ]
 
 
@@ -122,7 +135,9 @@ def needs_simulation(some: EffectSet) -> bool:
 
     A reading that the observer follows (pose, joints) changes the replay; forces are only compared.
     """
-    return any(effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some)
+    return any(
+        effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some
+    )
 
 
 def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:

@@ -57,7 +57,10 @@ def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Arr
     columns: list[tuple[str, str, str]] = []
     if "joint_position" in recs.readings:
         kinds = scene.model.jnt_type[scene.joint_ids]
-        columns += [("joint_position", j, "m" if k == 2 else "rad") for j, k in zip(scene.file.joints, kinds, strict=True)]
+        columns += [
+            ("joint_position", j, "m" if k == 2 else "rad")
+            for j, k in zip(scene.file.joints, kinds, strict=True)
+        ]
     if "object_pose" in recs.readings:
         columns += [("object_pose", f"position {a}", "m") for a in _AXES]
         columns += [("object_pose", f"rotation {a}", "rad") for a in _AXES]

@@ -40,6 +40,12 @@ class Starts:
     qpos0: Array
     qvel0: Array
 
+    def take(self, index: NDArray[np.int64]) -> Starts:
+        """Return the starts of some episodes; an index may come more than once."""
+        return Starts(
+            self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index]
+        )
+
 
 def is_toss(scene: Scene) -> bool:
     """Tell whether the scene is an object alone, replayed open loop."""
@@ -82,7 +88,10 @@ def _still_pose(rows: Array, fallback: Array) -> Array:
     seen = np.isfinite(rows).all((1, 2))
     anchor = np.where(seen[:, None], first[:, 0], fallback)
     tangent = np.concatenate(
-        [rows[:, :, :3] - anchor[:, None, :3], difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))],
+        [
+            rows[:, :, :3] - anchor[:, None, :3],
+            difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape)),
+        ],
         axis=-1,
     )
     mean = _still_mean(np.where(seen[:, None, None], tangent, 0.0), np.zeros((len(rows), 6)))
@@ -93,7 +102,9 @@ def _tosses(scene: Scene, recs: Recordings) -> Starts:
     """Return the fitted state before the first impact of every toss."""
     count, model = len(recs), scene.model
     qpos0 = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
-    out = Starts(np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv)))
+    out = Starts(
+        np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv))
+    )
     at, dof = scene.object_qpos, scene.object_dof
     for e in range(count):
         pose = recs.readings["object_pose"][e, : recs.lengths[e]]

@@ -96,7 +96,9 @@ def finish(scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Ar
     """
     ranges = command_range(scene)
     noise = _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz)
-    noise *= NOISE_SHARE * (ranges[:, 1] - ranges[:, 0]) * blend(np.arange(len(commands)) * 1.0, 0, 20)[:, None]
+    noise *= (
+        NOISE_SHARE * (ranges[:, 1] - ranges[:, 0]) * blend(np.arange(len(commands)) * 1.0, 0, 20)[:, None]
+    )
     commands = np.clip(commands + noise, ranges[:, 0], ranges[:, 1])
     qpos = np.array(scene.model.qpos0, float)
     joints = scene.model.actuator_trnid[scene.actuator_ids, 0]

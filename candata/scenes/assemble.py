@@ -180,7 +180,9 @@ def load_scene(name: str | Path) -> Scene:
     if path.suffix in (".yaml", ".yml"):
         return _from_file(path)
     if str(name) not in names(LIBRARY):
-        raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
+        raise UnknownNameError(
+            "scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own")
+        )
     builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
     return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
 
@@ -195,14 +197,20 @@ def _from_file(path: Path) -> Scene:
         raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
-        raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
+        raise SceneError(
+            "a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model
+        )
     source = path.parent / file.model
     if not source.is_file():
-        raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
+        raise SceneError(
+            f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path))
+        )
     try:
         spec = mujoco.MjSpec.from_file(str(source))
     except ValueError as error:
-        raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
+        raise SceneError(
+            f"model {file.model} cannot be read: {error}", where=Where(path=str(source))
+        ) from None
     return assemble(str(path), file, spec)
 
 
@@ -231,13 +239,20 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
             _add_sensors(spec, file, index, tip)
         for index, root in enumerate(sorted({_root(spec.joint(j).parent).name for j in file.joints})):
             spec.add_sensor(
-                name=f"{_TOUCH}{index}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
-                objname=file.object, reftype=mujoco.mjtObj.mjOBJ_XBODY, refname=root, intprm=(1, 0, 1),
+                name=f"{_TOUCH}{index}",
+                type=mujoco.mjtSensor.mjSENS_CONTACT,
+                objtype=mujoco.mjtObj.mjOBJ_XBODY,
+                objname=file.object,
+                reftype=mujoco.mjtObj.mjOBJ_XBODY,
+                refname=root,
+                intprm=(1, 0, 1),
             )
     try:
         model = spec.compile()
     except ValueError as error:
-        raise SceneError(f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first") from None
+        raise SceneError(
+            f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first"
+        ) from None
     _check_rate(name, file, model)
     return Scene(name, file, model, policies)
 
@@ -249,7 +264,11 @@ def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     needs: list[tuple[str, tuple[str, ...], set[str]]] = [
         ("object", (file.object,) if file.object else (), bodies),
         ("joint", file.joints, joints),
-        ("actuator", file.actuator_names, joints if isinstance(file.actuators, dict) else _named(spec.actuators)),
+        (
+            "actuator",
+            file.actuator_names,
+            joints if isinstance(file.actuators, dict) else _named(spec.actuators),
+        ),
         ("fingertip", file.fingertips, bodies | geoms),
         ("fingertip frame", file.fingertip_frames or (), _named(spec.sites)),
         ("support", (file.support,) if file.support else (), geoms),
@@ -261,7 +280,8 @@ def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
                 raise UnknownNameError(f"{role} of scene {name}:", item, known, Where(path=name))
     if file.fingertip_frames is not None and len(file.fingertip_frames) != len(file.fingertips):
         raise SceneError(
-            f"scene {name} needs one frame a fingertip", expected=f"{len(file.fingertips)} fingertip_frames",
+            f"scene {name} needs one frame a fingertip",
+            expected=f"{len(file.fingertips)} fingertip_frames",
             found=str(len(file.fingertip_frames)),
         )
 
@@ -275,8 +295,10 @@ def _check_free(name: str, object_name: str, body: mujoco.MjsBody) -> None:
     """Refuse an object that is not free."""
     if len(body.joints) != 1 or body.joints[0].type != mujoco.mjtJoint.mjJNT_FREE:
         raise SceneError(
-            f"object {object_name} of scene {name} is not free", expected="a body with one free joint",
-            found=f"{len(body.joints)} joints", fix="add <freejoint/> to the body",
+            f"object {object_name} of scene {name} is not free",
+            expected="a body with one free joint",
+            found=f"{len(body.joints)} joints",
+            fix="add <freejoint/> to the body",
         )
 
 
@@ -286,7 +308,8 @@ def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
     if steps < 0.99 or abs(steps - round(steps)) > 0.02:
         raise SceneError(
             f"scene {name}: the physics step does not divide the control step",
-            expected=f"timestep = 1 / ({file.rate_hz:g} x n) s", found=f"{model.opt.timestep:g} s ({steps:.2f} a step)",
+            expected=f"timestep = 1 / ({file.rate_hz:g} x n) s",
+            found=f"{model.opt.timestep:g} s ({steps:.2f} a step)",
             fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(steps)):.9g}"/>',
         )
 
@@ -312,11 +335,20 @@ def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> 
     kind = mujoco.mjtObj.mjOBJ_XBODY if is_body else mujoco.mjtObj.mjOBJ_GEOM
     # intprm of a contact sensor: data bits (force is bit 1), reduction (3 = netforce), number of slots.
     spec.add_sensor(
-        name=f"{_FORCE}{index}", type=mujoco.mjtSensor.mjSENS_CONTACT, objtype=mujoco.mjtObj.mjOBJ_XBODY,
-        objname=file.object, reftype=kind, refname=tip, intprm=(2, 3, 1),
+        name=f"{_FORCE}{index}",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_XBODY,
+        objname=file.object,
+        reftype=kind,
+        refname=tip,
+        intprm=(2, 3, 1),
     )
     carrier = tip if is_body else spec.geom(tip).parent.name
-    frame = (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index]) if file.fingertip_frames else (
-        mujoco.mjtObj.mjOBJ_XBODY, carrier)
-    spec.add_sensor(name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0],
-                    objname=frame[1])
+    frame = (
+        (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index])
+        if file.fingertip_frames
+        else (mujoco.mjtObj.mjOBJ_XBODY, carrier)
+    )
+    spec.add_sensor(
+        name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0], objname=frame[1]
+    )

@@ -145,14 +145,17 @@ def _structure(meta: EpisodeMeta, arrays: Mapping[str, NDArray]) -> Iterator[Dat
     for name in arrays:
         if name.removesuffix(VALID_SUFFIX) not in CHANNELS:
             yield DataError(
-                f"unknown channel {name!r}", expected=", ".join(CHANNELS), found=name,
+                f"unknown channel {name!r}",
+                expected=", ".join(CHANNELS),
+                found=name,
                 where=Where(episode=meta.id, channel=name),
             )
             return
     if "time_ns" not in arrays or not ({"object_pose", "joint_position"} & set(arrays)):
         yield DataError(
             "an episode needs time_ns and one of object_pose, joint_position",
-            found=", ".join(arrays) or "nothing", where=Where(episode=meta.id),
+            found=", ".join(arrays) or "nothing",
+            where=Where(episode=meta.id),
         )
         return
     sizes = {"T": len(arrays["time_ns"])}
@@ -163,7 +166,9 @@ def _structure(meta: EpisodeMeta, arrays: Mapping[str, NDArray]) -> Iterator[Dat
         shape = np.shape(array)
         if len(shape) != len(wanted) or any(w not in (-1, s) for w, s in zip(wanted, shape, strict=True)):
             yield DataError(
-                f"{name} has the wrong shape", expected=_shape_text(expected, wanted), found=str(shape),
+                f"{name} has the wrong shape",
+                expected=_shape_text(expected, wanted),
+                found=str(shape),
                 where=Where(episode=meta.id, channel=name),
             )
 
@@ -175,7 +180,10 @@ def _named_sizes(meta: EpisodeMeta) -> dict[str, tuple[str, ...]]:
 
 def _shape_text(symbols: tuple[str | int, ...], sizes: tuple[int, ...]) -> str:
     """Return `(T = 80, 7)`-like text."""
-    parts = [str(d) if isinstance(d, int) else (f"{d} = {n}" if n >= 0 else d) for d, n in zip(symbols, sizes, strict=True)]
+    parts = [
+        str(d) if isinstance(d, int) else (f"{d} = {n}" if n >= 0 else d)
+        for d, n in zip(symbols, sizes, strict=True)
+    ]
     return f"({', '.join(parts)})"
 
 
@@ -187,7 +195,9 @@ def _time(meta: EpisodeMeta, time_ns: NDArray) -> Iterator[DataError]:
     if len(steps):
         row = int(steps[0]) + 1
         yield DataError(
-            "time does not increase", expected=f"more than {time_ns[row - 1]} ns", found=f"{time_ns[row]} ns",
+            "time does not increase",
+            expected=f"more than {time_ns[row - 1]} ns",
+            found=f"{time_ns[row]} ns",
             where=Where(episode=meta.id, channel="time_ns", index=row),
             fix="sort the rows by time and drop repeated stamps",
         )
@@ -204,7 +214,9 @@ def _values(meta: EpisodeMeta, name: str, arrays: Mapping[str, NDArray]) -> Iter
     bad = np.flatnonzero(valid & ~np.isfinite(array).reshape(len(array), -1).all(1))
     if len(bad):
         yield DataError(
-            f"{name} is not finite", expected="finite numbers where valid", found=f"{len(bad)} such rows",
+            f"{name} is not finite",
+            expected="finite numbers where valid",
+            found=f"{len(bad)} such rows",
             where=Where(episode=meta.id, channel=name, index=int(bad[0])),
             fix="mark gaps as invalid: import with --allow-gaps",
         )
@@ -213,7 +225,8 @@ def _values(meta: EpisodeMeta, name: str, arrays: Mapping[str, NDArray]) -> Iter
         bad = np.flatnonzero(valid & np.isfinite(array).all(1) & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
         if len(bad):
             yield DataError(
-                f"{name} holds a quaternion that is not unit", expected=f"norm 1 +- {QUATERNION_TOLERANCE}",
+                f"{name} holds a quaternion that is not unit",
+                expected=f"norm 1 +- {QUATERNION_TOLERANCE}",
                 found=f"norm {norm[bad[0]]:.4f} ({len(bad)} rows)",
                 where=Where(episode=meta.id, channel=name, index=int(bad[0])),
                 fix="check the order (w x y z) and the columns of the quaternion",

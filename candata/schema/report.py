@@ -9,9 +9,7 @@ from pydantic import ConfigDict, Field
 from candata.schema.effect import Value
 from candata.schema.record import Record
 
-Verdict = Literal[
-    "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data"
-]
+Verdict = Literal["no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data"]
 Bound = float | tuple[float, ...] | None
 
 

@@ -76,10 +76,17 @@ def make_episodes(
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_settling(p, settle, rows) for p in plans])
     played = rollout(
-        scene, commands, np.stack([p.qpos for p in plans]), np.stack([p.qvel for p in plans]),
-        [j.effects for j in jobs], threads=threads,
+        scene,
+        commands,
+        np.stack([p.qpos for p in plans]),
+        np.stack([p.qvel for p in plans]),
+        [j.effects for j in jobs],
+        threads=threads,
     )
-    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
+    return [
+        _episode(scene, j, p, played, i, settle, noise)
+        for i, (j, p) in enumerate(zip(jobs, plans, strict=True))
+    ]
 
 
 def _rng(job: Job, stream: int) -> np.random.Generator:
@@ -116,10 +123,19 @@ def _episode(
 def _meta(scene: Scene, job: Job, rule: ContactRule | None) -> EpisodeMeta:
     """Return who, what, when."""
     return EpisodeMeta(
-        id=job.id, source="sim", rate_hz=scene.file.rate_hz, scene=scene.name, object=scene.file.object,
-        task=job.policy, seed=None if job.hidden else job.seed, effects=None if job.hidden else job.effects,
-        joint_names=scene.file.joints, actuator_names=scene.file.actuator_names,
-        fingertip_names=scene.file.fingertips, contact_rule=rule, point_cloud=job.point_cloud,
+        id=job.id,
+        source="sim",
+        rate_hz=scene.file.rate_hz,
+        scene=scene.name,
+        object=scene.file.object,
+        task=job.policy,
+        seed=None if job.hidden else job.seed,
+        effects=None if job.hidden else job.effects,
+        joint_names=scene.file.joints,
+        actuator_names=scene.file.actuator_names,
+        fingertip_names=scene.file.fingertips,
+        contact_rule=rule,
+        point_cloud=job.point_cloud,
     )
 
 

@@ -40,7 +40,12 @@ class Observer:
 
 
 def correct(
-    scene: Scene, observer: Observer, row: int, readings: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array
+    scene: Scene,
+    observer: Observer,
+    row: int,
+    readings: Mapping[str, Array],
+    touch: NDArray[np.bool_],
+    qpos: Array,
 ) -> None:
     """Pull `qpos (n, nq)` in place towards the recording at `row`, by what the sensors read."""
     if "joint_position" in observer.recorded and "joint_position" in readings:

@@ -82,9 +82,7 @@ def _nth(some: EffectList, name: str, layer: int) -> EffectSetting:
     return found[layer] if layer < len(found) else EffectSetting(name=name)
 
 
-def _model(
-    scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoco.MjModel]
-) -> mujoco.MjModel:
+def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoco.MjModel]) -> mujoco.MjModel:
     """Return the scene's model, or a private copy with the edits of `some`."""
     for s in some:
         if not effect(s.name).possible(scene):

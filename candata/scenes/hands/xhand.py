@@ -51,13 +51,38 @@ def _finger(name: str, y: float, z: float) -> tuple[Link, Link]:
 
 
 LINKS: tuple[Link, ...] = (
-    Link("thumb_bend", "palm", (0.0095, 0.0228, 0.0305), (0, 0, -1), (0, 1.832), 1.1, 0.0115,
-         (0.00832, 0.0286, -0.00178)),
-    Link("thumb_rota1", "thumb_bend", (0.00832, 0.0286, -0.00178), (1, 0, 0), (-0.698, 1.57), 1.1, 0.132,
-         (0, 0.0553, 0), (0, 0.2618, -0.0407)),
+    Link(
+        "thumb_bend",
+        "palm",
+        (0.0095, 0.0228, 0.0305),
+        (0, 0, -1),
+        (0, 1.832),
+        1.1,
+        0.0115,
+        (0.00832, 0.0286, -0.00178),
+    ),
+    Link(
+        "thumb_rota1",
+        "thumb_bend",
+        (0.00832, 0.0286, -0.00178),
+        (1, 0, 0),
+        (-0.698, 1.57),
+        1.1,
+        0.132,
+        (0, 0.0553, 0),
+        (0, 0.2618, -0.0407),
+    ),
     Link("thumb_rota2", "thumb_rota1", (0, 0.0553, 0), (1, 0, 0), (0, 1.57), 0.4, 0.035, (0, 0.0502, 0)),
-    Link("index_bend", "palm", (0.0065, 0.0265, 0.0899), (-1, 0, 0), (-0.174, 0.174), 0.4, 0.069,
-         (0, 0, 0.0178)),
+    Link(
+        "index_bend",
+        "palm",
+        (0.0065, 0.0265, 0.0899),
+        (-1, 0, 0),
+        (-0.174, 0.174),
+        0.4,
+        0.069,
+        (0, 0, 0.0178),
+    ),
     Link("index1", "index_bend", (0, 0, 0.0178), (0, 1, 0), (0, 1.919), 1.1, 0.063, (0, 0, 0.0558)),
     Link("index2", "index1", (0, 0, 0.0558), (0, 1, 0), (0, 1.919), 0.4, 0.016, (0, 0, 0.0422)),
     *_finger("mid", 0.004, 0.1082),
@@ -72,10 +97,22 @@ def add(spec: mujoco.MjSpec, parent: mujoco.MjsBody, quat: tuple[float, float, f
 
     Fingertip frames are sites `<joint>_frame` at the tips with +z pressing into what is grasped.
     """
-    palm = parent.add_body(name="palm", quat=quat, mass=PALM_MASS_KG, ipos=PALM_COM_M,
-                           inertia=(6.5e-4, 6e-4, 3e-4), explicitinertial=True)
-    palm.add_geom(name="palm", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.012, 0.042, 0.048),
-                  pos=(-0.006, -0.004, 0.052), rgba=(0.25, 0.27, 0.3, 1), mass=0)
+    palm = parent.add_body(
+        name="palm",
+        quat=quat,
+        mass=PALM_MASS_KG,
+        ipos=PALM_COM_M,
+        inertia=(6.5e-4, 6e-4, 3e-4),
+        explicitinertial=True,
+    )
+    palm.add_geom(
+        name="palm",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(0.012, 0.042, 0.048),
+        pos=(-0.006, -0.004, 0.052),
+        rgba=(0.25, 0.27, 0.3, 1),
+        mass=0,
+    )
     bodies = {"palm": palm}
     for link in LINKS:
         bodies[link.joint] = _add_link(spec, bodies[link.parent], link)
@@ -93,11 +130,23 @@ def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, link: Link) -> mujoco
     is_tip = link.joint in TIPS
     end = np.array(link.end)
     stop = end - RADIUS_M * end / np.linalg.norm(end) if is_tip else end
-    body.add_geom(name=link.joint, type=mujoco.mjtGeom.mjGEOM_CAPSULE, size=(RADIUS_M, 0, 0),
-                  fromto=(0, 0, 0, *stop), mass=link.mass,
-                  rgba=(0.95, 0.55, 0.2, 1) if is_tip else (0.55, 0.58, 0.62, 1))
-    body.add_joint(name=link.joint, type=mujoco.mjtJoint.mjJNT_HINGE, axis=link.axis, range=link.range,
-                   limited=mujoco.mjtLimited.mjLIMITED_TRUE, armature=ARMATURE, damping=0.005)
+    body.add_geom(
+        name=link.joint,
+        type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+        size=(RADIUS_M, 0, 0),
+        fromto=(0, 0, 0, *stop),
+        mass=link.mass,
+        rgba=(0.95, 0.55, 0.2, 1) if is_tip else (0.55, 0.58, 0.62, 1),
+    )
+    body.add_joint(
+        name=link.joint,
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        axis=link.axis,
+        range=link.range,
+        limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+        armature=ARMATURE,
+        damping=0.005,
+    )
     if is_tip:
         # +z of the frame presses into the object: palm-normal +x for fingers; flexion (+z) for the thumb.
         quat = (1, 0, 0, 0) if link.joint == "thumb_rota2" else (np.sqrt(0.5), 0, np.sqrt(0.5), 0)

@@ -18,19 +18,35 @@ def build() -> mujoco.MjSpec:
     spec = mujoco.MjSpec()
     spec.option.timestep = 1 / RATE_HZ / SUBSTEPS
     spec.worldbody.add_light(pos=(0.3, -0.6, 1.5), dir=(-0.1, 0.4, -1), castshadow=True)
-    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(1, 1, 0.1),
-                            friction=(FRICTION, 0.005, 0.0001), rgba=(0.82, 0.78, 0.72, 1))
-    cube = spec.worldbody.add_body(name="object", pos=(0, 0, 0.2), mass=MASS_KG, explicitinertial=True,
-                                   inertia=(INERTIA_KGM2,) * 3)
+    spec.worldbody.add_geom(
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(1, 1, 0.1),
+        friction=(FRICTION, 0.005, 0.0001),
+        rgba=(0.82, 0.78, 0.72, 1),
+    )
+    cube = spec.worldbody.add_body(
+        name="object", pos=(0, 0, 0.2), mass=MASS_KG, explicitinertial=True, inertia=(INERTIA_KGM2,) * 3
+    )
     cube.add_freejoint(name="object")
-    cube.add_geom(name="object", type=mujoco.mjtGeom.mjGEOM_BOX, size=(SIDE_M / 2,) * 3,
-                  friction=(FRICTION, 0.005, 0.0001), rgba=(0.2, 0.55, 0.75, 1))
+    cube.add_geom(
+        name="object",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(SIDE_M / 2,) * 3,
+        friction=(FRICTION, 0.005, 0.0001),
+        rgba=(0.2, 0.55, 0.75, 1),
+    )
     return spec
 
 
 SCENE = BuiltinScene(
-    file=SceneFile(model="builtin", rate_hz=RATE_HZ, object="object", support="table",
-                   noise=Noise(object_pose=(0.0005, 0.005))),
+    file=SceneFile(
+        model="builtin",
+        rate_hz=RATE_HZ,
+        object="object",
+        support="table",
+        noise=Noise(object_pose=(0.0005, 0.005)),
+    ),
     build=build,
     policies=("toss",),
     about="a 0.105 m cube thrown onto a plane, no actuators",

@@ -50,20 +50,36 @@ def build() -> mujoco.MjSpec:
 def _add_table(spec: mujoco.MjSpec) -> None:
     """Add light, camera and a table whose top is z = 0 (a plane: its contacts are found in closed form)."""
     spec.worldbody.add_light(pos=(0.2, -0.6, 1.2), dir=(-0.1, 0.4, -1), castshadow=True)
-    spec.worldbody.add_camera(name="report", pos=(0.62, 0.62, 0.42), fovy=38,
-                              xyaxes=(-0.78, 0.62, 0, -0.30, -0.38, 0.87))
-    spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.4, 0.4, 0.05),
-                            rgba=(0.82, 0.78, 0.72, 1))
+    spec.worldbody.add_camera(
+        name="report", pos=(0.62, 0.62, 0.42), fovy=38, xyaxes=(-0.78, 0.62, 0, -0.30, -0.38, 0.87)
+    )
+    spec.worldbody.add_geom(
+        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.4, 0.4, 0.05), rgba=(0.82, 0.78, 0.72, 1)
+    )
 
 
 def _add_wrist(spec: mujoco.MjSpec) -> mujoco.MjsBody:
     """Return the body that three position-controlled slides carry."""
     body = spec.worldbody.add_body(name="wrist", pos=(0, 0, HAND_HEIGHT_M))
-    body.add_geom(name="wrist", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(0.02, 0, 0), mass=0.6,
-                  contype=0, conaffinity=0, rgba=(0.3, 0.3, 0.35, 1))
+    body.add_geom(
+        name="wrist",
+        type=mujoco.mjtGeom.mjGEOM_SPHERE,
+        size=(0.02, 0, 0),
+        mass=0.6,
+        contype=0,
+        conaffinity=0,
+        rgba=(0.3, 0.3, 0.35, 1),
+    )
     for name, axis in zip(WRIST, np.eye(3), strict=True):
-        body.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis, range=(-0.25, 0.25),
-                       limited=mujoco.mjtLimited.mjLIMITED_TRUE, armature=0.2, damping=2.0)
+        body.add_joint(
+            name=name,
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=axis,
+            range=(-0.25, 0.25),
+            limited=mujoco.mjtLimited.mjLIMITED_TRUE,
+            armature=0.2,
+            damping=2.0,
+        )
         servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         servo.set_to_position(kp=WRIST_KP, kv=WRIST_KV)
         servo.forcelimited, servo.forcerange = True, (-WRIST_LIMIT_N, WRIST_LIMIT_N)
@@ -75,10 +91,23 @@ def _add_can(spec: mujoco.MjSpec) -> None:
     """Add the free can, standing in front of the palm."""
     can = spec.worldbody.add_body(name="object", pos=(*CAN_START_M, CAN_HALF_HEIGHT_M))
     can.add_freejoint(name="object")
-    can.add_geom(name="object", type=mujoco.mjtGeom.mjGEOM_CYLINDER, mass=CAN_MASS_KG,
-                 size=(CAN_RADIUS_M, CAN_HALF_HEIGHT_M, 0), rgba=(0.2, 0.55, 0.75, 1))
-    can.add_geom(name="object_mark", type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.004, 0.002, 0.05), mass=0,
-                 pos=(0, CAN_RADIUS_M, 0), contype=0, conaffinity=0, rgba=(0.95, 0.95, 0.95, 1))
+    can.add_geom(
+        name="object",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        mass=CAN_MASS_KG,
+        size=(CAN_RADIUS_M, CAN_HALF_HEIGHT_M, 0),
+        rgba=(0.2, 0.55, 0.75, 1),
+    )
+    can.add_geom(
+        name="object_mark",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(0.004, 0.002, 0.05),
+        mass=0,
+        pos=(0, CAN_RADIUS_M, 0),
+        contype=0,
+        conaffinity=0,
+        rgba=(0.95, 0.95, 0.95, 1),
+    )
 
 
 def _exclude_neighbours(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
@@ -109,8 +138,12 @@ def _file() -> SceneFile:
         fingertip_frames=hand.fingertip_frames,
         support="table",
         groups={"wrist": WRIST, "fingers": hand.joints},
-        noise=Noise(object_pose=(0.001, np.deg2rad(0.5).item()), joint_position=0.002,
-                    fingertip_force=0.02, force_step=0.05),
+        noise=Noise(
+            object_pose=(0.001, np.deg2rad(0.5).item()),
+            joint_position=0.002,
+            fingertip_force=0.02,
+            force_step=0.05,
+        ),
     )
 
 

@@ -1,0 +1,122 @@
+"""Candidates: effects that can act in a scene, with the probes at which they are simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import effect, effect_names, setting
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect (or one element of it) as a vector of coordinates.
+
+    Attributes
+    ----------
+    name, element : str
+        Which effect, where (None: everywhere it acts).
+    neutral : (d,) float64
+        Coordinates at which it vanishes, or comes closest to the model's own.
+    low, high : (d,) float64
+        Bounds of the coordinates.
+    logarithmic : (d,) bool
+        Coordinates that are logarithms of the value (scales and times), so that half and double are alike.
+    choices : bool
+        Whether the value is a choice, not a number.
+    """
+
+    name: str
+    element: str | None
+    neutral: Array
+    low: Array
+    high: Array
+    logarithmic: NDArray[np.bool_]
+    choices: bool
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates d."""
+        return len(self.neutral)
+
+    @property
+    def label(self) -> str:
+        """Name, with the element where there is one."""
+        return self.name if self.element is None else f"{self.name} {self.element}"
+
+    def values(self, u: Array) -> Array:
+        """Return parameter values of coordinates `u (d,)`, inside the bounds."""
+        clipped = np.clip(u, self.low, self.high)
+        return np.where(self.logarithmic, np.exp(clipped), clipped)
+
+    def setting(self, u: Array, scene: Scene) -> EffectSetting:
+        """Return the effect setting at coordinates `u (d,)`."""
+        return setting(self.name, self.values(u), scene, self.element)
+
+
+def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
+    """Return the candidate for one effect in a scene."""
+    neutral, low, high, logarithmic = [], [], [], []
+    for p in effect(name).parameters:
+        bounds = p.bounds(scene)
+        own = p.neutral(scene) if p.neutral else p.identity(scene)
+        if p.choices:
+            own = 1.0 - p.probes(scene)[0]
+        is_log = not p.choices and bounds.low > 0 and own > 0
+        ends = np.array([bounds.low, bounds.high, own])
+        ends = np.log(ends) if is_log else ends
+        for column, value in zip((low, high, neutral), ends, strict=True):
+            column += [value] * p.size(scene)
+        logarithmic += [is_log] * p.size(scene)
+    discrete = bool(effect(name).parameters[0].choices)
+    return Candidate(
+        name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete
+    )
+
+
+def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
+    """Return every effect of the folder that can act in the scene and shows in the recorded channels."""
+    found = []
+    for name in effect_names():
+        kind = effect(name)
+        if not kind.possible(scene) or (kind.moves and not set(kind.moves) & set(channels)):
+            continue
+        found.append(candidate(name, scene))
+    return found
+
+
+def probes(c: Candidate, scene: Scene) -> list[Array]:
+    """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each, the middle ones first.
+
+    A scalar's probes are ordered from the middle of each side outwards, so that the first two tell most.
+    """
+    out = []
+    column = 0
+    for p in effect(c.name).parameters:
+        numbers = np.array(p.probes(scene), float)
+        for _ in range(p.size(scene)):
+            u = np.log(numbers) if c.logarithmic[column] else numbers
+            for value in u:
+                point = c.neutral.copy()
+                point[column] = value
+                out.append(point)
+            column += 1
+    return _middle_first(c, out) if c.size == 1 else out
+
+
+def _middle_first(c: Candidate, points: list[Array]) -> list[Array]:
+    """Return scalar probes with one from the middle of each side first."""
+    below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
+    above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
+    first = [side[len(side) // 2] for side in (below, above) if side]
+    if len(first) == 1 and len(points) > 1:
+        side = below or above
+        first.append(side[max(0, len(side) // 2 - 1)] if len(side) > 1 else side[0])
+    return first + [p for p in points if not any(p is f for f in first)]

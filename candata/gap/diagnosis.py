@@ -1,0 +1,331 @@
+"""The diagnosis: floor, where, which, how far, and a verdict - from a dataset of recordings and a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import candata
+from candata.datasets import Dataset
+from candata.errors import DataError, Where
+from candata.gap.attribute import Attribution, Fit, Problem, attribute
+from candata.gap.evidence import EpisodeLosses, Evidence
+from candata.gap.example import example
+from candata.gap.floor import floor
+from candata.gap.folds import FOLDS, folds
+from candata.gap.locate import acts_on, locate, symptoms
+from candata.gap.recordings import Recordings, recordings
+from candata.gap.replay import Replayer, replay_all
+from candata.gap.residuals import layout, residual
+from candata.gap.score import score
+from candata.gap.shrink import (
+    HeldOut,
+    gap,
+    held_out,
+    intervals,
+    measures,
+    separating_task,
+    shares,
+    support,
+)
+from candata.gap.starts import starts
+from candata.gap.verdict import FEWEST, class_of, unknown, verdict
+from candata.scenes import Scene
+from candata.schema.effect import EffectsFile
+from candata.schema.report import (
+    DataUsed,
+    EpisodeCount,
+    Estimate,
+    NamedEffect,
+    NextMotion,
+    Ranked,
+    Report,
+)
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+#: Episodes on which effects are searched; what a larger dataset holds beyond is left untouched until the end.
+SEARCHED = 64
+#: Null replays of each untouched episode.
+REST_REPLICAS = 4
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The report, what its figures show, and the repaired simulator.
+
+    Attributes
+    ----------
+    report : Report
+    evidence : Evidence
+    effects : EffectsFile
+        Ready to be written as `effects.yaml`; empty where nothing is named.
+    """
+
+    report: Report
+    evidence: Evidence
+    effects: EffectsFile
+
+
+def diagnose(
+    dataset: Dataset, scene: Scene, *, jobs: int = 1, seed: int = 0, progress: Progress = lambda stage: None
+) -> Diagnosis:
+    """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Recordings of the real world (or of a stand-in) on the scene's joints.
+    scene : Scene
+        The nominal simulator.
+    jobs : int
+        Threads that step simulations; the result does not depend on it.
+    seed : int
+        Seed of folds, null replays and resamples.
+    progress : callable
+        Called with the name of each stage.
+
+    Raises
+    ------
+    DataError
+        When the dataset is empty or does not fit the scene.
+    """
+    if len(dataset) == 0:
+        raise DataError(
+            "the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path))
+        )
+    rng = np.random.default_rng(seed)
+    progress("reading")
+    everything = recordings(scene, dataset.episodes())
+    if len(everything) < FEWEST:
+        return _too_little(dataset, scene, everything)
+    order = rng.permutation(len(everything))
+    searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
+    replayer = Replayer(scene, jobs)
+    problem, nominal = _problem(replayer, everything.take(searched), rng, progress)
+    progress("searching effects")
+    found = attribute(problem, nominal)
+    progress("measuring on held-out episodes")
+    world = replace(problem, score=found.score)
+    held = held_out(world, found.chosen)
+    if len(untouched):
+        world, held = _untouched(world, everything.take(untouched), found.chosen)
+    return _concluded(_Findings(dataset, scene, problem, nominal, found, world, held, len(everything)), rng)
+
+
+def _problem(
+    replayer: Replayer, recs: Recordings, rng: np.random.Generator, progress: Progress
+) -> tuple[Problem, NDArray[np.float32]]:
+    """Return the search problem and the normalised residuals of the nominal scene."""
+    progress("replaying the nominal scene")
+    begin = starts(replayer.scene, recs)
+    readings = replay_all(replayer, recs, begin, [()])[0]
+    plan = layout(replayer.scene, recs, begin, readings)
+    raw = residual(recs, plan, readings)
+    progress("measuring the floor")
+    spread = floor(replayer, recs, begin, plan, rng)
+    level = score(raw, spread)
+    parts = folds(recs.tasks, rng)
+    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(
+        raw
+    )
+
+
+def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
+    """Return the problem and the evidence on episodes that took no part in the search."""
+    replayer = problem.replayer
+    begin = starts(replayer.scene, recs)
+    world = problem.setting(fit.members) if fit else ()
+    before, after = replay_all(replayer, recs, begin, [(), world])
+    plan = layout(replayer.scene, recs, begin, before)
+    raw = residual(recs, plan, before)
+    level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world))
+    losses = [level.loss(level.normal(r)) for r in (raw, residual(recs, plan, after))]
+    point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
+    points = np.repeat(point[None], len(recs), axis=0)
+    new = replace(problem, recs=recs, begin=begin, plan=plan, score=level)
+    return new, HeldOut(recs, before, after, losses[0], losses[1], points)
+
+
+@dataclass(frozen=True)
+class _Findings:
+    """All that a conclusion is drawn from; `world` is where `held` was measured, `problem` where it was searched."""
+
+    dataset: Dataset
+    scene: Scene
+    problem: Problem
+    nominal: NDArray[np.float32]
+    found: Attribution
+    world: Problem
+    held: HeldOut
+    episodes: int
+
+
+def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
+    """Return the diagnosis drawn from all findings."""
+    chosen = f.found.chosen
+    size = gap(f.held.loss_before, f.held.loss_after, rng, named=chosen is not None)
+    word = verdict(f.found, size)
+    heat = locate(f.problem.plan, f.problem.score, f.nominal, rng)
+    where = symptoms(f.problem.plan, heat)
+    left = where
+    if word == "partly_explained":
+        after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
+        left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
+    typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
+    named = _named(f, rng) if word in ("explained", "partly_explained") else ()
+    report = Report(
+        verdict=word,
+        effects=named,
+        ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
+        unknown=unknown(word, f.found, left, acts_on(left, _slides(f.scene)), typical, unit),
+        ranking=_ranking(f, rng),
+        gap=size,
+        where=where,
+        next_motion=_next_motion(f) if word == "ambiguous" else None,
+        data=_data_used(f),
+        measures=measures(f.held),
+        provenance=provenance(f.scene),
+    )
+    repaired = f.problem.setting(chosen.members) if chosen and named else ()
+    losses = EpisodeLosses(
+        f.held.recs.ids,
+        f.held.loss_before,
+        f.held.loss_after,
+        *(np.quantile(f.world.score.null_loss, q, axis=0) for q in (0.05, 0.95)),
+    )
+    shown = example(f.world, f.held, chosen if named else None)
+    return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=f.scene.name, effects=repaired))
+
+
+def _slides(scene: Scene) -> list[str]:
+    """Return the names of slide joints: a wrist on rails."""
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    return [
+        j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide
+    ]
+
+
+def _typical(f: _Findings, channel: str, element: str | None) -> tuple[float, str]:
+    """Return the 68 % quantile of the remaining residual's size in one column, and its unit."""
+    readings = f.held.after if f.found.chosen else f.held.before
+    column = [(c, e) for c, e, _ in f.world.plan.columns].index((channel, element or ""))
+    size = np.abs(residual(f.held.recs, f.world.plan, readings)[..., column])
+    return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
+
+
+def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
+    """Return the chosen effects, the largest share first."""
+    fit = f.found.chosen
+    if fit is None:
+        return ()
+    world = replace(f.problem, score=f.found.score)
+    low, high = intervals(world, fit)
+    alone = support(f.found.first.fits, f.found.first.base, rng)[0]
+    out = []
+    pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng), strict=True)
+    for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
+        at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
+        lows, highs = c.setting(lower, f.scene).parameters, c.setting(upper, f.scene).parameters
+        values = c.setting(u, f.scene).parameters
+        estimates = {
+            name: Estimate(
+                value=v, low=None if c.choices else lows[name], high=None if c.choices else highs[name]
+            )  # type: ignore[arg-type]
+            for name, v in values.items()
+        }
+        out.append(
+            NamedEffect(
+                name=c.name,
+                element=c.element,
+                share=share,
+                at_bound=at_bound and not _one_sided(c.neutral, u),
+                support=round(float(alone if np.isnan(backing) else backing), 3),
+                parameters=estimates,
+            )
+        )
+    return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _one_sided(neutral: Array, u: Array) -> bool:
+    """Tell whether the bound that is touched is the effect's own absence."""
+    return bool(np.allclose(neutral, u))
+
+
+def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
+    """Return every candidate alone with its held-out gain and a 90 % interval, best first; dead ones last."""
+    fits = f.found.first.fits
+    backing = support(fits, f.found.first.base, rng)
+    out = []
+    for fit, s in zip(fits, backing, strict=True):
+        gain = fit.evidence.gain
+        picks = rng.integers(len(gain), size=(500, len(gain)))
+        low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
+        c, u = fit.members[0]
+        out.append(
+            Ranked(
+                name=c.name,
+                element=c.element,
+                support=round(float(s), 3),
+                held_out_gain=round(fit.gain, 4),
+                gain_low=round(float(low), 4),
+                gain_high=round(float(high), 4),
+                parameters=c.setting(u, f.scene).parameters,
+            )
+        )
+    dead = [
+        Ranked(name=d, support=0.0, held_out_gain=0.0, reason="moves nothing in these motions")
+        for d in f.found.first.dead
+    ]
+    return (*out, *dead)
+
+
+def _next_motion(f: _Findings) -> NextMotion:
+    """Return the recorded motion in which the tied candidates differ most."""
+    task = separating_task(f.problem, f.found)
+    return NextMotion(
+        name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2])
+    )
+
+
+def _data_used(f: _Findings) -> DataUsed:
+    """Return what was looked at."""
+    untouched = f.episodes > SEARCHED
+    return DataUsed(
+        dataset=f"{f.dataset.name}@{f.dataset.digest[:12]}",
+        episodes=EpisodeCount(total=f.episodes, folds=FOLDS, held_out=len(f.held.recs)),
+        floor=f.problem.floor_kind,
+        channels=tuple(f.problem.recs.readings),
+        notes=(f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}",)
+        if untouched
+        else (),
+    )
+
+
+def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
+    """Return the verdict that there are too few episodes."""
+    report = Report(
+        verdict="too_little_data",
+        data=DataUsed(
+            dataset=f"{dataset.name}@{dataset.digest[:12]}",
+            episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
+            channels=tuple(recs.readings),
+            notes=(f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out",),
+        ),
+        provenance=provenance(scene),
+    )
+    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name))
+
+
+def provenance(scene: Scene) -> dict[str, str]:
+    """Return what a report was made with."""
+    return {
+        "candata": candata.__version__,
+        "mujoco": mujoco.__version__,
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+    }

@@ -1,0 +1,172 @@
+"""Responses: how normalised residuals change with a candidate's coordinates, and the best coordinates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate
+from candata.gap.score import Compact, Score, weights
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Points between two neighbouring probes at which a scalar's loss is read off the interpolated response.
+BETWEEN = 6
+#: Rounds of iteratively reweighted least squares; the weights settle in a handful.
+ROUNDS = 6
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Response of a scalar or a choice: residuals at its probes, linear in between.
+
+    Attributes
+    ----------
+    who : Candidate
+    at : (m,) float64
+        Probe coordinates, rising; the neutral one among them.
+    z : (m, E, K) float32
+        Normalised residuals there.
+    """
+
+    who: Candidate
+    at: Array
+    z: Compact
+
+    def with_probes(self, at: Array, z: Compact) -> Curve:
+        """Return the curve with more probes; one that stands already is replaced."""
+        keep = ~np.isin(np.round(self.at, 12), np.round(at, 12))
+        at, z = np.concatenate([self.at[keep], at]), np.concatenate([self.z[keep], z])
+        order = np.argsort(at)
+        return replace(self, at=at[order], z=z[order])
+
+    def rescaled(self, factor: Compact) -> Curve:
+        """Return the curve with residuals times `factor (E, K)`: another floor's units."""
+        return replace(self, z=self.z * factor)
+
+    def grid(self) -> Array:
+        """Return `(G,)` coordinates at which losses are read: the probes and points between them."""
+        if self.who.choices:
+            return self.at
+        steps = np.arange(BETWEEN) / BETWEEN
+        inner = (self.at[:-1, None] + np.diff(self.at)[:, None] * steps).ravel()
+        return np.append(inner, self.at[-1])
+
+    def read(self, u: Array) -> Compact:
+        """Return `(E, K)` residuals at coordinate `u (1,)`."""
+        right = int(np.clip(np.searchsorted(self.at, u[0]), 1, len(self.at) - 1))
+        share = np.float32((u[0] - self.at[right - 1]) / (self.at[right] - self.at[right - 1]))
+        return self.z[right - 1] + np.clip(share, 0, 1) * (self.z[right] - self.z[right - 1])
+
+    def neutral(self) -> Compact:
+        """Return `(E, K)` residuals without the effect."""
+        return self.z[int(np.argmin(np.abs(self.at - self.who.neutral[0])))]
+
+    def table(self, score: Score, base: Compact | None = None) -> Array:
+        """Return `(G, E)` losses along the grid; with `base (E, K)`, of that residual moved by the response."""
+        offset = np.float32(0) if base is None else base - self.neutral()
+        return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid()])
+
+    def best(self, table: Array, train: Index) -> Array:
+        """Return the coordinate `(1,)` with the least mean loss over the training episodes."""
+        return self.grid()[[int(np.argmin(table[:, train].mean(1)))]]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Response of several coordinates: linear around a reference.
+
+    Attributes
+    ----------
+    low, high : (d,) float64
+        Bounds of the coordinates.
+    at : (d,) float64
+        Reference coordinates.
+    z : (E, K) float32
+        Normalised residuals there.
+    slope : (d, E, K) float32
+        Change of the residuals with each coordinate.
+    """
+
+    low: Array
+    high: Array
+    at: Array
+    z: Compact
+    slope: Compact
+
+    def rescaled(self, factor: Compact) -> Plane:
+        """Return the plane with residuals times `factor (E, K)`: another floor's units."""
+        return replace(self, z=self.z * factor, slope=self.slope * factor)
+
+    def read(self, u: Array) -> Compact:
+        """Return `(E, K)` residuals at coordinates `u (d,)`."""
+        return self.z + np.tensordot((u - self.at).astype(np.float32), self.slope, 1)
+
+    def best(self, train: Index) -> Array:
+        """Return the coordinates `(d,)` with the least robust loss over the training episodes.
+
+        Iteratively reweighted least squares with a small ridge, each coordinate in units of its range.
+        """
+        slope, z = self.slope[:, train], self.z[train]
+        ridge = _ridge(slope, self.high - self.low)
+        step = np.zeros(len(self.at))
+        for _ in range(ROUNDS):
+            now = z + np.tensordot(step.astype(np.float32), slope, 1)
+            step = _solve(slope, z, weights(now), ridge)
+        return np.clip(self.at + step, self.low, self.high)
+
+
+def _ridge(slope: Compact, span: Array) -> Array:
+    """Return the diagonal of a ridge that leaves well-seen coordinates alone."""
+    strength = np.einsum("dek,dek->d", slope, slope, dtype=np.float64)
+    return 1e-6 * strength.max(initial=0.0) + 1.0 / np.maximum(span, 1e-12) ** 2
+
+
+def _solve(slope: Compact, z: Compact, weight: Compact, ridge: Array) -> Array:
+    """Return the weighted least-squares step."""
+    flat = slope.reshape(len(slope), -1)
+    normal = (flat * weight.ravel()) @ flat.T
+    return np.linalg.solve(normal.astype(float) + np.diag(ridge), -(flat * weight.ravel()) @ z.ravel())
+
+
+@dataclass(frozen=True)
+class NullQuadratic:
+    """Null losses around zero for several coordinates: gain of a step u is `2 b u - u A u`, halved.
+
+    Attributes
+    ----------
+    normal : (R, E, d, d) float64
+    right : (R, E, d) float64
+        Normal equations with the weights of each null, in units of the floor's loss.
+    ridge : (d,) float64
+    """
+
+    normal: Array
+    right: Array
+    ridge: Array
+
+    def step(self, chosen: Index, train: Index) -> Array:
+        """Return the coordinates fitted to training episodes of a null set; `chosen (E,)` replica of each."""
+        a = self.normal[chosen[train], train].sum(0)
+        b = self.right[chosen[train], train].sum(0)
+        return np.linalg.solve(a + np.diag(self.ridge), b)
+
+    def gain(self, chosen: Index, test: Index, u: Array) -> Array:
+        """Return the gain of each test episode at `u`, by the quadratic that bounds the robust loss from above."""
+        a, b = self.normal[chosen[test], test], self.right[chosen[test], test]
+        return b @ u - 0.5 * np.einsum("i,eij,j->e", u, a, u)
+
+
+def null_quadratic(plane: Plane, score: Score) -> NullQuadratic:
+    """Return the quadratic of a plane on every null replay."""
+    unit = np.maximum(score.mask.sum(1), 1) * score.floor
+    slope = plane.slope.transpose(1, 0, 2)
+    normal, right = [], []
+    for z in score.null:
+        weighted = slope * weights(z)[:, None, :]
+        normal.append(weighted @ slope.transpose(0, 2, 1) / unit[:, None, None])
+        right.append(-np.einsum("edk,ek->ed", weighted, z, dtype=np.float64) / unit[:, None])
+    ridge = _ridge(plane.slope, plane.high - plane.low) / unit.mean()
+    return NullQuadratic(np.stack(normal).astype(float), np.stack(right), ridge)

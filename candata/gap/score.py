@@ -1,0 +1,82 @@
+"""Scores: robust loss of normalised residuals by episode, over the floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.floor import Floor
+
+Array = NDArray[np.float64]
+Compact = NDArray[np.float32]
+#: Degrees of freedom of the Student-t loss (Lange, Little & Taylor 1989).
+NU = 5.0
+
+
+@dataclass(frozen=True)
+class Score:
+    """Turns residuals into normalised, flat, masked arrays and losses.
+
+    Attributes
+    ----------
+    sigma : (E, K) float32
+        Spread of each of the K block means of an episode.
+    mask : (E, K) bool
+        Those that were recorded.
+    null : (R, E, K) float32
+        Normalised null residuals.
+    floor : (E,) float64
+        Mean loss of each episode's nulls.
+    null_loss : (R, E) float64
+        Loss of each null over its episode's floor.
+    """
+
+    sigma: Compact
+    mask: NDArray[np.bool_]
+    null: Compact
+    floor: Array
+    null_loss: Array
+
+    def normal(self, residual: Array) -> Compact:
+        """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
+        flat = residual.reshape(len(residual), -1)
+        return np.where(self.mask, np.nan_to_num(flat) / self.sigma, 0.0).astype(np.float32)
+
+    def loss(self, z: Compact) -> Array:
+        """Return `(..., E)` the mean Student-t loss of each episode over its floor; z is `(..., E, K)`."""
+        count = np.maximum(self.mask.sum(1), 1)
+        rho = np.log1p(z * z * np.float32(1 / NU)).sum(-1, dtype=np.float64) * (NU + 1) / 2
+        return rho / count / self.floor
+
+    def take(self, index: NDArray[np.int64]) -> Score:
+        """Return the score of some episodes."""
+        return Score(
+            self.sigma[index],
+            self.mask[index],
+            self.null[:, index],
+            self.floor[index],
+            self.null_loss[:, index],
+        )
+
+
+def score(residual: Array, floor: Floor) -> Score:
+    """Return the score for recordings whose residual under the nominal replay is `residual (E, B, D)`.
+
+    Only what both the recording and the nulls hold is compared.
+    """
+    count = len(residual)
+    sigma = floor.sigma.reshape(count, -1)
+    null = floor.null.reshape(len(floor.null), count, -1)
+    mask = np.isfinite(residual.reshape(count, -1)) & (sigma > 0)
+    z = np.where(mask & np.isfinite(null), np.nan_to_num(null) / sigma, 0.0).astype(np.float32)
+    first = Score(sigma.astype(np.float32), mask, z, np.ones(count), np.zeros((len(null), count)))
+    losses = first.loss(z)
+    level = np.maximum(losses.mean(0), 1e-9)
+    return Score(first.sigma, mask, z, level, losses / level)
+
+
+def weights(z: Compact) -> Compact:
+    """Return the weights of iteratively reweighted least squares, `(nu + 1) / (nu + z^2)`."""
+    return (np.float32(NU + 1) / (np.float32(NU) + z * z)).astype(np.float32)

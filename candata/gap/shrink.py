@@ -1,0 +1,179 @@
+"""How far: held-out losses before and after, shares, intervals and support by resampling episodes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.attribute import Attribution, Fit, Problem
+from candata.gap.recordings import Recordings
+from candata.gap.replay import replay_all
+from candata.gap.residuals import residual
+from candata.gap.response import Curve
+from candata.rotation import difference
+from candata.schema.report import Gap
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Resamples of the episodes for gaps and support, and for parameters (each is a refit).
+RESAMPLES, REFITS = 2000, 100
+#: Ends of a 90 % interval.
+ENDS = (0.05, 0.95)
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Episodes that no fit has seen, replayed without and with the chosen effects.
+
+    Attributes
+    ----------
+    recs : Recordings
+    before, after : dict of str to ndarray
+        Readings of the nominal and the repaired simulator.
+    loss_before, loss_after : (E,) float64
+        In floors of the repaired world.
+    points : (E, d) float64
+        Coordinates with which each episode was repaired; empty without a chosen set.
+    """
+
+    recs: Recordings
+    before: dict[str, Array]
+    after: dict[str, Array]
+    loss_before: Array
+    loss_after: Array
+    points: Array
+
+
+def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
+    """Return every episode replayed with what was fitted without it (cross-fitting), by rollouts."""
+    before = replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
+    loss_before = problem.score.loss(problem.score.normal(residual(problem.recs, problem.plan, before)))
+    if fit is None:
+        return HeldOut(
+            problem.recs, before, before, loss_before, loss_before, np.zeros((len(problem.recs), 0))
+        )
+    after = {n: v.copy() for n, v in before.items()}
+    points = np.zeros((len(problem.recs), fit.evidence.points.shape[1]))
+    for test, u in zip(problem.parts, fit.evidence.points, strict=True):
+        world = problem.setting(fit.split(u))
+        part = replay_all(problem.replayer, problem.recs.take(test), problem.begin.take(test), [world])[0]
+        points[test] = u
+        for name, values in part.items():
+            after[name][test] = values
+    loss_after = problem.score.loss(problem.score.normal(residual(problem.recs, problem.plan, after)))
+    return HeldOut(problem.recs, before, after, loss_before, loss_after, points)
+
+
+def gap(before: Array, after: Array, rng: np.random.Generator, named: bool) -> Gap:
+    """Return the gap in floors and the share of it that closes, with a 90 % bootstrap interval over episodes.
+
+    1 - (after - floor) / (before - floor), floor 1; a share above 1 is the floor's own luck and is printed as 1.
+    """
+    if not named:
+        return Gap(before=round(float(before.mean()), 4), after=round(float(before.mean()), 4))
+    picks = rng.integers(len(before), size=(RESAMPLES, len(before)))
+    many = _closed(before[picks].mean(1), after[picks].mean(1))
+    low, high = np.quantile(many, ENDS)
+    return Gap(
+        before=round(float(before.mean()), 4),
+        after=round(float(after.mean()), 4),
+        closed=round(float(_closed(before.mean(), after.mean())), 4),
+        low=round(float(low), 4),
+        high=round(float(high), 4),
+    )
+
+
+def _closed(before: Array, after: Array) -> Array:
+    """Return the closed share, at most 1, at least -1."""
+    return np.clip(1 - (after - 1) / np.maximum(before - 1, 1e-6), -1, 1)
+
+
+def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
+    """Return 90 % bootstrap ends `(d,)` of the coordinates, refitting on resampled episodes."""
+    table = fit.response.table(problem.score) if isinstance(fit.response, Curve) else None
+    found = []
+    for _ in range(REFITS):
+        pick = problem.rng.integers(len(problem.recs), size=len(problem.recs))
+        found.append(fit.response.best(table, pick) if table is not None else fit.response.best(pick))  # type: ignore[call-arg, arg-type]
+    low, high = np.quantile(np.array(found), ENDS, axis=0)
+    return low, high
+
+
+def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Array:
+    """Return, for each fit, the share of resampled sets of episodes in which its held-out loss is the least.
+
+    The nominal scene takes part, so the shares need not add up to 1.
+    """
+    losses = np.stack([base, *(f.evidence.loss for f in first)])
+    picks = rng.integers(losses.shape[1], size=(RESAMPLES, losses.shape[1]))
+    winner = losses[:, picks].mean(2).argmin(0)
+    return np.bincount(winner, minlength=len(losses))[1:] / RESAMPLES
+
+
+def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Return (leave-one-out share, support) of each member of a set.
+
+    The share is what the loss rises when the member is left out and nothing refitted, over the whole gain; support
+    is how often that rise is positive when episodes are resampled.
+    """
+    if len(fit.members) == 1:
+        return [(1.0, float("nan"))]
+    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
+    zs = problem.residuals([(), problem.setting(fit.members), *without])
+    losses = [problem.score.loss(z) for z in zs]
+    whole = max(float((losses[0] - losses[1]).mean()), 1e-9)
+    picks = rng.integers(len(losses[0]), size=(RESAMPLES, len(losses[0])))
+    out = []
+    for loss in losses[2:]:
+        rise = loss - losses[1]
+        out.append((round(float(rise.mean()) / whole, 3), float((rise[picks].mean(1) > 0).mean())))
+    return out
+
+
+def measures(held: HeldOut) -> dict[str, dict[str, float]]:
+    """Return errors in physical units before and after: mean over episodes of the mean over rows."""
+    out: dict[str, dict[str, float]] = {}
+    for name, size in _errors(held.recs, held.before).items():
+        repaired = _errors(held.recs, held.after)[name]
+        out[name] = {
+            "before": float(np.nanmean(size)),
+            "after": float(np.nanmean(repaired)),
+            "before_median": float(np.nanmedian(size)),
+            "after_median": float(np.nanmedian(repaired)),
+        }
+    return out
+
+
+def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
+    """Return `(E,)` mean error of each episode by quantity, with its unit in the name."""
+    out = {}
+    with np.errstate(invalid="ignore"):
+        for channel, recorded in recs.readings.items():
+            if channel == "object_pose":
+                shift = np.linalg.norm(recorded[..., :3] - readings[channel][..., :3], axis=-1)
+                turn = np.linalg.norm(difference(recorded[..., 3:], readings[channel][..., 3:]), axis=-1)
+                out["object_position_m"] = np.nanmean(shift, 1)
+                out["object_rotation_deg"] = np.degrees(np.nanmean(turn, 1))
+            else:
+                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[
+                    channel
+                ]
+                error = np.abs(recorded - readings[channel]).reshape(*recorded.shape[:2], -1)
+                out[name] = np.nanmean(np.nanmean(error, 2), 1)
+    return out
+
+
+def separating_task(problem: Problem, attribution: Attribution) -> str | None:
+    """Return the task among the recorded ones in which the tied candidates differ most, in floors."""
+    first, second = attribution.tied[:2]
+    a, b = (problem.residuals([problem.setting(f.members)])[0] for f in (first, second))
+    apart = ((a - b) ** 2).sum(1) / np.maximum(problem.score.mask.sum(1), 1)
+    tasks = sorted(set(problem.recs.tasks) - {""})
+    if not tasks:
+        return None
+    return max(
+        tasks, key=lambda t: float(apart[[i for i, own in enumerate(problem.recs.tasks) if own == t]].mean())
+    )

@@ -1,0 +1,72 @@
+"""Verdicts: what the evidence allows to say, by the rules of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from candata.gap.attribute import Attribution, Fit
+from candata.schema.report import Gap, Symptom, Unknown, Verdict
+
+#: Share of the gap that must close for `explained`, and for naming anything.
+EXPLAINED, PARTLY = 0.8, 0.3
+#: Floors that may remain for `explained` whatever the share.
+REMAINING = 0.30
+#: Fewest episodes on which anything is decided.
+FEWEST = 8
+
+
+def verdict(found: Attribution, size: Gap) -> Verdict:
+    """Return the verdict word for what was found and how far the gap shrank."""
+    if found.chosen is None:
+        return "unknown_effect" if found.remains else "no_gap"
+    if len(found.tied) > 1:
+        return "ambiguous"
+    closed = size.closed or 0.0
+    if closed >= EXPLAINED or (closed >= PARTLY and size.after - size.floor <= REMAINING):
+        return "explained"
+    return "partly_explained" if closed >= PARTLY else "unknown_effect"
+
+
+def unknown(
+    word: Verdict,
+    found: Attribution,
+    where: Sequence[Symptom],
+    place: str | None,
+    size: float | None,
+    unit: str | None,
+) -> Unknown | None:
+    """Return what is not known: filled for `unknown_effect` and `partly_explained`."""
+    if word not in ("unknown_effect", "partly_explained"):
+        return None
+    depends = tuple(dict.fromkeys(s.phase for s in where if s.phase))[:3]
+    element = where[0].element if where else None
+    return Unknown(
+        acts_on=place,  # type: ignore[arg-type]
+        element=element,
+        size=size,
+        unit=unit,
+        depends_on=depends,
+        words=_words(word, found, where, size, unit),
+    )
+
+
+def _words(
+    word: Verdict, found: Attribution, where: Sequence[Symptom], size: float | None, unit: str | None
+) -> str:
+    """Return one clause about what remains, and the nearest effect where none is named."""
+    if where:
+        first = where[0]
+        text = f"A difference remains in {first.channel.replace('_', ' ')} {first.element or ''}".rstrip()
+        text += f" during {first.phase}" if first.phase else ""
+        text += f", typically {size:.3g} {unit}" if size is not None else ""
+    else:
+        text = "A difference remains that no single channel or phase stands out in"
+    if word == "unknown_effect" and found.first.fits:
+        nearest = found.first.fits[0]
+        text += f"; the nearest effect of the library is {nearest.labels[0]}, which does not explain it"
+    return text
+
+
+def class_of(fits: Sequence[Fit]) -> tuple[str, ...]:
+    """Return the sorted names of candidates that cannot be told apart."""
+    return tuple(sorted(f.labels[0] for f in fits))

@@ -1,0 +1,38 @@
+"""A diagnosis as files: report.json, effects.yaml, report.html."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import yaml
+
+from candata.gap import Diagnosis
+from candata.reports.page import write_report
+from candata.scenes import Scene
+from candata.schema.effect import EffectsFile
+
+
+def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
+    """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
+
+    Each file appears whole or not at all.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    text = effects_text(diagnosis.effects)
+    page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text)
+    _replace(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n")
+    _replace(out / "effects.yaml", text)
+    return page
+
+
+def effects_text(effects: EffectsFile) -> str:
+    """Return the text of `effects.yaml`: the repaired simulator."""
+    return yaml.safe_dump(effects.model_dump(mode="json"), sort_keys=False)
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file beside its place and move it there."""
+    staged = path.with_name(f".{path.name}.part")
+    staged.write_text(text)
+    os.replace(staged, path)

@@ -1,0 +1,52 @@
+"""`candata diagnose`: where recordings and simulator differ, which effect causes it, how far the gap shrinks."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command(epilog="Example: candata diagnose real --scene scene.yaml --out out/diagnosis")(diagnose)
+
+
+def diagnose(
+    dataset: Annotated[Path, typer.Argument(help="Dataset of recordings.")],
+    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
+    out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
+    version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
+    jobs: Annotated[int, typer.Option(help="Threads; the result does not depend on it.")] = os.cpu_count()
+    or 1,
+    seed: Annotated[int, typer.Option(help="Seed of folds, null replays and resamples.")] = 0,
+    fail_on: Annotated[
+        str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
+    ] = "",
+    json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
+    from candata.datasets import open_dataset
+    from candata.errors import UnknownNameError
+    from candata.gap import diagnose as run
+    from candata.reports import summary, write_diagnosis
+    from candata.scenes import load_scene
+    from candata_cli import console
+
+    refused = [word.strip() for word in fail_on.split(",") if word.strip()]
+    for word in refused:
+        if word not in VERDICTS:
+            raise UnknownNameError("verdict", word, VERDICTS)
+    world = load_scene(scene)
+    with console.stages() as stage:
+        found = run(open_dataset(dataset, version), world, jobs=jobs, seed=seed, progress=stage)
+        stage("writing the report")
+        page = write_diagnosis(found, world, out)
+    console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
+    console.note(f"report: {page}")
+    if found.report.verdict in refused:
+        raise typer.Exit(1)
