@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -34,23 +35,23 @@ def demo(
     draws a secret one. The diagnosis reads the dataset and the nominal scene only.
     """
     from candata.datasets import open_dataset
-    from candata.gap import diagnose  # type: ignore[attr-defined]
+    from candata.gap import diagnose
+    from candata.reports import write_diagnosis
     from candata.scenes import load_scene
     from candata.simulate import open_seal
-    from candata_cli.console import note
+    from candata_cli.console import note, stages
 
     folder = out / f"seed-{seed}"
     scene, seal = load_scene(SCENE), folder / "real.seal.json"
     note(f"two sets of {episodes} episodes in {SCENE}: nominal, and `real` with a hidden effect")
     _generate(folder, seal, seed, episodes, jobs)
     dataset = open_dataset(folder / "real")
-    found: Report = diagnose(dataset, scene, out=folder / "report", jobs=jobs, progress=note).report
+    with stages() as stage:
+        found = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage)
+        stage("writing the report")
+        page = write_diagnosis(found, scene, folder / "report")
     truth = open_seal(seal, dataset)
-    page = folder / "report" / "report.html"
-    if json:
-        _print_json(found, truth, page)
-    else:
-        _print(found, truth, page)
+    (_print_json if json else _print)(found.report, truth, page)
 
 
 def _generate(folder: Path, seal: Path, seed: int, episodes: int, jobs: int | None) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from candata.effects import _select
 from candata.effects._contract import (
     Array,

@@ -93,7 +93,9 @@ def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoc
             )
         if s.element is not None and effect(s.name).acts_on not in ("joint", "fingertip"):
             raise UsageError(
-                f"effect {s.name} has no elements", expected="element: null", found=s.element,
+                f"effect {s.name} has no elements",
+                expected="element: null",
+                found=s.element,
                 fix="leave the element out",
             )
     edits = tuple(s for s in some if effect(s.name).edit is not None)

@@ -150,8 +150,8 @@ def diagnosis(monkeypatch):
     def plant(name: str, parameters: dict[str, float]) -> list:
         calls = []
 
-        def diagnose(dataset, scene, *, out, jobs, progress):
-            calls.append((dataset.name, scene.name, out, len(dataset)))
+        def diagnose(dataset, scene, *, jobs, progress):
+            calls.append((dataset.name, scene.name, jobs, len(dataset)))
             named = NamedEffect(
                 name=name, share=0.9, support=0.95,
                 parameters={k: Estimate(value=v, low=v - 0.1, high=v + 0.1) for k, v in parameters.items()},
@@ -161,7 +161,10 @@ def diagnosis(monkeypatch):
             )
             return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
 
-        monkeypatch.setattr("candata.gap.diagnose", diagnose, raising=False)
+        monkeypatch.setattr("candata.gap.diagnose", diagnose)
+        monkeypatch.setattr(
+            "candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html"
+        )
         return calls
 
     return plant
@@ -172,7 +175,7 @@ def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
     assert run("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
     printed = capsys.readouterr().out
     folder = tmp_path / "seed-2"
-    assert calls == [("real", "xhand_tabletop", folder / "report", 2)]
+    assert calls == [("real", "xhand_tabletop", 1, 2)]
     assert "seal opened: tactile_gain, found\n" in printed
     assert "gain  0.7064  0.71   0.61 .. 0.81" in printed
     assert printed.endswith(f"report: {folder / 'report' / 'report.html'}\n")
