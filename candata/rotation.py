@@ -54,8 +54,15 @@ def difference(a: Array, b: Array) -> Array:
 def rotate(q: Array, v: Array) -> Array:
     """Return the vectors `v (..., 3)` turned by `q (..., 4)`."""
     w, u = q[..., :1], q[..., 1:]
-    t = 2 * np.cross(u, v)
-    return v + w * t + np.cross(u, t)
+    t = 2 * _cross(u, v)
+    return v + w * t + _cross(u, t)
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product `(..., 3)`; numpy's own costs several times as much for small arrays."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
 def normalise(q: Array) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from candata.effects import _select
 from candata.effects._contract import (
     Array,
@@ -18,8 +20,12 @@ from candata.scenes.assemble import Scene
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:
-    """Return the biases `(n, F, 3)` [N]."""
-    return x.reshape(len(x), -1, 3)
+    """Return the biases `(n, F, 3)` [N]; of a named fingertip only, where one is named."""
+    bias = np.zeros((len(x), len(scene.file.fingertips), 3))
+    for row, element in enumerate(elements):
+        tips = _select.fingertips(scene, element)
+        bias[row, tips] = x[row].reshape(-1, 3)[tips]
+    return bias
 
 
 def _apply(bias: Array, readings: dict[str, Array]) -> tuple[Array, dict[str, Array]]:

@@ -8,6 +8,9 @@ from candata.policies import _postures as p
 from candata.policies._contract import Plan, Policy
 from candata.scenes import Scene
 
+#: How far the hand stands back before the first stroke [m].
+CLEAR_M = 0.035
+
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan; without wrist slides the fingers alone push by closing and opening twice."""
@@ -18,12 +21,13 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     stroke = p.blend(t, 0.2 * unit, rng.uniform(0.8, 1.1) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
     again = p.blend(t, 2.2 * unit, 0.6 * unit)
     if len(hand.slides):
-        reach = rng.uniform(0.04, 0.07)
+        reach = rng.uniform(0.03, 0.06)
         # A hand pushes along its palm: the second rail where there are several.
         rail = hand.slides[min(1, len(hand.slides) - 1)]
         # Backing off along the first rail puts the fingertips, not the links behind them, beside the object.
-        commands[:, hand.slides[0]] -= rng.uniform(0.035, 0.05)
-        commands[:, rail] += reach * (stroke + rng.uniform(0.5, 0.9) * again)
+        commands[:, hand.slides[0]] -= rng.uniform(0.045, 0.06)
+        # The stroke starts clear of the object, so that an episode holds the onset of contact.
+        commands[:, rail] += (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M
     else:
         commands += (0.6 * (stroke + again))[:, None] * (hand.closed - hand.open)
     return p.finish(scene, commands, rng)

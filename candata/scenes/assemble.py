@@ -287,8 +287,8 @@ def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
 
 
 def _named(elements: list) -> set[str]:
-    """Return the names of spec elements."""
-    return {e.name for e in elements}
+    """Return the names of spec elements that have one."""
+    return {e.name for e in elements if e.name}
 
 
 def _check_free(name: str, object_name: str, body: mujoco.MjsBody) -> None:

@@ -2,5 +2,6 @@
 
 from candata.simulate.loop import Trajectory, at_rest, rollout
 from candata.simulate.observer import Observer
+from candata.simulate.seal import open_seal
 
-__all__ = ["Observer", "Trajectory", "at_rest", "rollout"]
+__all__ = ["Observer", "Trajectory", "at_rest", "open_seal", "rollout"]

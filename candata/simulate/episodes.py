@@ -40,6 +40,8 @@ class Job:
         Effects of its world.
     hidden : bool
         Keep seed and effects out of the episode.
+    point_cloud : str, optional
+        Name of the object's cloud in the dataset.
     """
 
     id: str
@@ -48,6 +50,7 @@ class Job:
     seed: int
     effects: tuple[EffectSetting, ...] = ()
     hidden: bool = False
+    point_cloud: str | None = None
 
 
 def make_episodes(
@@ -132,6 +135,7 @@ def _meta(scene: Scene, job: Job, rule: ContactRule | None) -> EpisodeMeta:
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
         contact_rule=rule,
+        point_cloud=job.point_cloud,
     )
 
 

@@ -91,6 +91,13 @@ def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoc
                 expected=f"a scene with what it acts on ({effect(s.name).acts_on})",
                 fix="remove it from the effects",
             )
+        if s.element is not None and effect(s.name).acts_on not in ("joint", "fingertip"):
+            raise UsageError(
+                f"effect {s.name} has no elements",
+                expected="element: null",
+                found=s.element,
+                fix="leave the element out",
+            )
     edits = tuple(s for s in some if effect(s.name).edit is not None)
     if not edits:
         return scene.model

@@ -11,7 +11,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from candata.rotation import exp, multiply
 from candata.scenes.contract import Hand
 
 #: Servo stiffness [N m/rad], damping [N m s/rad] and reflected rotor inertia [kg m^2] of every hinge.
@@ -23,7 +25,10 @@ PALM_MASS_KG, PALM_COM_M = 0.539, (0.010, -0.004, 0.058)
 
 
 class Link(NamedTuple):
-    """One joint and the link it moves: origin and far end [m], axis, range [rad], limit [N m], mass [kg]."""
+    """One joint and the link it moves: origin and far end [m], axis, range [rad], limit [N m], mass [kg].
+
+    `rpy` [rad] turns about the fixed axes x, y, z, in this order, as a URDF means it.
+    """
 
     joint: str
     parent: str
@@ -33,7 +38,7 @@ class Link(NamedTuple):
     limit: float
     mass: float
     end: tuple[float, float, float]
-    euler: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 def _finger(name: str, y: float, z: float) -> tuple[Link, Link]:
@@ -113,9 +118,15 @@ def add(spec: mujoco.MjSpec, parent: mujoco.MjsBody, quat: tuple[float, float, f
         bodies[link.joint] = _add_link(spec, bodies[link.parent], link)
 
 
+def _turn(rpy: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Return the quaternion w x y z of turns about fixed x, then y, then z."""
+    roll, pitch, yaw = (exp(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True))
+    return multiply(yaw, multiply(pitch, roll))
+
+
 def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, link: Link) -> mujoco.MjsBody:
     """Return the new body of `link` with its capsule, joint and position servo."""
-    body = parent.add_body(name=link.joint, pos=link.origin, euler=link.euler)
+    body = parent.add_body(name=link.joint, pos=link.origin, quat=_turn(link.rpy))
     is_tip = link.joint in TIPS
     end = np.array(link.end)
     stop = end - RADIUS_M * end / np.linalg.norm(end) if is_tip else end

@@ -1,0 +1,195 @@
+"""Generated sets: a recipe becomes episodes in a dataset; the same command again adds nothing."""
+
+from __future__ import annotations
+
+import os
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+
+from candata import __version__
+from candata.datasets import create_dataset, pending_parts, publish, put_cloud
+from candata.datasets.versions import DATASET, index_of, newest
+from candata.errors import UsageError, Where
+from candata.scenes import Scene, load_scene
+from candata.scenes.clouds import surface_cloud
+from candata.schema.effect import EffectSetting
+from candata.schema.manifest import Lineage, VersionFile
+from candata.simulate import seal as seals
+from candata.simulate.jobs import OPERATION, Recipe, check, chunks, episode_id, lineage, possible_policies
+from candata.simulate.pool import Chunk, producer, run_chunks
+
+
+@dataclass(frozen=True)
+class Withheld:
+    """An effect to withhold.
+
+    Attributes
+    ----------
+    asked : str
+        Name of the effect, or `any`.
+    seal : Path
+        The sealed file, outside the dataset.
+    salt : str, optional
+        Secret in hex; random by default.
+    """
+
+    asked: str
+    seal: Path
+    salt: str | None = None
+
+
+def generate(
+    out: str | Path,
+    scene: str,
+    episodes: int,
+    seed: int,
+    *,
+    effects: Sequence[EffectSetting] = (),
+    policies: Sequence[str] = (),
+    duration_s: float = 3.2,
+    noise: bool = True,
+    withheld: Withheld | None = None,
+    workers: int | None = None,
+    progress: Callable[[int], None] = lambda _count: None,
+) -> VersionFile:
+    """Return the version that holds the set; bit-identical for a seed whatever the number of workers.
+
+    Chunks that an earlier run wrote are taken as they are, so that a run that was stopped goes on, and a run
+    that ended adds nothing.
+
+    Parameters
+    ----------
+    out : str or Path
+        Dataset; made when missing, else added to.
+    scene : str
+        Name of a scene, or path of a `scene.yaml`.
+    episodes, seed : int
+        How many, and the seed of all that is random in them.
+    effects : sequence of EffectSetting
+        Effects of every episode.
+    policies : sequence of str
+        Motions, which take turns; the scene's own by default.
+    duration_s : float
+        Length of an episode.
+    noise : bool
+        Add the sensor noise that the scene declares.
+    withheld : Withheld, optional
+        Draw an effect, apply it, and keep it out of the dataset.
+    workers : int, optional
+        Processes; as many as there are cores by default.
+    progress : callable
+        Called with the number of episodes just done.
+
+    Raises
+    ------
+    UsageError
+        When something cannot be simulated, or the dataset holds these ids made in another way.
+    SceneError
+        When the scene is not sound.
+    """
+    model = load_scene(scene)
+    _check_count(episodes, seed, workers)
+    recipe = Recipe(
+        scene=scene, seed=seed, effects=tuple(effects), policies=tuple(policies) or possible_policies(model),
+        duration_s=duration_s, noise=noise,
+    )  # fmt: skip
+    check(recipe, model)
+    if withheld is not None:
+        recipe = _with_secret(recipe, model, withheld, Path(out), seed)
+    history = lineage(recipe, model, _tools())
+    _refuse_other(Path(out), recipe, episodes, history)
+    root = create_dataset(out, exist_ok=True)
+    if model.object_id is not None:
+        recipe = recipe.model_copy(update={"point_cloud": put_cloud(root, surface_cloud(model))})
+    return _complete(root, recipe, episodes, history, workers, progress)
+
+
+def _complete(
+    root: Path,
+    recipe: Recipe,
+    episodes: int,
+    history: Lineage,
+    workers: int | None,
+    progress: Callable[[int], None],
+) -> VersionFile:
+    """Make what is missing of the set and publish it."""
+    standing = set(_index(root))
+    config = str(history.config_digest)
+    ours = [p for p in pending_parts(root) if p.producer == producer(config)]
+    done = standing | {name for part in ours for name, _ in part.episodes}
+    wanted = [tuple(n for n in c if episode_id(recipe, n) not in done) for c in chunks(episodes)]
+    missing = [Chunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in wanted if numbers]
+    progress(episodes - sum(len(c.numbers) for c in missing))
+    made = run_chunks(missing, workers or len(os.sched_getaffinity(0)), progress)
+    return publish(root, [*(part.id for part in ours), *made], history)
+
+
+def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> Recipe:
+    """Return the recipe with the drawn effect, its own random stream and its commitment."""
+    if recipe.effects:
+        raise UsageError("effects and a withheld effect at once", fix="leave one of them out")
+    if out.resolve() in withheld.seal.resolve().parents:
+        raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
+    if (out / DATASET).exists() and not withheld.seal.exists():
+        raise UsageError(
+            "the dataset stands, its sealed file does not", expected="the sealed file of the first run",
+            where=Where(path=str(withheld.seal)), fix="name it with --seal, or choose another --out",
+        )  # fmt: skip
+    seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
+    secret = {"seed": seal.stream, "effects": (seal.effect,), "sealed": seal.sealed}
+    return recipe.model_copy(update=secret)
+
+
+def _check_count(episodes: int, seed: int, workers: int | None) -> None:
+    """Refuse counts and seeds that mean nothing."""
+    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
+        if value is not None and value < least:
+            raise UsageError(f"--{name} is too small", expected=f"at least {least}", found=str(value))
+
+
+def _index(root: Path) -> dict[str, str]:
+    """Return episode id to content hash of the newest version."""
+    version = newest(root) if (root / DATASET).exists() else None
+    return index_of(root, version.parts) if version else {}
+
+
+def _refuse_other(root: Path, recipe: Recipe, episodes: int, history: Lineage) -> None:
+    """Refuse a dataset that holds one of our ids made from another configuration."""
+    standing = _index(root)
+    taken = next((i for n in range(episodes) if (i := episode_id(recipe, n)) in standing), None)
+    if taken is None:
+        return
+    earlier = [step for step in newest(root).lineage if step.operation == OPERATION]  # type: ignore[union-attr]
+    if history.config_digest in [step.config_digest for step in earlier]:
+        return
+    there, asked = _difference(earlier, history)
+    raise UsageError(
+        "the dataset holds episodes of these ids, made from another configuration",
+        expected=there, found=asked, where=Where(path=str(root), episode=taken),
+        fix="choose another --seed or another --out",
+    )  # fmt: skip
+
+
+def _difference(earlier: Sequence[Lineage], ours: Lineage) -> tuple[str, str]:
+    """Return what differs, there and here, from the nearest earlier set."""
+    found = [[k for k, v in _facts(ours).items() if _facts(step).get(k) != v] for step in earlier]
+    if not found:
+        return "a dataset of generate-sim", "another producer"
+    step, keys = min(zip(earlier, found, strict=True), key=lambda pair: len(pair[1]))
+    texts = [", ".join(f"{k} {_facts(s).get(k)}" for k in keys) for s in (step, ours)]
+    return texts[0], texts[1]
+
+
+def _facts(step: Lineage) -> dict:
+    """Return what a configuration consists of."""
+    details = {k: v for k, v in step.details.items() if k != "scene"}
+    return {**details, **step.tools, "seeds": step.seeds, "sealed": step.sealed}
+
+
+def _tools() -> dict[str, str]:
+    """Return the versions that decide what a simulation gives."""
+    return {"candata": __version__, "mujoco": mujoco.__version__, "python": platform.python_version()}

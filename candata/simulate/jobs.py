@@ -1,0 +1,123 @@
+"""The job plan of a generated set: what an episode is called and made of, in chunks of a fixed size."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+
+from candata import __version__
+from candata.errors import UsageError
+from candata.policies import policy, policy_names
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.manifest import Lineage
+from candata.schema.record import Record
+from candata.simulate.episodes import Job
+from candata.simulate.world import build_worlds
+
+#: Episodes a chunk, and a part: fixed, so that who makes a chunk changes nothing in it.
+CHUNK = 16
+OPERATION = "generate-sim"
+
+
+class Recipe(Record):
+    """What a set is made from; plain values, so that any process can be told.
+
+    `scene` is what `load_scene` takes; `seed` feeds the episodes' random streams; `sealed` is null for a set
+    whose effects everybody may know, else the commitment of a withheld one.
+    """
+
+    scene: str
+    seed: int
+    effects: tuple[EffectSetting, ...] = ()
+    policies: tuple[str, ...]
+    duration_s: float
+    noise: bool
+    point_cloud: str | None = None
+    sealed: str | None = None
+
+
+def check(recipe: Recipe, scene: Scene) -> None:
+    """Refuse what cannot be simulated in `scene`.
+
+    Raises
+    ------
+    UsageError
+        When a policy or an effect cannot act in the scene, or an episode would have fewer than 2 rows.
+    """
+    for name in recipe.policies:
+        if not policy(name).possible(scene):
+            raise UsageError(
+                f"policy {name} cannot act in scene {scene.name}",
+                expected=f"one of {', '.join(possible_policies(scene)) or '(none)'}",
+                found=name,
+            )
+    if not recipe.policies:
+        raise UsageError(f"no policy can act in scene {scene.name}", fix="add actuators or an object")
+    if recipe.duration_s * scene.file.rate_hz < 2:
+        raise UsageError(
+            "the episodes are too short", expected=f"at least {2 / scene.file.rate_hz:g} s",
+            found=f"{recipe.duration_s:g} s", fix="give a longer --duration-s",
+        )  # fmt: skip
+    build_worlds(scene, [recipe.effects])
+
+
+def possible_policies(scene: Scene) -> tuple[str, ...]:
+    """Return the policies that can act in the scene: its own list, else all that are possible."""
+    return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
+
+
+def job(recipe: Recipe, index: int) -> Job:
+    """Return the job of episode `index`; policies take turns."""
+    return Job(
+        id=episode_id(recipe, index), index=index, policy=recipe.policies[index % len(recipe.policies)],
+        seed=recipe.seed, effects=recipe.effects, hidden=recipe.sealed is not None,
+        point_cloud=recipe.point_cloud,
+    )  # fmt: skip
+
+
+def episode_id(recipe: Recipe, index: int) -> str:
+    """Return `<scene>-s<seed>-000012`; `withheld-000012` for a withheld set."""
+    prefix = "withheld" if recipe.sealed else f"{short_name(recipe.scene)}-s{recipe.seed}"
+    return f"{prefix}-{index:06d}"
+
+
+def short_name(scene: str) -> str:
+    """Return the word for a scene in ids: its name, its file's, or the folder's of a `scene.yaml`."""
+    path = Path(scene)
+    if path.suffix not in (".yaml", ".yml"):
+        return scene
+    return path.stem if path.stem != "scene" else path.resolve().parent.name
+
+
+def chunks(episodes: int) -> list[range]:
+    """Return the episode numbers of each chunk; the last may be shorter."""
+    return [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
+
+
+def lineage(recipe: Recipe, scene: Scene, tools: dict[str, str]) -> Lineage:
+    """Return how the set came to be; of a withheld set neither seed nor effects, only the commitment."""
+    hidden = recipe.sealed is not None
+    details = {
+        "scene": scene.name, "scene_digest": scene.digest, "policies": list(recipe.policies),
+        "duration_s": recipe.duration_s, "noise": recipe.noise,
+    }  # fmt: skip
+    if not hidden:
+        details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
+    seeds = () if hidden else (recipe.seed,)
+    return Lineage(
+        operation=OPERATION, config_digest=_digest(details, seeds, recipe.sealed), seeds=seeds,
+        revision=__version__, tools=tools, details=details, sealed=recipe.sealed,
+    )  # fmt: skip
+
+
+def _digest(details: dict, seeds: Sequence[int], sealed: str | None) -> str:
+    """Return sha256 over all that decides what an episode holds, the simulator's version included."""
+    # Where a scene lies decides nothing; what it is does.
+    decides = {k: v for k, v in details.items() if k != "scene"}
+    text = json.dumps([decides, list(seeds), sealed, mujoco.__version__, __version__], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -1,0 +1,134 @@
+"""Worker processes that make chunks of episodes: spawned, told in plain words, one thread each."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+
+from candata.scenes import Scene, load_scene
+from candata.simulate.jobs import OPERATION, Recipe, job
+
+Told = Callable[[int], None]
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Episodes that one worker makes and writes as one part; plain values only.
+
+    Attributes
+    ----------
+    out : str
+        Dataset.
+    recipe : str
+        The Recipe as JSON.
+    config : str
+        Digest of the configuration, kept as the part's producer.
+    numbers : tuple of int
+        The episodes' numbers.
+    """
+
+    out: str
+    recipe: str
+    config: str
+    numbers: tuple[int, ...]
+
+
+def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> str:
+    """Return the id of the part that holds the chunk's episodes; runs in any process.
+
+    Raises
+    ------
+    DataError
+        When a simulation left the finite numbers.
+    """
+    from candata.datasets import write_part
+    from candata.simulate.episodes import make_episodes
+
+    plan = Recipe.model_validate_json(recipe)
+    scene = _scene(plan.scene)
+    episodes = make_episodes(
+        scene, [job(plan, n) for n in numbers], duration_s=plan.duration_s,
+        noise=scene.file.noise if plan.noise else None,
+    )  # fmt: skip
+    return write_part(out, episodes, producer(config)).id
+
+
+def producer(config: str) -> dict[str, str]:
+    """Return what a part says of who wrote it."""
+    return {"operation": OPERATION, "config": config}
+
+
+def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[str]:
+    """Return the part ids of the chunks, in their order; `progress` hears of each one's episodes.
+
+    Parameters
+    ----------
+    chunks : sequence of Chunk
+        What to make.
+    workers : int
+        Processes; with one, or one chunk, the work is done here.
+    progress : callable
+        Called with the number of episodes just written.
+    """
+    if min(workers, len(chunks)) <= 1:
+        parts = []
+        for chunk in chunks:
+            parts.append(make_chunk(**asdict(chunk)))
+            progress(len(chunk.numbers))
+        return parts
+    with _single_threads():
+        pool = ProcessPoolExecutor(
+            min(workers, len(chunks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start
+        )
+        try:
+            futures = {pool.submit(make_chunk, **asdict(chunk)): i for i, chunk in enumerate(chunks)}
+            done: dict[int, str] = {}
+            for future in as_completed(futures):
+                done[futures[future]] = future.result()
+                progress(len(chunks[futures[future]].numbers))
+        finally:
+            pool.shutdown(cancel_futures=True)
+    return [done[i] for i in range(len(chunks))]
+
+
+@lru_cache(maxsize=1)
+def _scene(name: str) -> Scene:
+    """Return the scene, compiled once a process."""
+    return load_scene(name)
+
+
+def _start() -> None:
+    """Prepare a worker: interrupts are the parent's to handle, and it ends when the parent does."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """Wait for the parent's end, then leave at once: a killed parent must not leave workers behind."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+@contextlib.contextmanager
+def _single_threads() -> Iterator[None]:
+    """Give processes started inside one thread each in numerical libraries."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,241 @@
+"""A withheld effect: drawn from a seed and a secret salt, kept in a sealed file apart from the dataset."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset
+from candata.effects import Parameter, effect, effect_names, setting
+from candata.errors import DataError, UsageError, Where
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.record import Record
+
+ANY = "any"
+SALT_BYTES = 32
+
+
+class Seal(Record):
+    """The sealed file: what was withheld and how it was drawn.
+
+    `asked` is the effect that was asked for, or `any`; `label` is the canonical JSON of the effect's setting;
+    `sealed` is the commitment sha256(label + salt) that the dataset's lineage carries.
+    """
+
+    scene_digest: str
+    asked: str
+    seed: int
+    salt: str
+    label: str
+    sealed: str
+
+    @property
+    def effect(self) -> EffectSetting:
+        """The setting that was withheld."""
+        return EffectSetting.parse(json.loads(self.label), "label")
+
+    @property
+    def stream(self) -> int:
+        """Seed of the set's episodes: not to be guessed from the small seed alone."""
+        return _number(self.seed, bytes.fromhex(self.salt), "episodes")
+
+
+def new_salt() -> str:
+    """Return 32 random bytes as hex."""
+    return secrets.token_hex(SALT_BYTES)
+
+
+def draw(scene: Scene, asked: str, seed: int, salt: str) -> Seal:
+    """Return the sealed draw of `asked`, or of any effect that can act in the scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where it acts.
+    asked : str
+        Name of the effect, or `any`: each possible one is as likely.
+    seed : int
+        The set's seed.
+    salt : str
+        Secret, hex of 32 bytes; seed and salt together decide the draw.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such effect.
+    UsageError
+        When it cannot act in the scene, or the salt is no hex of 32 bytes.
+    """
+    secret = _salt_bytes(salt)
+    rng = np.random.default_rng(_number(seed, secret, "effect"))
+    possible = [name for name in effect_names() if effect(name).possible(scene)]
+    if asked != ANY and not effect(asked).possible(scene):
+        raise UsageError(
+            f"effect {asked} cannot act in scene {scene.name}", expected=f"one of {', '.join(possible)}",
+            found=asked,
+        )  # fmt: skip
+    name = str(rng.choice(possible)) if asked == ANY else asked
+    values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
+    label = _canonical(setting(name, values, scene))
+    return Seal(
+        scene_digest=scene.digest,
+        asked=asked,
+        seed=seed,
+        salt=salt,
+        label=label,
+        sealed=commitment(label, salt),
+    )
+
+
+def draw_parameter(parameter: Parameter, scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return `(size,)` values from the parameter's drawing intervals, each interval as likely.
+
+    Of a vector at least one component lies farther from the identity than half of the farthest possible.
+    """
+    spans, size = np.array(parameter.draws(scene), float), parameter.size(scene)
+    identity = np.nan_to_num(parameter.identity(scene))
+    clear = 0.5 * np.abs(spans - identity).max() if size > 1 else 0.0
+    while True:
+        low, high = spans[rng.integers(len(spans), size=size)].T
+        values = low + rng.random(size) * (high - low)
+        if np.abs(values - identity).max() >= clear:
+            return values
+
+
+def commitment(label: str, salt: str) -> str:
+    """Return sha256(label + salt) as hex: binds the set to its label and tells nothing of it."""
+    return hashlib.sha256(label.encode() + _salt_bytes(salt)).hexdigest()
+
+
+def keep(path: Path, scene: Scene, asked: str, seed: int, salt: str | None) -> Seal:
+    """Return the seal that stands in `path`; a fresh one, written and synced first, where none does.
+
+    Parameters
+    ----------
+    path : Path
+        The sealed file; made readable for its owner only.
+    scene, asked, seed
+        As in `draw`; a seal that stands must have been drawn for the same.
+    salt : str, optional
+        Secret of a fresh draw; random by default.
+
+    Raises
+    ------
+    UsageError
+        When the file belongs to another set or is no sealed file.
+    """
+    if not path.exists():
+        fresh = draw(scene, asked, seed, salt or new_salt())
+        _write_once(path, fresh)
+    seal = read_seal(path)
+    wanted = {"scene_digest": scene.digest, "asked": asked, "seed": seed, "salt": salt or seal.salt}
+    for name, value in wanted.items():
+        if getattr(seal, name) != value:
+            raise UsageError(
+                f"the sealed file belongs to another set: its {name.split('_')[0]} differs",
+                where=Where(path=str(path)), fix="give another --seal and --out, or repeat the first command",
+            )  # fmt: skip
+    return seal
+
+
+def read_seal(path: Path) -> Seal:
+    """Return the record of a sealed file.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing or no sealed file.
+    """
+    if not path.is_file():
+        raise UsageError("no sealed file", expected="what --withhold wrote", where=Where(path=str(path)))
+    try:
+        return Seal.parse(json.loads(path.read_text()), path)
+    except ValueError as error:
+        raise UsageError(f"{path.name} is not JSON: {error}", where=Where(path=str(path))) from None
+
+
+def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
+    """Return the effect that was withheld from `dataset`, its commitment verified.
+
+    Parameters
+    ----------
+    path : str or Path
+        The sealed file.
+    dataset : Dataset
+        The set whose lineage carries the commitment.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing or no sealed file.
+    DataError
+        When the seal was tampered with, or belongs to another dataset.
+    """
+    seal = read_seal(Path(path))
+    found = commitment(seal.label, seal.salt)
+    known = [step.sealed for step in dataset.lineage if step.sealed]
+    if found not in known:
+        raise DataError(
+            "the seal does not fit the dataset", expected=f"sealed {', '.join(k[:12] for k in known) or '-'}",
+            found=f"sealed {found[:12]}", where=Where(path=str(path)),
+            fix="give the sealed file that was written beside this dataset",
+        )  # fmt: skip
+    return seal.effect
+
+
+def _canonical(given: EffectSetting) -> str:
+    """Return the setting as JSON that two equal settings share."""
+    return json.dumps(given.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+
+
+def _salt_bytes(salt: str) -> bytes:
+    """Return the bytes of a salt."""
+    try:
+        secret = bytes.fromhex(salt)
+    except ValueError:
+        secret = b""
+    if len(secret) != SALT_BYTES:
+        raise UsageError("not a salt", expected=f"{2 * SALT_BYTES} hex digits", found=f"{len(salt)} others")
+    return secret
+
+
+def _number(seed: int, secret: bytes, purpose: str) -> int:
+    """Return 128 bits of sha256(purpose, seed, salt)."""
+    return int.from_bytes(hashlib.sha256(f"{purpose}|{seed}|".encode() + secret).digest()[:16], "little")
+
+
+def _write_once(path: Path, seal: Seal) -> None:
+    """Write the sealed file whole, mode 0600, synced with its folder; who came first wins."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write((seal.model_dump_json(indent=1) + "\n").encode())
+            file.flush()
+            os.fsync(file.fileno())
+        _link(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _link(draft: Path, path: Path) -> None:
+    """Give the draft its name unless the name is taken; replace where the disk has no hard links."""
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        return
+    except OSError:
+        draft.replace(path)

@@ -1,0 +1,132 @@
+"""The whole path on built-in data: withhold an effect, simulate, diagnose, open the seal."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from candata.schema.effect import EffectSetting
+    from candata.schema.report import Report
+
+SCENE = "xhand_tabletop"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command("demo")(demo)
+
+
+def demo(
+    seed: Annotated[int, typer.Option("--seed", metavar="K", help="Another seed hides another effect.")] = 1,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path(
+        "out/demo"
+    ),
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", help="Episodes of each set.")] = 12,
+    jobs: Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Hide an effect in a simulated hand, find it from the data alone, compare with the truth.
+
+    The salt of the seal follows from the seed here, so that a run can be repeated; `generate-sim --withhold`
+    draws a secret one. The diagnosis reads the dataset and the nominal scene only.
+    """
+    from candata.datasets import open_dataset
+    from candata.gap import diagnose
+    from candata.reports import write_diagnosis
+    from candata.scenes import load_scene
+    from candata.simulate import open_seal
+    from candata_cli.console import note, stages
+
+    folder = out / f"seed-{seed}"
+    scene, seal = load_scene(SCENE), folder / "real.seal.json"
+    note(f"two sets of {episodes} episodes in {SCENE}: nominal, and `real` with a hidden effect")
+    _generate(folder, seal, seed, episodes, jobs)
+    dataset = open_dataset(folder / "real")
+    with stages() as stage:
+        found = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage)
+        stage("writing the report")
+        page = write_diagnosis(found, scene, folder / "report")
+    truth = open_seal(seal, dataset)
+    (_print_json if json else _print)(found.report, truth, page)
+
+
+def _generate(folder: Path, seal: Path, seed: int, episodes: int, jobs: int | None) -> None:
+    """Make the nominal set and the set with the hidden effect."""
+    import hashlib
+
+    from candata.simulate.generate import Withheld, generate
+    from candata_cli.console import progress
+
+    salt = hashlib.sha256(f"candata demo {seed}".encode()).hexdigest()
+    hidden = Withheld("any", seal, salt)
+    for name, withheld in (("nominal", None), ("real", hidden)):
+        with progress(name, episodes) as advance:
+            generate(
+                folder / name, SCENE, episodes, seed, withheld=withheld, workers=jobs, progress=advance
+            )  # fmt: skip
+
+
+def judge(found: Report, truth: EffectSetting) -> str:
+    """Return `found`, `found in a class`, or `missed`: how the verdict stands to the truth."""
+    named = [effect.name for effect in found.effects]
+    if named == [truth.name]:
+        return "found"
+    if truth.name in named:
+        return "found among others"
+    return "found in a class" if truth.name in found.ambiguous_class else "missed"
+
+
+def _print_json(found: Report, truth: EffectSetting, page: Path) -> None:
+    """Print verdict and truth as one JSON object."""
+    from candata_cli.console import out_json
+
+    record = {
+        "verdict": found.verdict,
+        "effects": [effect.model_dump(mode="json") for effect in found.effects],
+        "class": list(found.ambiguous_class),
+        "truth": truth.model_dump(mode="json"),
+        "outcome": judge(found, truth),
+        "report": str(page),
+    }
+    out_json(record)
+
+
+def _print(found: Report, truth: EffectSetting, page: Path) -> None:
+    """Print the summary, then verdict beside truth, then where the report lies."""
+    from candata.reports import summary
+    from candata_cli.console import out, out_table
+
+    out(summary(found))
+    out("")
+    out(f"seal opened: {truth.name}, {judge(found, truth)}")
+    out_table(("", "hidden", "found", "90 % interval"), list(_rows(found, truth)))
+    out("")
+    out(f"report: {page}")
+
+
+def _rows(found: Report, truth: EffectSetting) -> list[tuple[str, str, str, str]]:
+    """Return a line a parameter of the hidden effect: its truth, and what the diagnosis says."""
+    named: dict[str, Any] = {}
+    for effect in found.effects:
+        if effect.name == truth.name:
+            named = dict(effect.parameters)
+    lines = []
+    for name, value in truth.parameters.items():
+        estimate = named.get(name)
+        if estimate is None:
+            lines.append((name, _text(value), "-", "-"))
+        else:
+            span = "-" if estimate.low is None else f"{_text(estimate.low)} .. {_text(estimate.high)}"
+            lines.append((name, _text(value), _text(estimate.value), span))
+    return lines
+
+
+def _text(value: Any) -> str:
+    """Return a number or a vector in four digits, a word as it is."""
+    if isinstance(value, tuple):
+        return "(" + ", ".join(map(_text, value)) + ")"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,99 @@
+"""The command that makes simulated sets: generate-sim."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from candata.schema.effect import EffectsFile
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command("generate-sim")(generate_sim)
+
+
+def generate_sim(
+    out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")],
+    episodes: Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")],
+    scene: Annotated[
+        str | None,
+        typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", metavar="K", help="Seed of all that is random.")] = 1,
+    effects: Annotated[
+        Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")
+    ] = None,
+    policies: Annotated[
+        str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")
+    ] = None,
+    duration_s: Annotated[
+        float, typer.Option("--duration-s", metavar="S", help="Length of an episode.")
+    ] = 3.2,
+    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")] = True,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")
+    ] = None,
+    withhold: Annotated[
+        str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
+    ] = None,
+    seal: Annotated[
+        Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")
+    ] = None,
+    salt: Annotated[str | None, typer.Option("--salt", hidden=True)] = None,
+) -> None:
+    """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
+
+    `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
+    file holds all three.
+    """
+    from candata.simulate.generate import Withheld, generate
+    from candata_cli.console import note, progress
+    from candata_cli.console import out as say
+
+    given = _effects(effects)
+    hidden = None
+    if withhold is not None:
+        hidden = Withheld(withhold, seal or out.with_name(f"{out.name}.seal.json"), salt)
+    with progress("episodes", episodes) as advance:
+        version = generate(
+            out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
+            policies=tuple(policies.split(",")) if policies else (), duration_s=duration_s, noise=noise,
+            withheld=hidden, workers=jobs, progress=advance,
+        )  # fmt: skip
+    if hidden:
+        note(f"withheld effect sealed in {hidden.seal}")
+    total = sum(part.episodes for part in version.parts)
+    say(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+
+
+def _effects(path: Path | None) -> EffectsFile | None:
+    """Return the effects file, checked."""
+    import yaml
+
+    from candata.errors import UsageError, Where
+    from candata.schema.effect import EffectsFile
+
+    if path is None:
+        return None
+    try:
+        return EffectsFile.parse(yaml.safe_load(path.read_text()), path)
+    except OSError as error:
+        raise UsageError(f"no effects file: {error.strerror}", where=Where(path=str(path))) from None
+    except yaml.YAMLError as error:
+        raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
+
+
+def _scene(asked: str | None, given: EffectsFile | None, path: Path | None) -> str:
+    """Return the scene asked for, else the one of the effects file, which may lie beside it."""
+    from candata.errors import UsageError
+
+    if asked is not None:
+        return asked
+    if given is None or given.scene is None or path is None:
+        raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")
+    beside = path.parent / given.scene
+    return str(beside) if not Path(given.scene).is_file() and beside.is_file() else given.scene

@@ -1,0 +1,98 @@
+"""Commands that look at scenes: scene list, scene show."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from candata.scenes.roles import JointRole, Roles
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group `scene` to the application."""
+    group = typer.Typer(help="Look at scenes: a model and the roles of its parts.", no_args_is_help=True)
+    group.command("list")(list_)
+    group.command("show")(show)
+    app.add_typer(group, name="scene")
+
+
+def list_(json: Json = False) -> None:
+    """List the built-in scenes."""
+    from candata.scenes.roles import builtin_scenes
+    from candata_cli.console import out_json, out_table
+
+    found = builtin_scenes()
+    if json:
+        out_json([entry.model_dump(mode="json") for entry in found])
+        return
+    header = ("name", "joints", "actuators", "fingertips", "rate", "about")
+    rows = [(e.name, e.joints, e.actuators, e.fingertips, f"{e.rate_hz:g} Hz", e.about) for e in found]
+    out_table(header, rows)
+
+
+def show(
+    name: Annotated[str, typer.Argument(metavar="SCENE", help="Name, or path of a scene.yaml.")],
+    picture: Annotated[Path | None, typer.Option("--out", metavar="PNG", help="Picture to write.")] = None,
+    json: Json = False,
+) -> None:
+    """Print the roles of a scene's parts; with --out, write a picture of it."""
+    from candata.scenes import load_scene
+    from candata.scenes.roles import roles
+    from candata_cli.console import note, out_json
+
+    scene = load_scene(name)
+    if json:
+        out_json(roles(scene).model_dump(mode="json"))
+    else:
+        _print(roles(scene))
+    if picture is not None:
+        from candata.reports import render_png
+
+        picture.parent.mkdir(parents=True, exist_ok=True)
+        by_library = render_png(scene.model, None, picture)
+        note(f"{picture}{'' if by_library else ' (no GL library found: a drawn projection)'}")
+
+
+def _print(found: Roles) -> None:
+    """Print the roles for people."""
+    from candata_cli.console import out, out_table
+
+    out(f"{found.name}  (digest {found.digest[:12]})")
+    step_ms = f"{found.timestep_s * 1e3:.4g} ms"
+    physics = f"{found.integrator}, {found.cone} cone, {found.solver} solver"
+    out(f"control   {found.rate_hz:g} Hz, {found.substeps} physics steps of {step_ms}; {physics}")
+    mass = "" if found.object_mass_kg is None else f", {found.object_mass_kg:.4g} kg"
+    out(f"object    {found.object or 'none'}{mass}; support {found.support or 'none'}")
+    out(f"noise     {_noise(found)}")
+    out(f"policies  {', '.join(found.policies) or 'all that can act'}")
+    if found.joints:
+        out("")
+        header = ("joint", "type", "unit", "range", "actuator", "kp", "kv", "limit", "group")
+        out_table(header, [_joint(joint) for joint in found.joints])
+    if found.fingertips:
+        out("")
+        out_table(("fingertip", "body", "force frame"), [(f.name, f.body, f.frame) for f in found.fingertips])
+
+
+def _joint(joint: JointRole) -> tuple[str, ...]:
+    """Return the cells of one joint."""
+    span = "-" if joint.low is None or joint.high is None else f"{joint.low:.3g} .. {joint.high:.3g}"
+    numbers = ("-" if v is None else f"{v:.4g}" for v in (joint.kp, joint.kv, joint.limit))
+    return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", *numbers, joint.group)
+
+
+def _noise(found: Roles) -> str:
+    """Return the declared noise, one standard deviation each."""
+    noise = found.noise
+    if noise is None:
+        return "none declared"
+    position, turn = noise.object_pose
+    return (
+        f"pose {position:.2g} m, {turn:.2g} rad; joints {noise.joint_position:.2g}; "
+        f"force {noise.fingertip_force:.2g} N in steps of {noise.force_step:.2g} N"
+    )

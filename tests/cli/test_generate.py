@@ -1,0 +1,190 @@
+"""Commands generate-sim, scene, demo: what they print and how they end."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Report
+from candata_cli import main as entry
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as stop:
+        entry.main([str(a) for a in arguments])
+    return stop.value.code or 0
+
+
+@pytest.fixture
+def toss(tmp_path):
+    """Words of a small, quick set, and where it goes."""
+    out = tmp_path / "set"
+    words = ("generate-sim", "--scene", "cube_toss", "--episodes", 2, "--duration-s", 0.2, "--jobs", 1)
+    return (*words, "--out", out), out
+
+
+def test_generate_says_what_stands(toss, capsys):
+    words, out = toss
+    assert run(*words, "--seed", 3) == 0
+    first = capsys.readouterr()
+    assert first.out.startswith(f"{out}: 2 episodes in version 1, digest ")
+    assert first.err == "episodes: 2 done\n"
+    assert run(*words, "--seed", 3) == 0
+    assert capsys.readouterr().out == first.out
+
+
+def test_generated_sets_are_valid(toss, capsys):
+    words, out = toss
+    run(*words)
+    capsys.readouterr()
+    assert run("validate", out) == 0
+    assert capsys.readouterr().out == "2 episodes, no findings\n"
+
+
+def test_a_withheld_effect_is_not_printed(toss, capsys):
+    words, out = toss
+    assert run(*words, "--withhold", "object_mass", "--seed", 98765) == 0
+    printed = capsys.readouterr()
+    assert printed.err.endswith(f"withheld effect sealed in {out}.seal.json\n")
+    seal = json.loads(out.with_name("set.seal.json").read_text())
+    for secret in ("mass", "98765", seal["salt"]):
+        assert secret not in printed.out + printed.err.replace(str(out), "")
+
+
+def test_effects_come_from_a_file_that_may_name_the_scene(tmp_path, capsys):
+    path = tmp_path / "effects.yaml"
+    path.write_text("scene: cube_toss\neffects: [{name: object_mass, parameters: {mass_scale: 1.5}}]\n")
+    words = (
+        "generate-sim",
+        "--episodes",
+        1,
+        "--duration-s",
+        0.2,
+        "--effects",
+        path,
+        "--out",
+        tmp_path / "set",
+    )
+    assert run(*words) == 0
+    from candata.datasets import open_dataset
+
+    (episode,) = open_dataset(tmp_path / "set")
+    assert episode.meta.effects[0].parameters == {"mass_scale": 1.5}
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ((), "no scene\n  expected: --scene NAME or scene.yaml\n"),
+        (("--scene", "cube_tos"), "unknown scene 'cube_tos'\n"),
+        (("--scene", "cube_toss", "--policies", "tos"), "unknown policy 'tos'\n"),
+        (
+            ("--scene", "cube_toss", "--withhold", "armature"),
+            "effect armature cannot act in scene cube_toss\n",
+        ),
+        (("--scene", "cube_toss", "--effects", "none.yaml"), "no effects file: No such file or directory\n"),
+        (("--scene", "cube_toss", "--jobs", 0), "--jobs is too small\n"),
+    ],
+)
+def test_a_wrong_word_is_a_usage_error(tmp_path, capsys, words, text):
+    assert run("generate-sim", "--episodes", 2, *words, "--out", tmp_path / "set") == 2
+    assert capsys.readouterr().err.startswith(text)
+    assert not (tmp_path / "set").exists()
+    assert not (tmp_path / "set.seal.json").exists()
+
+
+def test_an_effects_file_that_is_wrong_names_the_field(tmp_path, capsys):
+    path = tmp_path / "effects.yaml"
+    path.write_text("effects: [{nam: object_mass}]\n")
+    assert run("generate-sim", "--episodes", 1, "--effects", path, "--out", tmp_path / "set") == 2
+    assert capsys.readouterr().err.startswith("effects.yaml is not valid: effects.0.name: Field required\n")
+
+
+def test_scene_list(capsys):
+    assert run("scene", "list") == 0
+    assert capsys.readouterr().out.splitlines()[1].split()[:6] == ["cube_toss", "0", "0", "0", "148", "Hz"]
+    assert run("scene", "list", "--json") == 0
+    assert [e["name"] for e in json.loads(capsys.readouterr().out)] == ["cube_toss", "xhand_tabletop"]
+
+
+def test_scene_show(tmp_path, capsys):
+    picture = tmp_path / "pictures" / "scene.png"
+    assert run("scene", "show", "xhand_tabletop", "--out", picture) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "control   80 Hz, 5 physics steps of 2.5 ms; implicitfast, elliptic cone, newton solver" in lines
+    assert "object    object, 0.25 kg; support table" in lines
+    index2 = next(line for line in lines if line.startswith("index2 "))
+    assert index2.split() == [
+        "index2",
+        "hinge",
+        "rad",
+        "0",
+        "..",
+        "1.92",
+        "index2",
+        "3",
+        "0.08",
+        "0.4",
+        "fingers",
+    ]
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_scene_show_json_is_one_object(capsys):
+    assert run("scene", "show", "cube_toss", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["object"], found["rate_hz"], found["policies"]) == ("object", 148.0, ["toss"])
+
+
+def test_scene_show_of_an_unknown_scene(capsys):
+    assert run("scene", "show", "cube") == 2
+    assert capsys.readouterr().err.startswith("unknown scene 'cube'\n")
+
+
+@pytest.fixture
+def diagnosis(monkeypatch):
+    """Put a report that names one effect in the place of the diagnosis."""
+
+    def plant(name: str, parameters: dict[str, float]) -> list:
+        calls = []
+
+        def diagnose(dataset, scene, *, jobs, progress):
+            calls.append((dataset.name, scene.name, jobs, len(dataset)))
+            named = NamedEffect(
+                name=name, share=0.9, support=0.95,
+                parameters={k: Estimate(value=v, low=v - 0.1, high=v + 0.1) for k, v in parameters.items()},
+            )  # fmt: skip
+            data = DataUsed(
+                dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared"
+            )
+            return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
+
+        monkeypatch.setattr("candata.gap.diagnose", diagnose)
+        monkeypatch.setattr(
+            "candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html"
+        )
+        return calls
+
+    return plant
+
+
+def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
+    calls = diagnosis("tactile_gain", {"gain": 0.71})
+    assert run("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
+    printed = capsys.readouterr().out
+    folder = tmp_path / "seed-2"
+    assert calls == [("real", "xhand_tabletop", 1, 2)]
+    assert "seal opened: tactile_gain, found\n" in printed
+    assert "gain  0.7064  0.71   0.61 .. 0.81" in printed
+    assert printed.endswith(f"report: {folder / 'report' / 'report.html'}\n")
+
+
+def test_demo_says_so_when_it_misses(tmp_path, capsys, diagnosis):
+    diagnosis("armature", {"armature_kgm2": 0.1})
+    words = ("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1, "--json")
+    assert run(*words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["outcome"], found["truth"]["name"]) == ("missed", "tactile_gain")
+    assert (tmp_path / "seed-2" / "nominal" / "versions" / "000001.json").is_file()
