@@ -10,6 +10,8 @@ from candata.scenes import Scene
 
 #: How far the hand stands back before the first stroke [m].
 CLEAR_M = 0.035
+#: How far the last rail lowers the hand [m].
+LOW_M = 0.03
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -24,6 +26,8 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         reach = rng.uniform(0.03, 0.06)
         # A hand pushes along its palm: the second rail where there are several.
         rail = hand.slides[min(1, len(hand.slides) - 1)]
+        # Lower than the object's middle, or it would tip.
+        commands[:, hand.slides[-1]] -= LOW_M
         # Backing off along the first rail puts the fingertips, not the links behind them, beside the object.
         commands[:, hand.slides[0]] -= rng.uniform(0.045, 0.06)
         # The stroke starts clear of the object, so that an episode holds the onset of contact.

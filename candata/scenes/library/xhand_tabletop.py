@@ -18,6 +18,10 @@ WRIST_KP, WRIST_KV, WRIST_LIMIT_N = 3000.0, 140.0, 120.0
 CAN_RADIUS_M, CAN_HALF_HEIGHT_M, CAN_MASS_KG = 0.030, 0.060, 0.25
 CAN_START_M = (0.138, 0.058)
 HAND_HEIGHT_M = 0.085
+#: Collision bit of what stands on the table (MuJoCo manual, "contype"); the hand never reaches the table itself.
+STANDS = 2
+#: Sliding, torsional [m] and rolling [m] friction of tin on wood; low enough that a push slides the can, not tips it.
+TABLE_FRICTION = (0.3, 0.005, 0.0001)
 #: Postures [rad] that hold the can by all five fingertips (found by simulated grasps of 400 random postures, of
 #: which 73 % lifted it; this one lies in the middle of the good ones).
 THUMB_OPEN, THUMB_GRASP = (1.35, 0.0, 0.1), (1.35, 0.85, 0.8)
@@ -51,10 +55,16 @@ def _add_table(spec: mujoco.MjSpec) -> None:
     """Add light, camera and a table whose top is z = 0 (a plane: its contacts are found in closed form)."""
     spec.worldbody.add_light(pos=(0.2, -0.6, 1.2), dir=(-0.1, 0.4, -1), castshadow=True)
     spec.worldbody.add_camera(
-        name="report", pos=(0.62, 0.62, 0.42), fovy=38, xyaxes=(-0.78, 0.62, 0, -0.30, -0.38, 0.87)
+        name="report", pos=(0.42, 0.46, 0.30), fovy=38, xyaxes=(-0.82, 0.57, 0, -0.26, -0.37, 0.89)
     )
     spec.worldbody.add_geom(
-        name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.4, 0.4, 0.05), rgba=(0.82, 0.78, 0.72, 1)
+        name="table",
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=(0.4, 0.4, 0.05),
+        contype=STANDS,
+        conaffinity=STANDS,
+        friction=TABLE_FRICTION,
+        rgba=(0.82, 0.78, 0.72, 1),
     )
 
 
@@ -88,7 +98,11 @@ def _add_wrist(spec: mujoco.MjSpec) -> mujoco.MjsBody:
 
 
 def _add_can(spec: mujoco.MjSpec) -> None:
-    """Add the free can, standing in front of the palm."""
+    """Add the free can, standing in front of the palm.
+
+    The hand meets a cylinder; the table meets a box whose corners lie on the rim. A cylinder on a plane has three
+    contact points whose places jump with the least tilt, so that it creeps when its mass is off centre.
+    """
     can = spec.worldbody.add_body(name="object", pos=(*CAN_START_M, CAN_HALF_HEIGHT_M))
     can.add_freejoint(name="object")
     can.add_geom(
@@ -97,6 +111,16 @@ def _add_can(spec: mujoco.MjSpec) -> None:
         mass=CAN_MASS_KG,
         size=(CAN_RADIUS_M, CAN_HALF_HEIGHT_M, 0),
         rgba=(0.2, 0.55, 0.75, 1),
+    )
+    can.add_geom(
+        name="object_foot",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=(*[CAN_RADIUS_M * np.sqrt(0.5)] * 2, CAN_HALF_HEIGHT_M),
+        mass=0,
+        contype=STANDS,
+        conaffinity=STANDS,
+        friction=TABLE_FRICTION,
+        rgba=(0, 0, 0, 0),
     )
     can.add_geom(
         name="object_mark",
