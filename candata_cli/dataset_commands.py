@@ -66,9 +66,7 @@ def _version(text: str | None) -> int | str | None:
 
 def _print_findings(findings: tuple[Finding, ...]) -> None:
     """Print the findings as a table."""
-    rows = [
-        (f.level, f.rule, _known(f.episode), _known(f.channel), _known(f.index), f.message) for f in findings
-    ]
+    rows = [(f.level, f.rule, _known(f.episode), _known(f.channel), _known(f.index), f.message) for f in findings]
     console.out_table(("level", "rule", "episode", "channel", "row", "what"), rows)
 
 

@@ -22,9 +22,7 @@ def register(app: typer.Typer) -> None:
 
 def demo(
     seed: Annotated[int, typer.Option("--seed", metavar="K", help="Another seed hides another effect.")] = 1,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path(
-        "out/demo"
-    ),
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Where everything goes.")] = Path("out/demo"),
     episodes: Annotated[int, typer.Option("--episodes", metavar="N", help="Episodes of each set.")] = 12,
     jobs: Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores.")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,

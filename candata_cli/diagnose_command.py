@@ -21,8 +21,7 @@ def diagnose(
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
-    jobs: Annotated[int, typer.Option(help="Threads; the result does not depend on it.")] = os.cpu_count()
-    or 1,
+    jobs: Annotated[int, typer.Option(help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
     seed: Annotated[int, typer.Option(help="Seed of folds, null replays and resamples.")] = 0,
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")

@@ -27,16 +27,10 @@ def generate_sim(
     effects: Annotated[
         Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")
     ] = None,
-    policies: Annotated[
-        str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")
-    ] = None,
-    duration_s: Annotated[
-        float, typer.Option("--duration-s", metavar="S", help="Length of an episode.")
-    ] = 3.2,
+    policies: Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")] = None,
+    duration_s: Annotated[float, typer.Option("--duration-s", metavar="S", help="Length of an episode.")] = 3.2,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")] = True,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")
-    ] = None,
+    jobs: Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")] = None,
     withhold: Annotated[
         str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
     ] = None,

@@ -55,9 +55,7 @@ def fetch(
     folder: Annotated[
         Path | None, typer.Option("--from", metavar="FOLDER", help="Read a prepared folder; no network.")
     ] = None,
-    cache: Annotated[
-        Path | None, typer.Option("--cache", metavar="FOLDER", help="Where downloads are kept.")
-    ] = None,
+    cache: Annotated[Path | None, typer.Option("--cache", metavar="FOLDER", help="Where downloads are kept.")] = None,
     append: Append = False,
 ) -> None:
     """Fetch a public data set into a dataset, its hashes and licence checked."""

@@ -13,9 +13,7 @@ from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
 
-def append(
-    path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part_size: int = 16
-) -> VersionFile:
+def append(path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part_size: int = 16) -> VersionFile:
     """Return the version that holds what stood there and `episodes`; the current one if they add nothing.
 
     An episode that stands with the same content is skipped. Episodes are taken one by one; at most

@@ -102,8 +102,7 @@ class Dataset:
         places = [self._place(name) for name in wanted]
         read = lru_cache(maxsize=_GROUPS_HELD)(_read_group)
         return (
-            _episode(read(place.part, place.group), place, name)
-            for name, place in zip(wanted, places, strict=True)
+            _episode(read(place.part, place.group), place, name) for name, place in zip(wanted, places, strict=True)
         )
 
     def episode(self, id: str) -> Episode:

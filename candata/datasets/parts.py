@@ -79,9 +79,7 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
     stream = iter(episodes)
     first = next(stream, None)
     if first is None:
-        raise UsageError(
-            "nothing to write: no episodes", expected="at least 1 episode", fix="check the source"
-        )
+        raise UsageError("nothing to write: no episodes", expected="at least 1 episode", fix="check the source")
     layout = encode.layout_of(first)
     schema = encode.steps_schema(layout)
     table: list[dict[str, object]] = []
@@ -229,9 +227,7 @@ class RawPart:
         except UNREADABLE as error:
             raise durable.damaged(path, durable.reason(error)) from None
         for row in rows:
-            lacking = [
-                name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None
-            ]
+            lacking = [name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None]
             if lacking:
                 raise durable.damaged(path, f"an episode without {', '.join(lacking)}")
         return rows

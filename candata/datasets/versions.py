@@ -266,6 +266,4 @@ def pending_parts(path: str | Path) -> tuple[PartFile, ...]:
         if not waiting:
             break
         waiting -= {entry.id for entry in read_version(root, number).parts}
-    return tuple(
-        durable.read_record(PartFile, root / "parts" / part_id / "part.json") for part_id in sorted(waiting)
-    )
+    return tuple(durable.read_record(PartFile, root / "parts" / part_id / "part.json") for part_id in sorted(waiting))

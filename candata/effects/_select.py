@@ -77,9 +77,7 @@ def contact_geoms(scene: Scene) -> tuple[int, ...]:
     model, own = scene.model, set(scene.object_geoms.tolist())
     bodies = subtree(model, scene.object_id) if scene.object_id is not None else set()
     partners = [
-        g
-        for g in range(model.ngeom)
-        if model.geom_bodyid[g] not in bodies and any(_collide(scene, g, o) for o in own)
+        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(_collide(scene, g, o) for o in own)
     ]
     return tuple(sorted(own | set(partners)))
 
@@ -109,9 +107,7 @@ def _drive_limits(scene: Scene) -> NDArray[np.float64]:
     if not len(ids):
         return np.ones(1)
     limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    return np.where(
-        limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0]
-    )
+    return np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0])
 
 
 def drive_damping(scene: Scene) -> float:

@@ -205,12 +205,8 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:
     """Return problem, fit and nominal residuals in units of the floor of the fitted world."""
     world = problem.setting(best.members)
-    spread = floor(
-        problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world
-    )
-    raw = residual(
-        problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
-    )
+    spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
+    raw = residual(problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0])
     new = replace(problem, score=score(raw, spread))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)

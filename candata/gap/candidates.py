@@ -63,7 +63,10 @@ class Candidate:
 
 def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     """Return the candidate for one effect in a scene."""
-    neutral, low, high, logarithmic = [], [], [], []
+    neutral: list[float] = []
+    low: list[float] = []
+    high: list[float] = []
+    logarithmic: list[bool] = []
     for p in effect(name).parameters:
         bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
@@ -76,9 +79,7 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
             column += [value] * p.size(scene)
         logarithmic += [is_log] * p.size(scene)
     discrete = bool(effect(name).parameters[0].choices)
-    return Candidate(
-        name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete
-    )
+    return Candidate(name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete)
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-import candata
+from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
@@ -36,7 +36,7 @@ from candata.gap.shrink import (
 from candata.gap.starts import starts
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.scenes import Scene
-from candata.schema.effect import EffectsFile
+from candata.schema.effect import EffectsFile, Value
 from candata.schema.report import (
     DataUsed,
     EpisodeCount,
@@ -96,9 +96,7 @@ def diagnose(
         When the dataset is empty or does not fit the scene.
     """
     if len(dataset) == 0:
-        raise DataError(
-            "the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path))
-        )
+        raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng = np.random.default_rng(seed)
     progress("reading")
     everything = recordings(scene, dataset.episodes())
@@ -131,9 +129,7 @@ def _problem(
     spread = floor(replayer, recs, begin, plan, rng)
     level = score(raw, spread)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(
-        raw
-    )
+    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(raw)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
@@ -145,11 +141,11 @@ def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Pro
     plan = layout(replayer.scene, recs, begin, before)
     raw = residual(recs, plan, before)
     level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world))
-    losses = [level.loss(level.normal(r)) for r in (raw, residual(recs, plan, after))]
+    sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
     new = replace(problem, recs=recs, begin=begin, plan=plan, score=level)
-    return new, HeldOut(recs, before, after, losses[0], losses[1], points)
+    return new, HeldOut(recs, before, after, sizes[0], sizes[1], points)
 
 
 @dataclass(frozen=True)
@@ -169,10 +165,10 @@ class _Findings:
 def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     """Return the diagnosis drawn from all findings."""
     chosen = f.found.chosen
-    size = gap(f.held.loss_before, f.held.loss_after, rng, named=chosen is not None)
+    size = gap(f.held.size_before, f.held.size_after, rng, named=chosen is not None)
     word = verdict(f.found, size)
     heat = locate(f.problem.plan, f.problem.score, f.nominal, rng)
-    where = symptoms(f.problem.plan, heat)
+    where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     left = where
     if word == "partly_explained":
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
@@ -195,9 +191,9 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     repaired = f.problem.setting(chosen.members) if chosen and named else ()
     losses = EpisodeLosses(
         f.held.recs.ids,
-        f.held.loss_before,
-        f.held.loss_after,
-        *(np.quantile(f.world.score.null_loss, q, axis=0) for q in (0.05, 0.95)),
+        f.held.size_before,
+        f.held.size_after,
+        *(np.quantile(f.world.score.size(f.world.score.null), q, axis=0) for q in (0.05, 0.95)),
     )
     shown = example(f.world, f.held, chosen if named else None)
     return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=f.scene.name, effects=repaired))
@@ -206,9 +202,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
 def _slides(scene: Scene) -> list[str]:
     """Return the names of slide joints: a wrist on rails."""
     slide = mujoco.mjtJoint.mjJNT_SLIDE
-    return [
-        j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide
-    ]
+    return [j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide]
 
 
 def _typical(f: _Findings, channel: str, element: str | None) -> tuple[float, str]:
@@ -231,14 +225,8 @@ def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
     pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng), strict=True)
     for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
         at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
-        lows, highs = c.setting(lower, f.scene).parameters, c.setting(upper, f.scene).parameters
-        values = c.setting(u, f.scene).parameters
-        estimates = {
-            name: Estimate(
-                value=v, low=None if c.choices else lows[name], high=None if c.choices else highs[name]
-            )  # type: ignore[arg-type]
-            for name, v in values.items()
-        }
+        settings = [c.setting(point, f.scene).parameters for point in (u, lower, upper)]
+        estimates = {name: _estimate(*(at[name] for at in settings)) for name in settings[0]}
         out.append(
             NamedEffect(
                 name=c.name,
@@ -250,6 +238,13 @@ def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _estimate(value: Value, low: Value, high: Value) -> Estimate:
+    """Return a parameter with its interval; a choice has none."""
+    if isinstance(low, str) or isinstance(high, str):
+        return Estimate(value=value)
+    return Estimate(value=value, low=low, high=high)
 
 
 def _one_sided(neutral: Array, u: Array) -> bool:
@@ -288,9 +283,7 @@ def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
 def _next_motion(f: _Findings) -> NextMotion:
     """Return the recorded motion in which the tied candidates differ most."""
     task = separating_task(f.problem, f.found)
-    return NextMotion(
-        name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2])
-    )
+    return NextMotion(name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2]))
 
 
 def _data_used(f: _Findings) -> DataUsed:
@@ -325,7 +318,7 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
 def provenance(scene: Scene) -> dict[str, str]:
     """Return what a report was made with."""
     return {
-        "candata": candata.__version__,
+        "candata": __version__,
         "mujoco": mujoco.__version__,
         "scene": scene.name,
         "scene_digest": scene.digest,

@@ -69,7 +69,7 @@ class Example:
 
 @dataclass(frozen=True)
 class EpisodeLosses:
-    """Floor-normalised held-out loss of each episode, `(E,)` each, beside its id."""
+    """Floor-normalised held-out discrepancy of each episode, `(E,)` each, beside its id."""
 
     ids: tuple[str, ...]
     before: Array

@@ -20,10 +20,8 @@ TRACES = 4
 
 
 def example(problem: Problem, held: HeldOut, fit: Fit | None) -> Example:
-    """Return the held-out episode whose loss falls most (without a fit: the one of median loss)."""
-    drop = (
-        held.loss_before - held.loss_after if fit else -np.abs(held.loss_before - np.median(held.loss_before))
-    )
+    """Return the held-out episode whose discrepancy falls most (without a fit: the middle one)."""
+    drop = held.size_before - held.size_after if fit else -np.abs(held.size_before - np.median(held.size_before))
     e = int(np.argmax(drop))
     one, begin = held.recs.take([e]), problem.begin.take(np.array([e]))
     worlds = [()] + ([problem.setting(fit.split(held.points[e]))] if fit else [])
@@ -54,7 +52,7 @@ def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool
     out = []
     for column in chosen[:TRACES]:
         channel, element, unit = problem.plan.columns[column]
-        first = [c for c, (ch, _, _) in enumerate(problem.plan.columns) if ch == channel][0]
+        first = next(c for c, (ch, _, _) in enumerate(problem.plan.columns) if ch == channel)
         real, before, after = (
             _element(source, channel, column - first, held.recs.readings, e)[rows]
             for source in (held.recs.readings, held.before, held.after)
@@ -63,9 +61,7 @@ def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool
     return tuple(out)
 
 
-def _element(
-    source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int
-) -> Array:
+def _element(source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int) -> Array:
     """Return `(T,)` one element; rotations as the turn from the first recorded attitude."""
     values = source[channel][e]
     if channel == "object_pose" and column >= 3:

@@ -144,7 +144,7 @@ def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Ge
             qpos[:, at : at + 2] += shift
             qpos[:, at + 3 : at + 7] = multiply(turn, qpos[:, at + 3 : at + 7])
         moved[name] = qpos
-    return replace(begin, **moved)
+    return Starts(begin.rows, moved["qpos"], moved["qvel"], moved["qpos0"], moved["qvel0"])
 
 
 def floor(

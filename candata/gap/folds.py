@@ -51,14 +51,9 @@ def cross_fit(response: Curve | Plane, score: Score, parts: list[Index], base: A
     """Return the held-out evidence of a response; `base (E,)` is the loss without it."""
     loss = np.zeros(len(base))
     points = []
-    table = response.table(score) if isinstance(response, Curve) else None
+    fit = response.fitter(score)
     for f, test in enumerate(parts):
-        train = rest(parts, f)
-        u = (
-            response.best(table, train)
-            if isinstance(response, Curve) and table is not None
-            else response.best(train)
-        )  # type: ignore[call-arg, arg-type]
+        u = fit(rest(parts, f))
         points.append(u)
         loss[test] = score.take(test).loss(response.read(u)[test])
     return CrossFit(base - loss, loss, np.array(points))
@@ -86,9 +81,7 @@ def null_threshold(
         chosen = rng.integers(len(score.null), size=len(episodes))
         draws = rng.integers(len(luck), size=(len(tables), len(episodes)))
         lucky = luck[draws, episodes].mean(1)
-        best[i] = max(
-            (_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0
-        )
+        best[i] = max((_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0)
     return float(np.quantile(best, NULL_QUANTILE))
 
 

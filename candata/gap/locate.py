@@ -15,24 +15,27 @@ from candata.schema.report import Symptom
 Array = NDArray[np.float64]
 #: Sign flips drawn for the max-statistic; p is never below 1 / (FLIPS + 1) (Phipson & Smyth 2010).
 FLIPS = 2000
-#: Symptoms that a report lists, and the largest p they may have.
-LISTED, LEVEL = 8, 0.05
+#: Symptoms that a report lists, the largest p they may have, and how many are listed where none is that sure.
+LISTED, LEVEL, UNSURE = 8, 0.05, 3
+#: Loss below which a cell counts as at the floor: a twentieth of a typical null's.
+TINY = 0.03
 
 
 def locate(plan: Layout, score: Score, nominal: Compact, rng: np.random.Generator) -> HeatMap:
     """Return loss over floor by column and phase, with family-wise p-values over episodes.
 
     The recorded loss and the loss of one null replay of the same episode are exchangeable when there is no gap, so
-    the sign of their difference is flipped by episode; the largest studentised mean over all cells makes p
-    family-wise (Westfall & Young 1993).
+    the sign of the difference of their logarithms is flipped by episode (of logarithms, so that one wild episode
+    does not drown the others); the largest studentised mean over all cells makes p family-wise (Westfall & Young
+    1993).
     """
     recorded = _cells(plan, nominal, score)
     null = np.stack([_cells(plan, z, score) for z in score.null])
     seen = np.isfinite(recorded).sum(0) >= 2
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.nansum(recorded, 0) / np.nansum(np.nanmean(null, 0), 0)
+    typical = np.where(np.isfinite(recorded), null.mean(0), np.nan)
+    ratio = np.nansum(recorded, 0) / np.maximum(np.nansum(typical, 0), TINY)
     pick = rng.integers(len(null), size=len(nominal))
-    differ = recorded - null[pick, np.arange(len(nominal))]
+    differ = np.log(recorded + TINY) - np.log(null[pick, np.arange(len(nominal))] + TINY)
     p = _max_test(np.nan_to_num(differ), rng)
     rows = tuple(c if e is None else f"{c} {e}" for c, e, _ in plan.columns)
     shape = (len(plan.phases), len(plan.columns))
@@ -68,11 +71,11 @@ def _max_test(differ: Array, rng: np.random.Generator) -> Array:
 
 
 def symptoms(plan: Layout, heat: HeatMap) -> tuple[Symptom, ...]:
-    """Return the cells that leave the nulls, largest ratio first."""
+    """Return the cells that leave the nulls, largest ratio first; where no cell does for sure, the three largest."""
     found = []
     for i, (channel, element, _) in enumerate(plan.columns):
         for j, phase in enumerate(heat.phases):
-            if np.isfinite(heat.ratio[i, j]) and heat.p[i, j] <= LEVEL and heat.ratio[i, j] > 1:
+            if np.isfinite(heat.ratio[i, j]) and heat.ratio[i, j] > 1:
                 found.append(
                     Symptom(
                         channel=channel,
@@ -82,7 +85,9 @@ def symptoms(plan: Layout, heat: HeatMap) -> tuple[Symptom, ...]:
                         p=round(float(heat.p[i, j]), 5),
                     )
                 )
-    return tuple(sorted(found, key=lambda s: -s.ratio)[:LISTED])
+    found.sort(key=lambda s: -s.ratio)
+    sure = [s for s in found if s.p <= LEVEL]
+    return tuple(sure[:LISTED] or found[:UNSURE])
 
 
 def acts_on(found: Sequence[Symptom], slides: Sequence[str]) -> str | None:

@@ -182,9 +182,5 @@ def _commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.int6
 def _padded(values: Array, length: int, fill: float | None) -> Array:
     """Return values with rows appended up to `length`: of `fill`, or of the last row."""
     missing = length - len(values)
-    tail = (
-        np.repeat(values[-1:], missing, axis=0)
-        if fill is None
-        else np.full((missing, *values.shape[1:]), fill)
-    )
+    tail = np.repeat(values[-1:], missing, axis=0) if fill is None else np.full((missing, *values.shape[1:]), fill)
     return np.concatenate([values, tail])

@@ -48,9 +48,7 @@ def _is_vector(fit: Fit) -> bool:
     return isinstance(fit.response, Plane)
 
 
-def _bracketed(
-    problem: Problem, fits: list[Fit], base: Array, held: Members, points: list[list[Array]]
-) -> list[Fit]:
+def _bracketed(problem: Problem, fits: list[Fit], base: Array, held: Members, points: list[list[Array]]) -> list[Fit]:
     """Return the fits with the first ones, scalars, simulated at more coordinates, sorted again."""
     count = len(points)
     flat = [(f.members[0][0], u) for f, some in zip(fits, points, strict=False) for u in some]
@@ -86,9 +84,7 @@ def _closer_probes(fit: Fit) -> list[Array]:
     around = np.array([u[0] - 0.3 * gap, u[0], u[0] + 0.3 * gap])
     if u[0] in (at[0], at[-1]):  # the best lies at the last probe: look beyond it
         outwards = 1 if u[0] == at[-1] else -1
-        around = np.array(
-            [u[0] - 0.3 * outwards * gap, u[0] + 0.6 * outwards * gap, u[0] + 1.5 * outwards * gap]
-        )
+        around = np.array([u[0] - 0.3 * outwards * gap, u[0] + 0.6 * outwards * gap, u[0] + 1.5 * outwards * gap])
     return [np.array([v]) for v in np.unique(np.clip(around, c.low[0], c.high[0]))]
 
 

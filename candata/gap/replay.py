@@ -96,10 +96,7 @@ def _batch(
     found = dict(played.readings) | {"touch": played.touch.astype(float)}
     if keep_state:
         found["qpos"] = played.qpos
-    return [
-        {n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()}
-        for i in range(copies)
-    ]
+    return [{n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)]
 
 
 def _tile(values: Array, copies: int) -> Array:
@@ -135,9 +132,7 @@ def needs_simulation(some: EffectSet) -> bool:
 
     A reading that the observer follows (pose, joints) changes the replay; forces are only compared.
     """
-    return any(
-        effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some
-    )
+    return any(effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some)
 
 
 def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:

@@ -58,8 +58,7 @@ def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Arr
     if "joint_position" in recs.readings:
         kinds = scene.model.jnt_type[scene.joint_ids]
         columns += [
-            ("joint_position", j, "m" if k == 2 else "rad")
-            for j, k in zip(scene.file.joints, kinds, strict=True)
+            ("joint_position", j, "m" if k == 2 else "rad") for j, k in zip(scene.file.joints, kinds, strict=True)
         ]
     if "object_pose" in recs.readings:
         columns += [("object_pose", f"position {a}", "m") for a in _AXES]
@@ -85,7 +84,7 @@ def _hand_labels(scene: Scene, recs: Recordings, nominal: dict[str, Array]) -> N
         # A bias keeps a flag on where the simulation is free: such a fingertip tells nothing about phases.
         free = ~simulated[:, :, None]
         stuck = (tips & free).sum((0, 1)) > 0.5 * np.maximum(free.sum((0, 1)), 1)
-        recorded = tips[:, :, ~stuck].any(2)
+        recorded = np.asarray(tips[:, :, ~stuck].any(2))
         flags = recorded if (~stuck).any() else simulated
     return np.stack([contact_phases(c, scene.file.rate_hz) for c in flags])
 

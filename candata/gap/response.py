@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from candata.gap.score import Compact, Score, weights
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Fitter = Callable[[Index], Array]
 #: Points between two neighbouring probes at which a scalar's loss is read off the interpolated response.
 BETWEEN = 6
 #: Scales by which residuals are divided in the rounds of iteratively reweighted least squares. Large residuals first
@@ -71,9 +73,10 @@ class Curve:
         offset = np.float32(0) if base is None else base - self.neutral()
         return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid()])
 
-    def best(self, table: Array, train: Index) -> Array:
-        """Return the coordinate `(1,)` with the least mean loss over the training episodes."""
-        return self.grid()[[int(np.argmin(table[:, train].mean(1)))]]
+    def fitter(self, score: Score) -> Fitter:
+        """Return the function that gives the coordinate `(1,)` with the least mean loss over training episodes."""
+        table, grid = self.table(score), self.grid()
+        return lambda train: grid[[int(np.argmin(table[:, train].mean(1)))]]
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,10 @@ class Plane:
     def read(self, u: Array) -> Compact:
         """Return `(E, K)` residuals at coordinates `u (d,)`."""
         return self.z + np.tensordot((u - self.at).astype(np.float32), self.slope, 1)
+
+    def fitter(self, score: Score) -> Fitter:
+        """Return the function that gives the best coordinates `(d,)` for training episodes."""
+        return self.best
 
     def best(self, train: Index) -> Array:
         """Return the coordinates `(d,)` with the least robust loss over the training episodes.

@@ -50,6 +50,20 @@ class Score:
         rho = np.log1p(z * z * np.float32(1 / NU)).sum(-1, dtype=np.float64) * (NU + 1) / 2
         return rho / count / self.floor
 
+    def size(self, z: Compact) -> Array:
+        """Return `(..., E)` the mean size of each episode's residuals over that of its nulls: the discrepancy.
+
+        Linear in the residuals, so that half the error is half the discrepancy; what decides between effects is the
+        robust loss.
+        """
+        count = np.maximum(self.mask.sum(1), 1)
+        return np.abs(z).sum(-1, dtype=np.float64) / count / self._null_size()
+
+    def _null_size(self) -> Array:
+        """Return `(E,)` the mean size of the nulls' residuals."""
+        count = np.maximum(self.mask.sum(1), 1)
+        return np.maximum((np.abs(self.null).sum(-1, dtype=np.float64) / count).mean(0), 1e-9)
+
     def take(self, index: NDArray[np.int64]) -> Score:
         """Return the score of some episodes."""
         return Score(

@@ -87,9 +87,5 @@ class Fit:
 
 def fit_one(problem: Problem, c: Candidate, response: Curve | Plane, base: Array) -> Fit:
     """Return one candidate's fit on all episodes and its held-out evidence."""
-    everyone = np.arange(len(base))
-    if isinstance(response, Curve):
-        u = response.best(response.table(problem.score), everyone)
-    else:
-        u = response.best(everyone)
+    u = response.fitter(problem.score)(np.arange(len(base)))
     return Fit(((c, u),), response, cross_fit(response, problem.score, problem.parts, base))

@@ -1,4 +1,4 @@
-"""How far: held-out losses before and after, shares, intervals and support by resampling episodes."""
+"""How far: held-out discrepancies before and after, shares, intervals and support by resampling episodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from candata.gap.attribute import Attribution
 from candata.gap.recordings import Recordings
 from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
-from candata.gap.response import Curve
 from candata.gap.search import Fit, Problem
 from candata.rotation import difference
 from candata.schema.report import Gap
@@ -34,8 +33,8 @@ class HeldOut:
     recs : Recordings
     before, after : dict of str to ndarray
         Readings of the nominal and the repaired simulator.
-    loss_before, loss_after : (E,) float64
-        In floors of the repaired world.
+    size_before, size_after : (E,) float64
+        Discrepancy in floors of the repaired world.
     points : (E, d) float64
         Coordinates with which each episode was repaired; empty without a chosen set.
     """
@@ -43,19 +42,17 @@ class HeldOut:
     recs: Recordings
     before: dict[str, Array]
     after: dict[str, Array]
-    loss_before: Array
-    loss_after: Array
+    size_before: Array
+    size_after: Array
     points: Array
 
 
 def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
     """Return every episode replayed with what was fitted without it (cross-fitting), by rollouts."""
     before = replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
-    loss_before = problem.score.loss(problem.score.normal(residual(problem.recs, problem.plan, before)))
+    size_before = problem.score.size(problem.score.normal(residual(problem.recs, problem.plan, before)))
     if fit is None:
-        return HeldOut(
-            problem.recs, before, before, loss_before, loss_before, np.zeros((len(problem.recs), 0))
-        )
+        return HeldOut(problem.recs, before, before, size_before, size_before, np.zeros((len(problem.recs), 0)))
     after = {n: v.copy() for n, v in before.items()}
     points = np.zeros((len(problem.recs), fit.evidence.points.shape[1]))
     for test, u in zip(problem.parts, fit.evidence.points, strict=True):
@@ -64,8 +61,8 @@ def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
         points[test] = u
         for name, values in part.items():
             after[name][test] = values
-    loss_after = problem.score.loss(problem.score.normal(residual(problem.recs, problem.plan, after)))
-    return HeldOut(problem.recs, before, after, loss_before, loss_after, points)
+    size_after = problem.score.size(problem.score.normal(residual(problem.recs, problem.plan, after)))
+    return HeldOut(problem.recs, before, after, size_before, size_after, points)
 
 
 def gap(before: Array, after: Array, rng: np.random.Generator, named: bool) -> Gap:
@@ -94,11 +91,9 @@ def _closed(before: Array, after: Array) -> Array:
 
 def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     """Return 90 % bootstrap ends `(d,)` of the coordinates, refitting on resampled episodes."""
-    table = fit.response.table(problem.score) if isinstance(fit.response, Curve) else None
-    found = []
-    for _ in range(REFITS):
-        pick = problem.rng.integers(len(problem.recs), size=len(problem.recs))
-        found.append(fit.response.best(table, pick) if table is not None else fit.response.best(pick))  # type: ignore[call-arg, arg-type]
+    count = len(problem.recs)
+    refit = fit.response.fitter(problem.score)
+    found = [refit(problem.rng.integers(count, size=count)) for _ in range(REFITS)]
     low, high = np.quantile(np.array(found), ENDS, axis=0)
     return low, high
 
@@ -159,9 +154,7 @@ def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
                 out["object_position_m"] = np.nanmean(shift, 1)
                 out["object_rotation_deg"] = np.degrees(np.nanmean(turn, 1))
             else:
-                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[
-                    channel
-                ]
+                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[channel]
                 error = np.abs(recorded - readings[channel]).reshape(*recorded.shape[:2], -1)
                 out[name] = np.nanmean(np.nanmean(error, 2), 1)
     return out
@@ -175,6 +168,4 @@ def separating_task(problem: Problem, attribution: Attribution) -> str | None:
     tasks = sorted(set(problem.recs.tasks) - {""})
     if not tasks:
         return None
-    return max(
-        tasks, key=lambda t: float(apart[[i for i, own in enumerate(problem.recs.tasks) if own == t]].mean())
-    )
+    return max(tasks, key=lambda t: float(apart[[i for i, own in enumerate(problem.recs.tasks) if own == t]].mean()))

@@ -42,9 +42,7 @@ class Starts:
 
     def take(self, index: NDArray[np.int64]) -> Starts:
         """Return the starts of some episodes; an index may come more than once."""
-        return Starts(
-            self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index]
-        )
+        return Starts(self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index])
 
 
 def is_toss(scene: Scene) -> bool:
@@ -85,7 +83,7 @@ def _still_mean(rows: Array, fallback: Array) -> Array:
 def _still_pose(rows: Array, fallback: Array) -> Array:
     """Return the mean pose `(E, 7)` of the first rows, where still."""
     first = rows[:, :1]
-    seen = np.isfinite(rows).all((1, 2))
+    seen = np.asarray(np.isfinite(rows).all((1, 2)))
     anchor = np.where(seen[:, None], first[:, 0], fallback)
     tangent = np.concatenate(
         [
@@ -102,9 +100,7 @@ def _tosses(scene: Scene, recs: Recordings) -> Starts:
     """Return the fitted state before the first impact of every toss."""
     count, model = len(recs), scene.model
     qpos0 = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
-    out = Starts(
-        np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv))
-    )
+    out = Starts(np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv)))
     at, dof = scene.object_qpos, scene.object_dof
     for e in range(count):
         pose = recs.readings["object_pose"][e, : recs.lengths[e]]

@@ -51,9 +51,7 @@ def unknown(
     )
 
 
-def _words(
-    word: Verdict, found: Attribution, where: Sequence[Symptom], size: float | None, unit: str | None
-) -> str:
+def _words(word: Verdict, found: Attribution, where: Sequence[Symptom], size: float | None, unit: str | None) -> str:
     """Return one clause about what remains, and the nearest effect where none is named."""
     if where:
         first = where[0]

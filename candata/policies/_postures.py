@@ -97,7 +97,7 @@ def finish(scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Ar
     ranges = command_range(scene)
     noise = _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz)
     noise *= (
-        NOISE_SHARE * (ranges[:, 1] - ranges[:, 0]) * blend(np.arange(len(commands)) * 1.0, 0, 20)[:, None]
+        NOISE_SHARE * (ranges[:, 1] - ranges[:, 0]) * blend(np.arange(len(commands), dtype=np.float64), 0, 20)[:, None]
     )
     commands = np.clip(commands + noise, ranges[:, 0], ranges[:, 1])
     qpos = np.array(scene.model.qpos0, float)

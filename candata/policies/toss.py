@@ -28,6 +28,4 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     return Plan(np.zeros((len(t), 0)), qpos, qvel, 0.0)
 
 
-POLICY = Policy(
-    "throw the object", lambda scene: scene.object_id is not None and not p.has_hand(scene), _plan
-)
+POLICY = Policy("throw the object", lambda scene: scene.object_id is not None and not p.has_hand(scene), _plan)

@@ -231,10 +231,7 @@ def _colour_bar(ticks: list[int]) -> Spec:
 def _hover(ratio: np.ndarray, p: np.ndarray) -> list[list[str]]:
     """Return `4.2 times the floor, p = 0.001` of each cell."""
     return [
-        [
-            f"{words.times(r)}, {words.chance(q) if np.isfinite(q) else 'not tested'}"
-            for r, q in zip(a, b, strict=True)
-        ]
+        [f"{words.times(r)}, {words.chance(q) if np.isfinite(q) else 'not tested'}" for r, q in zip(a, b, strict=True)]
         for a, b in zip(ratio, p, strict=True)
     ]
 

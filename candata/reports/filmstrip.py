@@ -38,17 +38,11 @@ def filmstrip(model: mujoco.MjModel | None, example: Example, after: str) -> str
             alt = escape(f"{name} at {example.time_s[k]:.2f} s")
             cells.append(f'<img width="{WIDTH}" height="{HEIGHT}" alt="{alt}" src="{data_uri(picture)}">')
     note = f'<p class="note">{escape(made.note)}</p>' if made.note else ""
-    return (
-        f'<div class="scroll"><div class="film" style="--n:{len(steps)}">{"".join(cells)}</div></div>{note}'
-    )
+    return f'<div class="scroll"><div class="film" style="--n:{len(steps)}">{"".join(cells)}</div></div>{note}'
 
 
 def moments(example: Example) -> np.ndarray:
     """Return the rows to show, evenly spread over the rows in which all positions are finite."""
     shown = [q for q in (example.qpos_real, example.qpos_before, example.qpos_after) if q is not None]
     finite = np.flatnonzero(np.all([np.isfinite(q).all(axis=1) for q in shown], axis=0))
-    return (
-        np.unique(finite[np.linspace(0, len(finite) - 1, COLUMNS).round().astype(int)])
-        if len(finite)
-        else finite
-    )
+    return np.unique(finite[np.linspace(0, len(finite) - 1, COLUMNS).round().astype(int)]) if len(finite) else finite

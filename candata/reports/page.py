@@ -109,9 +109,7 @@ def _answers(report: Report) -> str:
 
 def typeset(text: str) -> str:
     """Return a sentence as HTML in which no line ends between a number and its unit."""
-    tied = re.sub(
-        r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))", "\N{NO-BREAK SPACE}", escape(text)
-    )
+    tied = re.sub(r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))", "\N{NO-BREAK SPACE}", escape(text))
     return tied.replace("p = ", "p\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}").replace(
         " m s/rad", "\N{NO-BREAK SPACE}m\N{NO-BREAK SPACE}s/rad"
     )
@@ -154,9 +152,7 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
         specs["ranking"] = figures.ranking(report)
         hidden = len(report.ranking) - len(figures.shown_candidates(report))
         more = f'<p class="note">{hidden} more in report.json.</p>' if hidden else ""
-        sub = (
-            "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
-        )
+        sub = "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
         parts.append(_figure("Which", sub, _plot("ranking", specs) + more))
     if evidence.example is not None and evidence.example.traces:
         sub = f"held-out episode {evidence.example.episode}, before and after the repair"
@@ -165,9 +161,7 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
     return f'<div class="first">{"".join(parts)}</div>' if parts else ""
 
 
-def _strip(
-    report: Report, example: Example | None, model: mujoco.MjModel | None, specs: dict[str, Spec]
-) -> str:
+def _strip(report: Report, example: Example | None, model: mujoco.MjModel | None, specs: dict[str, Spec]) -> str:
     """Return the filmstrip and the traces that the first screen had no room for."""
     if example is None:
         return ""

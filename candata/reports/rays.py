@@ -83,15 +83,11 @@ def _cast(
     """Return the first geom hit by each ray (-1: none), its distance [m] and its normal (N, 3)."""
     geom, distance = np.empty(len(rays), np.int32), np.empty(len(rays))
     normal = np.zeros(rays.size)
-    mujoco.mj_multiRay(
-        model, data, start, rays.ravel(), SHOWN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6
-    )
+    mujoco.mj_multiRay(model, data, start, rays.ravel(), SHOWN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6)
     return geom, distance, normal.reshape(-1, 3)
 
 
-def _shaded(
-    model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array, normal: Array
-) -> Array:
+def _shaded(model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array, normal: Array) -> Array:
     """Return the colours (N, 3) of the points hit: their geom's, lit by the sun or in shadow."""
     far = 20 * max(float(model.stat.extent), 0.1)
     sun = points.mean(axis=0) + far * SUN if len(points) else SUN
@@ -107,9 +103,7 @@ def _shaded(
 def _base_colour(model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array) -> Array:
     """Return each point's own colour (N, 3): the material's or geom's, tiles on a plane."""
     material = model.geom_matid[geom]
-    rgba = np.where(
-        (material >= 0)[:, None], model.mat_rgba[material] if model.nmat else 0, model.geom_rgba[geom]
-    )
+    rgba = np.where((material >= 0)[:, None], model.mat_rgba[material] if model.nmat else 0, model.geom_rgba[geom])
     colour = np.array(rgba[:, :3], float)
     plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
     tile = max(float(model.stat.extent), 0.1) / 8

@@ -82,9 +82,7 @@ def film(
     return Film(tuple(rays.draw(model, qpos, view, width, height)), None)
 
 
-def render_png(
-    model: mujoco.MjModel, qpos: Array | None, path: Path, width: int = 960, height: int = 720
-) -> bool:
+def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int = 960, height: int = 720) -> bool:
     """Write one picture to `path`; True when a GL library made it, False when it was drawn.
 
     Parameters

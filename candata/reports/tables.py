@@ -88,8 +88,7 @@ def symptoms(report: Report) -> str:
 def verdicts(report: Report) -> str:
     """Return what the verdict words mean, with the one reached marked."""
     body = "".join(
-        f"<tr{NOW if word == report.verdict else ''}><td>{word}</td>"
-        f"<td>{escape(words.explain(word))}</td></tr>"
+        f"<tr{NOW if word == report.verdict else ''}><td>{word}</td><td>{escape(words.explain(word))}</td></tr>"
         for word in get_args(Verdict)
     )
     return f'<div class="scroll" tabindex="0"><table><tbody>{body}</tbody></table></div>'

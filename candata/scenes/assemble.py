@@ -180,9 +180,7 @@ def load_scene(name: str | Path) -> Scene:
     if path.suffix in (".yaml", ".yml"):
         return _from_file(path)
     if str(name) not in names(LIBRARY):
-        raise UnknownNameError(
-            "scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own")
-        )
+        raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
     builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
     return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
 
@@ -197,20 +195,14 @@ def _from_file(path: Path) -> Scene:
         raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
-        raise SceneError(
-            "a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model
-        )
+        raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = path.parent / file.model
     if not source.is_file():
-        raise SceneError(
-            f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path))
-        )
+        raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
     try:
         spec = mujoco.MjSpec.from_file(str(source))
     except ValueError as error:
-        raise SceneError(
-            f"model {file.model} cannot be read: {error}", where=Where(path=str(source))
-        ) from None
+        raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
     return assemble(str(path), file, spec)
 
 
@@ -250,9 +242,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
     try:
         model = spec.compile()
     except ValueError as error:
-        raise SceneError(
-            f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first"
-        ) from None
+        raise SceneError(f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first") from None
     _check_rate(name, file, model)
     return Scene(name, file, model, policies)
 
@@ -349,6 +339,4 @@ def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> 
         if file.fingertip_frames
         else (mujoco.mjtObj.mjOBJ_XBODY, carrier)
     )
-    spec.add_sensor(
-        name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0], objname=frame[1]
-    )
+    spec.add_sensor(name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0], objname=frame[1])

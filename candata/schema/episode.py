@@ -181,8 +181,7 @@ def _named_sizes(meta: EpisodeMeta) -> dict[str, tuple[str, ...]]:
 def _shape_text(symbols: tuple[str | int, ...], sizes: tuple[int, ...]) -> str:
     """Return `(T = 80, 7)`-like text."""
     parts = [
-        str(d) if isinstance(d, int) else (f"{d} = {n}" if n >= 0 else d)
-        for d, n in zip(symbols, sizes, strict=True)
+        str(d) if isinstance(d, int) else (f"{d} = {n}" if n >= 0 else d) for d, n in zip(symbols, sizes, strict=True)
     ]
     return f"({', '.join(parts)})"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import AliasChoices, ConfigDict, Field
 
 from candata.schema.effect import Value
 from candata.schema.record import Record
@@ -57,7 +57,7 @@ class Ranked(Record):
 
 
 class Gap(Record):
-    """How far: floor-normalised loss on held-out episodes; closed is null for no_gap."""
+    """How far: mean size of held-out residuals over that of the nulls; closed is null for no_gap."""
 
     before: float
     after: float
@@ -111,7 +111,9 @@ class Report(Record):
 
     verdict: Verdict
     effects: tuple[NamedEffect, ...] = ()
-    ambiguous_class: tuple[str, ...] = Field(default=(), alias="class")
+    ambiguous_class: tuple[str, ...] = Field(
+        default=(), validation_alias=AliasChoices("class", "ambiguous_class"), serialization_alias="class"
+    )
     unknown: Unknown | None = None
     ranking: tuple[Ranked, ...] = ()
     gap: Gap | None = None

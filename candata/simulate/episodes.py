@@ -83,10 +83,7 @@ def make_episodes(
         [j.effects for j in jobs],
         threads=threads,
     )
-    return [
-        _episode(scene, j, p, played, i, settle, noise)
-        for i, (j, p) in enumerate(zip(jobs, plans, strict=True))
-    ]
+    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
 
 
 def _rng(job: Job, stream: int) -> np.random.Generator:
@@ -106,8 +103,8 @@ def _episode(
 ) -> Episode:
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
-    arrays = {name: value[index, part] for name, value in played.readings.items()}
-    arrays = add_noise(arrays, noise, _rng(job, NOISE_STREAM))
+    read = {name: value[index, part] for name, value in played.readings.items()}
+    arrays: dict[str, NDArray] = {**add_noise(read, noise, _rng(job, NOISE_STREAM))}
     count = len(plan.commands)
     arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
     if plan.commands.shape[1]:

@@ -96,9 +96,7 @@ class _Run:
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.applied = self.batch.bind("qfrc_applied")
-        self.states = {
-            kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")
-        }
+        self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
 
     def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool) -> Trajectory:
         """Step through all rows and collect the readings."""
@@ -120,9 +118,7 @@ class _Run:
             if k + 1 < count:
                 force, touch = self._step(commands[:, k], instant)
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
-        return Trajectory(
-            {n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept
-        )
+        return Trajectory({n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept)
 
     def _readings(self, force: Array) -> dict[str, Array]:
         """Return what perfect sensors read now."""

@@ -54,7 +54,7 @@ def correct(
     if "object_pose" not in observer.recorded or "object_pose" not in readings:
         return
     target, now = observer.recorded["object_pose"][:, row], readings["object_pose"]
-    seen = np.isfinite(target).all(1)
+    seen = np.asarray(np.isfinite(target).all(1))
     target = np.where(seen[:, None], target, now)
     shift, turn = target[:, :3] - now[:, :3], difference(target[:, 3:], now[:, 3:])
     far = ((shift**2).sum(1) > observer.guard_m**2) | ((turn**2).sum(1) > observer.guard_rad**2)

@@ -70,9 +70,7 @@ def test_everything_public_has_a_docstring(path):
 def test_no_pickle(path):
     tree = tree_of(path)
     assert not imported_roots(tree) & PICKLES
-    keywords = [
-        node for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "allow_pickle"
-    ]
+    keywords = [node for node in ast.walk(tree) if isinstance(node, ast.keyword) and node.arg == "allow_pickle"]
     assert all(isinstance(node.value, ast.Constant) and node.value.value is False for node in keywords)
 
 

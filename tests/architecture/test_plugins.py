@@ -21,18 +21,14 @@ CONSTANTS = {
     "candata.scenes.library": "SCENE",
     "candata.scenes.hands": "HAND",
 }
-FILES = [
-    (package, constant, name) for package, constant in CONSTANTS.items() for name in plugins.names(package)
-]
+FILES = [(package, constant, name) for package, constant in CONSTANTS.items() for name in plugins.names(package)]
 
 
 def assigned(path: Path) -> set[str]:
     """Names that a module binds at its top level by assignment."""
     body = ast.parse(path.read_text(encoding="utf-8")).body
     plain = {t.id for n in body if isinstance(n, ast.Assign) for t in n.targets if isinstance(t, ast.Name)}
-    return plain | {
-        n.target.id for n in body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)
-    }
+    return plain | {n.target.id for n in body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)}
 
 
 @pytest.mark.parametrize(("package", "constant", "name"), FILES)

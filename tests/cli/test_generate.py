@@ -156,15 +156,11 @@ def diagnosis(monkeypatch):
                 name=name, share=0.9, support=0.95,
                 parameters={k: Estimate(value=v, low=v - 0.1, high=v + 0.1) for k, v in parameters.items()},
             )  # fmt: skip
-            data = DataUsed(
-                dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared"
-            )
+            data = DataUsed(dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared")
             return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
 
         monkeypatch.setattr("candata.gap.diagnose", diagnose)
-        monkeypatch.setattr(
-            "candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html"
-        )
+        monkeypatch.setattr("candata.reports.write_diagnosis", lambda _found, _scene, out: out / "report.html")
         return calls
 
     return plant

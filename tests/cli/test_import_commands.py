@@ -112,9 +112,7 @@ def spoil(column, value):
     ],
 )
 @pytest.mark.parametrize("standing", [False, True])
-def test_bad_input_is_one_message_exit_2_and_nothing_written(
-    source, out, capsys, edit, changed, problem, standing
-):
+def test_bad_input_is_one_message_exit_2_and_nothing_written(source, out, capsys, edit, changed, problem, standing):
     if standing:
         run("import", "table", source(), "--out", out)
         before = open_dataset(out).file

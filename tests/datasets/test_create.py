@@ -10,9 +10,7 @@ from candata.errors import DataError, UsageError
 
 def test_a_new_dataset_bears_its_folders_name_or_the_one_given(tmp_path):
     assert json.loads((create_dataset(tmp_path / "a" / "b") / "dataset.json").read_text())["name"] == "b"
-    assert (
-        json.loads((create_dataset(tmp_path / "c", "other") / "dataset.json").read_text())["name"] == "other"
-    )
+    assert json.loads((create_dataset(tmp_path / "c", "other") / "dataset.json").read_text())["name"] == "other"
 
 
 def test_an_existing_dataset_is_refused_unless_it_may_exist(tmp_path):

@@ -21,16 +21,12 @@ DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("examples/**/*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 #: `<!-- test: NAME [slow] -->` above a fenced block.
-BLOCK = re.compile(
-    r"<!-- test: (?P<name>\w+)(?P<slow> slow)? -->\n```(?P<kind>\w+)\n(?P<text>.*?)```", re.DOTALL
-)
+BLOCK = re.compile(r"<!-- test: (?P<name>\w+)(?P<slow> slow)? -->\n```(?P<kind>\w+)\n(?P<text>.*?)```", re.DOTALL)
 
 
 def blocks(kind: str) -> list[pytest.param]:
     """Return (name, text) of the tagged blocks of one kind, in all documents."""
-    found = [
-        (path, block) for path in DOCUMENTS for block in BLOCK.finditer(path.read_text(encoding="utf-8"))
-    ]
+    found = [(path, block) for path in DOCUMENTS for block in BLOCK.finditer(path.read_text(encoding="utf-8"))]
     return [
         pytest.param(
             block["name"],

@@ -47,9 +47,7 @@ def test_a_joint_effect_edits_its_joint_only(scene, name, element):
 def test_a_joint_effect_edits_something(scene):
     for name in EDITS:
         model = build_worlds(scene, [(probe(name, scene, JOINT),)]).models[0]
-        assert any(
-            not np.array_equal(getattr(model, f), getattr(scene.model, f)) for f in BY_DOF + BY_ACTUATOR
-        ), name
+        assert any(not np.array_equal(getattr(model, f), getattr(scene.model, f)) for f in BY_DOF + BY_ACTUATOR), name
 
 
 def test_the_scene_s_own_model_stays_as_it_is(scene):

@@ -45,9 +45,7 @@ def write(tmp_path):
             pa.parquet.write_table(pa.table(columns), path)
         mapping = {"file": path.name, "episode": "episode", "time_s": "t", "rate_hz": 100}
         mapping |= {"channels": CHANNELS} | changed
-        text = yaml.safe_dump(
-            {key: value for key, value in mapping.items() if value is not None}, sort_keys=False
-        )
+        text = yaml.safe_dump({key: value for key, value in mapping.items() if value is not None}, sort_keys=False)
         (tmp_path / "map.yaml").write_text(text)
         return tmp_path / "map.yaml"
 

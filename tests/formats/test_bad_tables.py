@@ -71,9 +71,7 @@ def test_wrong_columns_of_a_channel(columns, write, channels, problem, found):
 
 def test_a_column_named_twice(columns, write):
     text = refusal(write(columns, channels={"joint_position": ["px", "px"]}))
-    assert (
-        text == "joint_position names a column twice\n  found: px\n  where: map.yaml, channel joint_position"
-    )
+    assert text == "joint_position names a column twice\n  found: px\n  where: map.yaml, channel joint_position"
 
 
 def test_an_unknown_channel_names_the_nearest(columns, write):

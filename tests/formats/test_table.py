@@ -142,11 +142,7 @@ def test_gaps_are_marked_counted_and_not_filled(columns, write, kind, value):
     assert np.isnan(episode["joint_position"][1, 1])
     assert episode["joint_position"][1, 0] == np.float32(columns["q_thumb_bend"][1])
     assert episode.valid("action").all()
-    assert (
-        episode.valid("contact").tolist()
-        == episode.valid("fingertip_contact").tolist()
-        == [True, True, False]
-    )
+    assert episode.valid("contact").tolist() == episode.valid("fingertip_contact").tolist() == [True, True, False]
     counts = {"joint_position": 1, "fingertip_force": 1, "fingertip_contact": 1, "contact": 1}
     assert episode.meta.invalid_counts == counts
 

@@ -38,9 +38,7 @@ def lift(some) -> np.ndarray:
 
 def travel(some) -> np.ndarray:
     """Farthest move over the table [m]."""
-    return np.array(
-        [np.linalg.norm(e["object_pose"][:, :2] - e["object_pose"][0, :2], axis=1).max() for e in some]
-    )
+    return np.array([np.linalg.norm(e["object_pose"][:, :2] - e["object_pose"][0, :2], axis=1).max() for e in some])
 
 
 @pytest.mark.parametrize("name", policy_names())

@@ -21,9 +21,7 @@ FLAGS = [
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium here")
-def test_no_console_error_and_every_figure_drawn(
-    tmp_path, make_report, full_evidence, hand, no_gl, small_pictures
-):
+def test_no_console_error_and_every_figure_drawn(tmp_path, make_report, full_evidence, hand, no_gl, small_pictures):
     path = reports.write_report(make_report(), full_evidence, hand, tmp_path, "effects: []\n")
     done = subprocess.run(
         [

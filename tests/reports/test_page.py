@@ -33,9 +33,7 @@ class Page(HTMLParser):
         self.close()
 
     def handle_starttag(self, tag, attrs):
-        self.addresses += [
-            value for name, value in attrs if name in ("src", "href", "srcset", "action", "data")
-        ]
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset", "action", "data")]
         self.ids += [value for name, value in attrs if name == "id"]
         self.script = dict(attrs).get("id") if tag == "script" else None
         if tag not in VOID:
@@ -102,9 +100,9 @@ def test_hostile_names_stay_text(tmp_path, make_report, full_evidence):
 
 @pytest.mark.parametrize("part", ["heat", "example", "losses"])
 def test_a_missing_part_of_the_evidence_is_left_out(tmp_path, make_report, full_evidence, part):
-    text = reports.write_report(
-        make_report(), replace(full_evidence, **{part: None}), None, tmp_path, YAML
-    ).read_text("utf-8")
+    text = reports.write_report(make_report(), replace(full_evidence, **{part: None}), None, tmp_path, YAML).read_text(
+        "utf-8"
+    )
     box = {"heat": 'id="heat"', "example": 'id="trace0"', "losses": 'id="losses"'}[part]
     assert box not in text
 

@@ -49,9 +49,7 @@ def test_summary_of_many_long_effects_stays_short(make_report):
 
 def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
     report = make_report("ambiguous")
-    assert (
-        words.which(report) == "Joint damping or joint dry friction: these recordings cannot tell them apart."
-    )
+    assert words.which(report) == "Joint damping or joint dry friction: these recordings cannot tell them apart."
     expected = "Record slow reversals (motion.parquet): it separates joint damping from joint dry friction."
     assert words.next_motion(report) == expected
 

@@ -87,9 +87,7 @@ def test_a_model_that_is_missing(written):
 def test_an_object_that_is_not_free(written):
     path = written(f"{ROLES}object: arm\n", BOX + ARM[0])
     text = refusal(path, SceneError)
-    assert text.startswith(
-        f"object arm of scene {path} is not free\n  expected: a body with one free joint\n"
-    )
+    assert text.startswith(f"object arm of scene {path} is not free\n  expected: a body with one free joint\n")
     assert text.endswith("  do: add <freejoint/> to the body")
 
 
@@ -145,9 +143,7 @@ def test_a_urdf_gets_the_servos_that_its_scene_declares(tmp_path):
         '<limit lower="-1" upper="1" effort="5" velocity="3"/></joint></robot>'
     )
     path = tmp_path / "scene.yaml"
-    path.write_text(
-        "model: arm.urdf\nrate_hz: 100\njoints: [bend]\nactuators: {bend: {kp: 3, kv: 0.06, limit: 1.1}}\n"
-    )
+    path.write_text("model: arm.urdf\nrate_hz: 100\njoints: [bend]\nactuators: {bend: {kp: 3, kv: 0.06, limit: 1.1}}\n")
     model = load_scene(path).model
     assert model.nu == 1
     assert model.actuator_gainprm[0, 0] == 3

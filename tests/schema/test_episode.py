@@ -53,8 +53,7 @@ def test_a_channel_that_is_not_there_lists_those_that_are():
     with pytest.raises(DataError) as caught:
         Episode(META, arrays())["action"]
     assert str(caught.value) == (
-        "episode has no channel action\n  expected: action\n  found: time_ns, object_pose\n"
-        "  where: episode e1"
+        "episode has no channel action\n  expected: action\n  found: time_ns, object_pose\n  where: episode e1"
     )
 
 
@@ -65,8 +64,7 @@ def test_unknown_channel():
 
 def test_required_channels():
     assert refusal(object_pose=None) == (
-        "an episode needs time_ns and one of object_pose, joint_position\n"
-        "  found: time_ns\n  where: episode e1"
+        "an episode needs time_ns and one of object_pose, joint_position\n  found: time_ns\n  where: episode e1"
     )
     assert refusal(time_ns=None).splitlines()[1] == "  found: object_pose"
 

@@ -27,9 +27,7 @@ def together(hand):
 
 def test_an_episode_does_not_see_its_batch(hand, together):
     for some in (JOBS[:1], JOBS[1:2], JOBS[4:], JOBS[::-1]):
-        for job, episode in zip(
-            some, make_episodes(hand, some, duration_s=0.6, noise=hand.file.noise), strict=True
-        ):
+        for job, episode in zip(some, make_episodes(hand, some, duration_s=0.6, noise=hand.file.noise), strict=True):
             assert content_hash(episode) == content_hash(together[job.index])
 
 
@@ -42,9 +40,7 @@ def test_noise_is_as_large_as_declared(hand, together):
     noise = hand.file.noise
     plain = make_episodes(hand, JOBS, duration_s=0.6)
     error = {
-        channel: np.concatenate(
-            [(a[channel] - b[channel]).ravel() for a, b in zip(together, plain, strict=True)]
-        )
+        channel: np.concatenate([(a[channel] - b[channel]).ravel() for a, b in zip(together, plain, strict=True)])
         for channel in ("joint_position", "fingertip_force")
     }
     # 4320 values: their standard deviation is known to 1.1 % (1 sd).

@@ -70,9 +70,7 @@ def test_a_killed_run_is_gone_on_from(tmp_path):
     whole = {"scene": "cube_toss", "episodes": 160, "seed": 7, "workers": 2}
     words = ["generate-sim", "--scene", "cube_toss", "--episodes", "160", "--seed", "7", "--jobs", "2"]
     command = [sys.executable, "-m", "candata_cli.main", *words, "--out", str(tmp_path / "set")]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True
-    ) as run:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True) as run:
         deadline_s = time.monotonic() + 60
         while not list(tmp_path.glob("set/parts/*/part.json")) and time.monotonic() < deadline_s:
             time.sleep(0.005)

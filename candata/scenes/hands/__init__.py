@@ -1,0 +1,1 @@
+"""Hands: one file each; the folder is the registry."""

@@ -1,0 +1,1 @@
+"""Built-in scenes: one file each; the folder is the registry."""
