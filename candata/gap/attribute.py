@@ -207,7 +207,7 @@ def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:
     world = problem.setting(best.members)
     spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
     raw = residual(problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0])
-    new = replace(problem, score=score(raw, spread))
+    new = replace(problem, score=score(raw, spread, problem.plan))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)
     nominal = new.score.normal(raw)
