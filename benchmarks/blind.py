@@ -60,7 +60,8 @@ def check_scene() -> None:
     moving = [(a, q) for a, q in pairs if np.ptp(a) > 0.02]  # rad or m: more than the command noise
     follows = [max(np.corrcoef(a[: len(a) - k], q[k:])[0, 1] for k in range(13)) for a, q in moving]
     print(
-        f"{len(moving)} moving joints follow their targets within 150 ms in a free sweep: correlation at least {min(follows):.3f}"
+        f"{len(moving)} moving joints follow their targets within 150 ms in a free sweep: "
+        f"correlation at least {min(follows):.3f}"
     )
     channels = ("joint_position", "object_pose", "fingertip_force")
     moved = {

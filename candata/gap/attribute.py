@@ -47,6 +47,8 @@ class Stage:
         Held-out gain that null sets reach one time in a hundred.
     dead : tuple of str
         Candidates that this data cannot show.
+    idle : tuple of str
+        Candidates whose best value is their absence.
     reachable : float
         Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
     """
@@ -55,6 +57,7 @@ class Stage:
     fits: tuple[Fit, ...]
     threshold: float
     dead: tuple[str, ...]
+    idle: tuple[str, ...]
     reachable: float
 
     def passing(self) -> Fit | None:
@@ -123,10 +126,12 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     base, luck = _base(problem, here, held)
     responses, dead = _respond(problem, here, found, held)
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
-    fits = refined(problem, _fits(problem, responses, base), base, held)
+    found_fits = refined(problem, _fits(problem, responses, base), base, held)
+    fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
+    idle = tuple(f.labels[0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1]))
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
-    return Stage(base, tuple(fits), threshold, tuple(dead), reachable)
+    return Stage(base, tuple(fits), threshold, tuple(dead), idle, reachable)
 
 
 def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
@@ -207,10 +212,15 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
         if added is None:
             return best, world, remains
         grown = joint(world, (*best.members, added.members[0]), world.score.loss(nominal))
-        extra = best.evidence.loss - grown.evidence.loss
-        if extra.mean() <= max(standard_error(extra), EXTRA * best.gain):
+        if not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             return best, world, remains
         problem, best = world, grown
+
+
+def _worth_adding(extra: Array, so_far: float) -> bool:
+    """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
+    least = max(2 * standard_error(extra), EXTRA * so_far)
+    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
 
 
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:

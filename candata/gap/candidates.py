@@ -31,6 +31,8 @@ class Candidate:
         Coordinates that are logarithms of the value (scales and times), so that half and double are alike.
     choices : bool
         Whether the value is a choice, not a number.
+    limits : ((d,), (d,)) float64
+        Bounds of the parameter values.
     """
 
     name: str
@@ -40,11 +42,16 @@ class Candidate:
     high: Array
     logarithmic: NDArray[np.bool_]
     choices: bool
+    limits: tuple[Array, Array]
 
     @property
     def size(self) -> int:
         """Number of coordinates d."""
         return len(self.neutral)
+
+    def is_neutral(self, u: Array) -> bool:
+        """Tell whether `u (d,)` is the absence of the effect."""
+        return bool(np.allclose(u, self.neutral, atol=1e-9))
 
     @property
     def label(self) -> str:
@@ -53,8 +60,9 @@ class Candidate:
 
     def values(self, u: Array) -> Array:
         """Return parameter values of coordinates `u (d,)`, inside the bounds."""
-        clipped = np.clip(u, self.low, self.high)
-        return np.where(self.logarithmic, np.exp(clipped), clipped)
+        inside = np.clip(u, self.low, self.high)
+        # exp(log(bound)) may round to just outside the bound.
+        return np.clip(np.where(self.logarithmic, np.exp(inside), inside), *self.limits)
 
     def setting(self, u: Array, scene: Scene) -> EffectSetting:
         """Return the effect setting at coordinates `u (d,)`."""
@@ -67,6 +75,7 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     low: list[float] = []
     high: list[float] = []
     logarithmic: list[bool] = []
+    limits: list[tuple[float, float]] = []
     for p in effect(name).parameters:
         bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
@@ -78,8 +87,13 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
         for column, value in zip((low, high, neutral), ends, strict=True):
             column += [value] * p.size(scene)
         logarithmic += [is_log] * p.size(scene)
+        limits += [(bounds.low, bounds.high)] * p.size(scene)
     discrete = bool(effect(name).parameters[0].choices)
-    return Candidate(name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete)
+    lowest, highest = np.array(limits, float).T
+    numbers = [np.array(v, float) for v in (neutral, low, high)]
+    return Candidate(
+        name, element, numbers[0], numbers[1], numbers[2], np.array(logarithmic), discrete, (lowest, highest)
+    )
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -165,7 +166,7 @@ class _Findings:
 def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     """Return the diagnosis drawn from all findings."""
     chosen = f.found.chosen
-    size = gap(f.held.size_before, f.held.size_after, rng, named=chosen is not None)
+    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=chosen is not None or f.found.remains)
     word = verdict(f.found, size)
     heat = locate(f.problem.plan, f.problem.score, f.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
@@ -196,7 +197,12 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         *(np.quantile(f.world.score.size(f.world.score.null), q, axis=0) for q in (0.05, 0.95)),
     )
     shown = example(f.world, f.held, chosen if named else None)
-    return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=f.scene.name, effects=repaired))
+    return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
+
+
+def _lasting(name: str) -> str:
+    """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
+    return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
 
 
 def _slides(scene: Scene) -> list[str]:
@@ -273,10 +279,9 @@ def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
                 parameters=c.setting(u, f.scene).parameters,
             )
         )
-    dead = [
-        Ranked(name=d, support=0.0, held_out_gain=0.0, reason="moves nothing in these motions")
-        for d in f.found.first.dead
-    ]
+    first = f.found.first
+    reasons = [(d, "best left out") for d in first.idle] + [(d, "moves nothing in these motions") for d in first.dead]
+    dead = [Ranked(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
     return (*out, *dead)
 
 

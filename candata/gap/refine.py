@@ -23,6 +23,8 @@ REFINEMENTS = 2
 ROUNDS = 5
 #: Shares of a Gauss-Newton step that are tried.
 SHARES = (1.0, 0.5, 0.2)
+#: Compass search: most coordinates, first and last step as shares of the range.
+COMPASS_SIZE, COMPASS_FIRST, COMPASS_LAST = 3, 0.1, 0.01
 #: Step of finite differences, as a share of a coordinate's range: well above the chaos of single contacts.
 DIFFERENCE = 0.02
 
@@ -176,5 +178,28 @@ def polished(problem: Problem, best: Fit, base: Array) -> Fit:
     """Return a vector's fit after Gauss-Newton with rollouts, if that lowers the held-out loss."""
     if isinstance(best.response, Curve):
         return best
-    found = joint(problem, best.members, base)
+    found = _searched(problem, joint(problem, best.members, base), base)
     return found if found.gain > best.gain else best
+
+
+def _searched(problem: Problem, fit: Fit, base: Array) -> Fit:
+    """Return a vector of few coordinates after a compass search by rollouts (Kolda, Lewis & Torczon 2003).
+
+    Where contact is chaotic, finite differences say little; comparing whole rollouts still does.
+    """
+    plane = fit.response
+    if not isinstance(plane, Plane) or len(plane.at) > COMPASS_SIZE:
+        return fit
+    start, share = plane, COMPASS_FIRST
+    while share > COMPASS_LAST:
+        steps = share * (plane.high - plane.low)
+        trials = [np.clip(plane.at + side * row, plane.low, plane.high) for row in np.diag(steps) for side in (-1, 1)]
+        moved = _best_of(problem, plane, trials, fit.split)
+        share = share / 2 if moved is plane else share
+        plane = moved
+    if plane is start:
+        return fit
+    number = np.ones(len(plane.at), bool)
+    plane = _linearised(problem, plane, fit.split, number)
+    evidence = cross_fit(plane, problem.score, problem.parts, base)
+    return replace(fit, members=fit.split(plane.at), response=plane, evidence=evidence)

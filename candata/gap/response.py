@@ -58,6 +58,11 @@ class Curve:
         inner = (self.at[:-1, None] + np.diff(self.at)[:, None] * steps).ravel()
         return np.append(inner, self.at[-1])
 
+    def resolution(self, u: Array) -> float:
+        """Return the distance of the grid's points around `u (1,)`."""
+        right = int(np.clip(np.searchsorted(self.at, u[0]), 1, len(self.at) - 1))
+        return float(self.at[right] - self.at[right - 1]) / BETWEEN
+
     def read(self, u: Array) -> Compact:
         """Return `(E, K)` residuals at coordinate `u (1,)`."""
         right = int(np.clip(np.searchsorted(self.at, u[0]), 1, len(self.at) - 1))

@@ -12,6 +12,7 @@ from candata.gap.attribute import Attribution
 from candata.gap.recordings import Recordings
 from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
+from candata.gap.response import Curve
 from candata.gap.search import Fit, Problem
 from candata.rotation import difference
 from candata.schema.report import Gap
@@ -65,12 +66,13 @@ def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
     return HeldOut(problem.recs, before, after, size_before, size_after, points)
 
 
-def gap(before: Array, after: Array, rng: np.random.Generator, named: bool) -> Gap:
+def gap(before: Array, after: Array, rng: np.random.Generator, gap_left: bool) -> Gap:
     """Return the gap in floors and the share of it that closes, with a 90 % bootstrap interval over episodes.
 
     1 - (after - floor) / (before - floor), floor 1; a share above 1 is the floor's own luck and is printed as 1.
+    Where there is no gap (`gap_left` false), there is no share.
     """
-    if not named:
+    if not gap_left:
         return Gap(before=round(float(before.mean()), 4), after=round(float(before.mean()), 4))
     picks = rng.integers(len(before), size=(RESAMPLES, len(before)))
     many = _closed(before[picks].mean(1), after[picks].mean(1))
@@ -90,12 +92,17 @@ def _closed(before: Array, after: Array) -> Array:
 
 
 def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
-    """Return 90 % bootstrap ends `(d,)` of the coordinates, refitting on resampled episodes."""
+    """Return 90 % bootstrap ends `(d,)` of the coordinates, refitting on resampled episodes.
+
+    A scalar is read off a grid, so its interval is no finer than the grid; the fitted value always lies inside.
+    """
     count = len(problem.recs)
     refit = fit.response.fitter(problem.score)
     found = [refit(problem.rng.integers(count, size=count)) for _ in range(REFITS)]
     low, high = np.quantile(np.array(found), ENDS, axis=0)
-    return low, high
+    own = np.concatenate([u for _, u in fit.members])
+    slack = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
+    return np.minimum(low, own) - slack, np.maximum(high, own) + slack
 
 
 def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Array:
