@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 LIVELY = 0.05
 #: Largest number of effects in a set.
 LARGEST_SET = 3
+#: Held-out gain [floors] below which an effect is not worth a name, significant or not.
+MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.02
 #: Null replays of each episode around an accepted set.
@@ -53,11 +55,12 @@ class Stage:
     dead: tuple[str, ...]
 
     def passing(self) -> Fit | None:
-        """Return the best fit if it beats both the nulls and one standard error of its own gain."""
+        """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all."""
         if not self.fits:
             return None
         best = self.fits[0]
-        return best if best.gain > max(self.threshold, standard_error(best.evidence.gain)) else None
+        least = max(self.threshold, standard_error(best.evidence.gain), MATTERS)
+        return best if best.gain > least else None
 
 
 @dataclass(frozen=True)
@@ -207,7 +210,7 @@ def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:
     world = problem.setting(best.members)
     spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
     raw = residual(problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0])
-    new = replace(problem, score=score(raw, spread))
+    new = replace(problem, score=score(raw, spread, problem.plan))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)
     nominal = new.score.normal(raw)

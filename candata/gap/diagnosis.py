@@ -127,7 +127,7 @@ def _problem(
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
     spread = floor(replayer, recs, begin, plan, rng)
-    level = score(raw, spread)
+    level = score(raw, spread, plan)
     parts = folds(recs.tasks, rng)
     return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(raw)
 
@@ -140,7 +140,7 @@ def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Pro
     before, after = replay_all(replayer, recs, begin, [(), world])
     plan = layout(replayer.scene, recs, begin, before)
     raw = residual(recs, plan, before)
-    level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world))
+    level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world), plan)
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)

@@ -81,8 +81,9 @@ def _high_pass(recs: Recordings, channel: str, columns: slice) -> float:
     bend = np.abs(values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2])
     window = min(8, bend.shape[1])
     count = bend.shape[1] // window
-    local = np.nanmedian(bend[:, : count * window].reshape(len(recs), count, window, -1), axis=2)
-    local = local[np.isfinite(local)]
+    windows = bend[:, : count * window].reshape(len(recs), count, window, -1)
+    whole = np.isfinite(windows).all(2)
+    local = np.median(windows, axis=2)[whole]
     return float(np.quantile(local, 0.2) / 0.6745 / np.sqrt(6)) if local.size else 0.0
 
 
@@ -199,8 +200,17 @@ def _sigma(plan: Layout, null: Array, least: Array) -> Array:
         here = plan.phase == p
         if not here.any():
             continue
-        pooled = np.nanquantile(np.abs(null[:, here]), 0.68, axis=(0, 1))
+        pooled = _quantile(null[:, here])
         for e in np.flatnonzero(here.any(1)):
-            own = np.nanquantile(np.abs(null[:, e, here[e]]), 0.68, axis=(0, 1))
+            own = _quantile(null[:, e, here[e]])
             sigma[e, here[e]] = np.fmax(np.fmax(own, SPREAD_FLOOR * pooled), least)
     return sigma
+
+
+def _quantile(values: Array) -> Array:
+    """Return `(D,)` the 68 % quantile of the sizes over all but the last axis; NaN for a column without values."""
+    flat = np.abs(values).reshape(-1, values.shape[-1])
+    out = np.full(flat.shape[1], np.nan)
+    seen = np.isfinite(flat).any(0)
+    out[seen] = np.nanquantile(flat[:, seen], 0.68, axis=0)
+    return out

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.floor import Floor
+from candata.gap.residuals import Layout
 
 Array = NDArray[np.float64]
 Compact = NDArray[np.float32]
@@ -31,6 +32,8 @@ class Score:
         Mean loss of each episode's nulls.
     null_loss : (R, E) float64
         Loss of each null over its episode's floor.
+    group : (K,) int64
+        Which physical quantity each of the K is.
     """
 
     sigma: Compact
@@ -38,6 +41,7 @@ class Score:
     null: Compact
     floor: Array
     null_loss: Array
+    group: NDArray[np.int64]
 
     def normal(self, residual: Array) -> Compact:
         """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
@@ -51,18 +55,20 @@ class Score:
         return rho / count / self.floor
 
     def size(self, z: Compact) -> Array:
-        """Return `(..., E)` the mean size of each episode's residuals over that of its nulls: the discrepancy.
+        """Return `(..., E)` the discrepancy of each episode: mean size of the residuals over that of its nulls.
 
-        Linear in the residuals, so that half the error is half the discrepancy; what decides between effects is the
-        robust loss.
+        In physical units, a ratio for each quantity (joint angles, positions, rotations, forces), then the mean over
+        quantities: half the error is half the discrepancy, and a phase in which the nulls hardly err cannot outweigh
+        all others. What decides between effects is the robust loss.
         """
-        count = np.maximum(self.mask.sum(1), 1)
-        return np.abs(z).sum(-1, dtype=np.float64) / count / self._null_size()
+        ratios = [self._mean(z, g) / self._mean(self.null, g).mean(0) for g in range(self.group.max() + 1)]
+        return np.nanmean(ratios, axis=0)
 
-    def _null_size(self) -> Array:
-        """Return `(E,)` the mean size of the nulls' residuals."""
-        count = np.maximum(self.mask.sum(1), 1)
-        return np.maximum((np.abs(self.null).sum(-1, dtype=np.float64) / count).mean(0), 1e-9)
+    def _mean(self, z: Compact, group: int) -> Array:
+        """Return `(..., E)` the mean size of the residuals of one quantity, in its unit."""
+        unit = self.sigma * (self.mask & (self.group == group))
+        count = np.maximum((unit > 0).sum(1), 1)
+        return np.maximum((np.abs(z) * unit).sum(-1, dtype=np.float64) / count, 1e-12)
 
     def take(self, index: NDArray[np.int64]) -> Score:
         """Return the score of some episodes."""
@@ -75,7 +81,7 @@ class Score:
         )
 
 
-def score(residual: Array, floor: Floor) -> Score:
+def score(residual: Array, floor: Floor, plan: Layout) -> Score:
     """Return the score for recordings whose residual under the nominal replay is `residual (E, B, D)`.
 
     Only what both the recording and the nulls hold is compared.
@@ -85,10 +91,17 @@ def score(residual: Array, floor: Floor) -> Score:
     null = floor.null.reshape(len(floor.null), count, -1)
     mask = np.isfinite(residual.reshape(count, -1)) & (sigma > 0)
     z = np.where(mask & np.isfinite(null), np.nan_to_num(null) / sigma, 0.0).astype(np.float32)
-    first = Score(sigma.astype(np.float32), mask, z, np.ones(count), np.zeros((len(null), count)))
+    first = Score(sigma.astype(np.float32), mask, z, np.ones(count), np.zeros((len(null), count)), _groups(plan))
     losses = first.loss(z)
     level = np.maximum(losses.mean(0), 1e-9)
-    return Score(first.sigma, mask, z, level, losses / level)
+    return Score(first.sigma, mask, z, level, losses / level, first.group)
+
+
+def _groups(plan: Layout) -> NDArray[np.int64]:
+    """Return `(K,)` the number of the quantity (channel and unit) of each block mean."""
+    kinds = [(channel, unit) for channel, _, unit in plan.columns]
+    order = list(dict.fromkeys(kinds))
+    return np.tile([order.index(kind) for kind in kinds], plan.phase.shape[1])
 
 
 def weights(z: Compact) -> Compact:

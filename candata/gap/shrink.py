@@ -130,15 +130,14 @@ def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[f
 
 
 def measures(held: HeldOut) -> dict[str, dict[str, float]]:
-    """Return errors in physical units before and after: mean over episodes of the mean over rows."""
+    """Return mean, spread and median over episodes of the mean error over rows, in physical units, before and after."""
     out: dict[str, dict[str, float]] = {}
     for name, size in _errors(held.recs, held.before).items():
         repaired = _errors(held.recs, held.after)[name]
         out[name] = {
-            "before": float(np.nanmean(size)),
-            "after": float(np.nanmean(repaired)),
-            "before_median": float(np.nanmedian(size)),
-            "after_median": float(np.nanmedian(repaired)),
+            f"{label}{suffix}": float(statistic(values))
+            for label, values in (("before", size), ("after", repaired))
+            for suffix, statistic in (("", np.nanmean), ("_sd", np.nanstd), ("_median", np.nanmedian))
         }
     return out
 
@@ -146,18 +145,23 @@ def measures(held: HeldOut) -> dict[str, dict[str, float]]:
 def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
     """Return `(E,)` mean error of each episode by quantity, with its unit in the name."""
     out = {}
-    with np.errstate(invalid="ignore"):
-        for channel, recorded in recs.readings.items():
-            if channel == "object_pose":
-                shift = np.linalg.norm(recorded[..., :3] - readings[channel][..., :3], axis=-1)
-                turn = np.linalg.norm(difference(recorded[..., 3:], readings[channel][..., 3:]), axis=-1)
-                out["object_position_m"] = np.nanmean(shift, 1)
-                out["object_rotation_deg"] = np.degrees(np.nanmean(turn, 1))
-            else:
-                name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[channel]
-                error = np.abs(recorded - readings[channel]).reshape(*recorded.shape[:2], -1)
-                out[name] = np.nanmean(np.nanmean(error, 2), 1)
+    for channel, recorded in recs.readings.items():
+        if channel == "object_pose":
+            shift = np.linalg.norm(recorded[..., :3] - readings[channel][..., :3], axis=-1)
+            turn = np.linalg.norm(difference(recorded[..., 3:], readings[channel][..., 3:]), axis=-1)
+            out["object_position_m"] = _mean(shift)
+            out["object_rotation_deg"] = np.degrees(_mean(turn))
+        else:
+            name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[channel]
+            out[name] = _mean(np.abs(recorded - readings[channel]).reshape(len(recorded), -1))
     return out
+
+
+def _mean(values: Array) -> Array:
+    """Return `(E,)` the mean of the finite values of each row; NaN where there are none."""
+    finite = np.isfinite(values)
+    count = finite.sum(1)
+    return np.where(count > 0, np.where(finite, values, 0.0).sum(1) / np.maximum(count, 1), np.nan)
 
 
 def separating_task(problem: Problem, attribution: Attribution) -> str | None:

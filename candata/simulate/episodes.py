@@ -113,7 +113,7 @@ def _episode(
     if "fingertip_force" in arrays:
         rule = ContactRule()
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
-        arrays["contact"] = arrays["fingertip_contact"].any(1)
+        arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
     return Episode(_meta(scene, job, rule), arrays)
 
 
