@@ -9,13 +9,15 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import Diagnosis, diagnose
+from candata.gap.floor import Floor
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import Layout
-from candata.gap.score import NU, Score
+from candata.gap.score import Score, score
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
+from candata.schema.scene import Noise
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import Job, add_noise, make_episodes
 
@@ -157,26 +159,24 @@ def plain_recordings() -> Callable[..., Recordings]:
 
 
 @pytest.fixture(scope="session")
-def white_score() -> Callable[..., Score]:
-    """The function that makes the score of E episodes of K values whose nulls are white with unit spread."""
-
-    def make(rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16) -> Score:
-        null = rng.standard_normal((replicas, episodes, size)).astype(np.float32)
-        loss = np.log1p(null.astype(float) ** 2 / NU).mean(-1) * (NU + 1) / 2
-        floor = loss.mean(0)
-        ones = np.ones((episodes, size), np.float32)
-        return Score(ones, ones > 0, null, floor, loss / floor)
-
-    return make
-
-
-@pytest.fixture(scope="session")
 def one_phase() -> Callable[..., Layout]:
-    """The function that makes a layout of D columns in which every block has a phase by turns."""
+    """The function that makes a layout of D joints in which every block has a phase by turns."""
 
     def make(episodes: int, blocks: int, columns: int, phases: tuple[str, ...] = ("free",)) -> Layout:
         named = tuple(("joint_position", f"j{i}", "rad") for i in range(columns))
         phase = np.tile(np.arange(blocks) % len(phases), (episodes, 1))
         return Layout(named, phases, phase, 5)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def white_score(one_phase) -> Callable[..., Score]:
+    """The function that makes the score of E episodes of K values whose nulls are white with unit spread."""
+
+    def make(rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16, columns: int = 1) -> Score:
+        shape = (episodes, size // columns, columns)
+        spread = Floor("declared", np.ones(shape), rng.standard_normal((replicas, *shape)), Noise())
+        return score(np.zeros(shape), spread, one_phase(episodes, *shape[1:]))
 
     return make

@@ -17,7 +17,7 @@ PHASES = ("free", "onset")
 
 def case(white_score, one_phase, rng):
     """A layout of two phases and three columns, and the score of white nulls."""
-    return one_phase(E, BLOCKS, COLUMNS, PHASES), white_score(rng, E, BLOCKS * COLUMNS)
+    return one_phase(E, BLOCKS, COLUMNS, PHASES), white_score(rng, E, BLOCKS * COLUMNS, columns=COLUMNS)
 
 
 def recorded(rng, column: int | None = None, phase: int = 0, size: float = 0.0) -> np.ndarray:

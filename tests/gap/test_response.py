@@ -121,7 +121,7 @@ def test_a_plane_stays_within_its_bounds(rng):
 
 
 def far_plane(rng) -> Plane:
-    """A tenth of the values lie 40 spreads off and follow the coordinate; the rest hardly move, and that for the worse."""
+    """A tenth of the values lie 40 spreads off and follow the coordinate; the rest hardly move, and for the worse."""
     slope = np.full((1, E, K), 0.04, np.float32)
     slope[..., : K // 10] = 1.0
     z = 0.3 * rng.standard_normal((E, K)).astype(np.float32)
