@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,12 +72,13 @@ class Score:
 
     def take(self, index: NDArray[np.int64]) -> Score:
         """Return the score of some episodes."""
-        return Score(
-            self.sigma[index],
-            self.mask[index],
-            self.null[:, index],
-            self.floor[index],
-            self.null_loss[:, index],
+        return replace(
+            self,
+            sigma=self.sigma[index],
+            mask=self.mask[index],
+            null=self.null[:, index],
+            floor=self.floor[index],
+            null_loss=self.null_loss[:, index],
         )
 
 
@@ -94,7 +95,7 @@ def score(residual: Array, floor: Floor, plan: Layout) -> Score:
     first = Score(sigma.astype(np.float32), mask, z, np.ones(count), np.zeros((len(null), count)), _groups(plan))
     losses = first.loss(z)
     level = np.maximum(losses.mean(0), 1e-9)
-    return Score(first.sigma, mask, z, level, losses / level, first.group)
+    return replace(first, floor=level, null_loss=losses / level)
 
 
 def _groups(plan: Layout) -> NDArray[np.int64]:
