@@ -28,7 +28,7 @@ MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.02
 #: Null replays of each episode around an accepted set.
-NULLS_AGAIN = 8
+NULLS_AGAIN = 16
 #: Nominal replays from other starts, which show how much of a loss is luck.
 STARTS = 7
 
@@ -47,20 +47,26 @@ class Stage:
         Held-out gain that null sets reach one time in a hundred.
     dead : tuple of str
         Candidates that this data cannot show.
+    reachable : float
+        Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
     """
 
     base: Array
     fits: tuple[Fit, ...]
     threshold: float
     dead: tuple[str, ...]
+    reachable: float
 
     def passing(self) -> Fit | None:
-        """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all."""
+        """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all.
+
+        A loss below what a true world reaches is luck, and counts for nothing.
+        """
         if not self.fits:
             return None
         best = self.fits[0]
-        least = max(self.threshold, standard_error(best.evidence.gain), MATTERS)
-        return best if best.gain > least else None
+        gain = min(best.gain, float(self.base.mean()) - self.reachable)
+        return best if gain > max(self.threshold, standard_error(best.evidence.gain), MATTERS) else None
 
 
 @dataclass(frozen=True)
@@ -118,7 +124,9 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     responses, dead = _respond(problem, here, found, held)
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     fits = refined(problem, _fits(problem, responses, base), base, held)
-    return Stage(base, tuple(fits), threshold, tuple(dead))
+    declared = problem.floor_kind != "assumed"
+    reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
+    return Stage(base, tuple(fits), threshold, tuple(dead), reachable)
 
 
 def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:

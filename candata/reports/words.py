@@ -216,8 +216,13 @@ def _nothing_more(report: Report) -> str:
     if report.verdict == "no_gap":
         return "Differences smaller than the floor, and motions that these episodes do not contain"
     if report.gap is not None and report.gap.closed is not None:
+        left, carries = (
+            report.gap.after - report.gap.floor,
+            "whether the repair carries over to other objects and motions",
+        )
         return (
-            f"What makes up the remaining {digits(max(report.gap.after - report.gap.floor, 0.0))} floors, "
-            "and whether the repair carries over to other objects and motions"
+            f"What makes up the remaining {digits(left)} floors, and {carries}"
+            if left >= 0.05
+            else carries.capitalize()
         )
     return "What causes the gap"

@@ -23,7 +23,7 @@ class Hand:
     joints : tuple of str
         Joints in the order of `joint_position`; actuators bear the same names.
     fingertips, fingertip_frames : tuple of str
-        Force-sensing bodies and the sites that carry their frames (+z presses into the object).
+        Force-sensing bodies and the sites that carry their frames (a pressing contact reads +z).
     """
 
     name: str

@@ -95,7 +95,7 @@ TIPS = ("thumb_rota2", "index2", "mid2", "ring2", "pinky2")
 def add(spec: mujoco.MjSpec, parent: mujoco.MjsBody, quat: tuple[float, float, float, float]) -> None:
     """Add the hand to `parent` of `spec` (whose angles are in radians), palm turned by `quat` w x y z.
 
-    Fingertip frames are sites `<joint>_frame` at the tips with +z pressing into what is grasped.
+    Fingertip frames are sites `<joint>_frame` at the tips whose +z a pressing contact reads.
     """
     palm = parent.add_body(
         name="palm",
@@ -148,8 +148,8 @@ def _add_link(spec: mujoco.MjSpec, parent: mujoco.MjsBody, link: Link) -> mujoco
         damping=0.005,
     )
     if is_tip:
-        # +z of the frame presses into the object: palm-normal +x for fingers; flexion (+z) for the thumb.
-        quat = (1, 0, 0, 0) if link.joint == "thumb_rota2" else (np.sqrt(0.5), 0, np.sqrt(0.5), 0)
+        # What is pressed pushes the fingertip back: towards -x of the palm for fingers, -z for the thumb's link.
+        quat = (0, 1, 0, 0) if link.joint == "thumb_rota2" else (np.sqrt(0.5), 0, -np.sqrt(0.5), 0)
         body.add_site(name=f"{link.joint}_frame", pos=stop, quat=quat, size=(0.004, 0, 0))
     servo = spec.add_actuator(name=link.joint, target=link.joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     servo.set_to_position(kp=KP, kv=KV)
