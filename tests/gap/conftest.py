@@ -174,7 +174,9 @@ def one_phase() -> Callable[..., Layout]:
 def white_score(one_phase) -> Callable[..., Score]:
     """The function that makes the score of E episodes of K values whose nulls are white with unit spread."""
 
-    def make(rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16, columns: int = 1) -> Score:
+    def make(
+        rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16, columns: int = 1
+    ) -> Score:
         shape = (episodes, size // columns, columns)
         spread = Floor("declared", np.ones(shape), rng.standard_normal((replicas, *shape)), Noise())
         return score(np.zeros(shape), spread, one_phase(episodes, *shape[1:]))

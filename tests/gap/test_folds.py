@@ -134,6 +134,17 @@ def test_luck_raises_the_threshold(white_score):
     assert 0.4 < lucky - calm < 1.2
 
 
+def test_a_vector_has_the_luck_of_many_trials(white_score):
+    rng = np.random.default_rng(14)
+    level, luck, parts = white_score(rng, E, K), rng.standard_normal((8, E)), folds(("",) * E, rng)
+    one, many = (
+        null_threshold([r], level, parts, luck, np.random.default_rng(1))
+        for r in (curve(level, rng), plane(level, rng))
+    )
+    # The best of eight means of 12 draws against one of them, both one time in a hundred: 3.1 spreads against 2.3.
+    assert many > one
+
+
 def test_without_candidates_nothing_is_gained(white_score, rng):
     level = white_score(rng, E, K)
     assert null_threshold([], level, folds(("",) * E, rng), np.zeros((1, E)), rng) == 0.0
