@@ -141,6 +141,24 @@ def test_an_empty_dataset_is_refused(arm, arm_episodes, as_dataset):
     assert str(caught.value) == f"the dataset is empty\n  expected: recorded episodes\n  where: {empty.path}"
 
 
+@pytest.mark.xfail(strict=True, raises=ValueError, reason="ends in a traceback")
+def test_episodes_shorter_than_a_block_are_refused(arm, arm_episodes, judge):
+    with pytest.raises(DataError):
+        judge(arm, arm_episodes(rows=3))
+
+
+def test_gaps_and_unequal_lengths_are_no_obstacle(arm, arm_episodes, planted, judge):
+    made = []
+    for i, e in enumerate(arm_episodes(planted("actuation_delay", delay_s=0.02))):
+        rows = 110 + 5 * i
+        seen = (np.arange(rows) < 60) | (np.arange(rows) >= 75)
+        made.append(Episode(e.meta, {k: v[:rows] for k, v in e.arrays.items()} | {"joint_position_valid": seen}))
+    report = judge(arm, made).report
+    assert (report.verdict, [e.name for e in report.effects]) == ("explained", ["actuation_delay"])
+    # As with whole episodes; there is less of them, but the reading's spacing decides.
+    assert report.effects[0].parameters["delay_s"].value == pytest.approx(0.02, abs=0.0005)
+
+
 def test_episodes_beyond_those_searched_are_measured_untouched(arm, arm_episodes, planted, judge, monkeypatch):
     monkeypatch.setattr(diagnosis, "SEARCHED", 8)
     report = judge(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=12)).report
