@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, probes
+from candata.gap.candidates import Candidate, candidates, first_probes
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
 from candata.gap.refine import joint, polished, refined
@@ -28,7 +28,7 @@ MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.02
 #: Null replays of each episode around an accepted set.
-NULLS_AGAIN = 16
+NULLS_AGAIN = 12
 #: Nominal replays from other starts, which show how much of a loss is luck.
 STARTS = 7
 
@@ -144,7 +144,7 @@ def _respond(
 ) -> tuple[list[tuple[Candidate, Curve | Plane]], list[str]]:
     """Return responses to first probes of every candidate on top of `held`, and the labels of dead ones."""
     scene = problem.replayer.scene
-    points = {c.label: probes(c, scene)[: 2 if c.size == 1 else None] for c in found}
+    points = {c.label: first_probes(c, scene) for c in found}
     flat = [(c, u) for c in found for u in points[c.label]]
     zs = problem.residuals([problem.setting((*held, (c, u))) for c, u in flat])
     out: list[tuple[Candidate, Curve | Plane]] = []

@@ -94,10 +94,7 @@ def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
 
 
 def probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each, the middle ones first.
-
-    A scalar's probes are ordered from the middle of each side outwards, so that the first two tell most.
-    """
+    """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each."""
     out = []
     column = 0
     for p in effect(c.name).parameters:
@@ -109,15 +106,14 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
                 point[column] = value
                 out.append(point)
             column += 1
-    return _middle_first(c, out) if c.size == 1 else out
+    return out
 
 
-def _middle_first(c: Candidate, points: list[Array]) -> list[Array]:
-    """Return scalar probes with one from the middle of each side first."""
+def first_probes(c: Candidate, scene: Scene) -> list[Array]:
+    """Return the probes that screen a candidate: the middle one of each side of a scalar, all of a vector."""
+    points = probes(c, scene)
+    if c.size > 1:
+        return points
     below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
     above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
-    first = [side[len(side) // 2] for side in (below, above) if side]
-    if len(first) == 1 and len(points) > 1:
-        side = below or above
-        first.append(side[max(0, len(side) // 2 - 1)] if len(side) > 1 else side[0])
-    return first + [p for p in points if not any(p is f for f in first)]
+    return [side[len(side) // 2] for side in (below, above) if side]

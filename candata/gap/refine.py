@@ -15,8 +15,8 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 
 Array = NDArray[np.float64]
 World = Callable[[Array], Members]
-#: Candidates that get all their probes after the first two, and those that are refined by rollouts.
-KEPT, REFINED = 7, 4
+#: Candidates that get all their probes after the first ones, and those that are refined by rollouts.
+KEPT, REFINED = 5, 3
 #: Rounds of refinement; each narrows the bracket or re-linearises once.
 REFINEMENTS = 2
 #: Shares of a Gauss-Newton step that are tried.
