@@ -12,6 +12,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout
 from candata.gap.starts import STILL_ROWS, starts
+from candata.rotation import difference
 from candata.schema.scene import Noise
 from candata.simulate.episodes import add_noise
 
@@ -137,5 +138,7 @@ def test_perturbed_starts_are_off_by_what_averaging_leaves(hand, rng, plain_reco
         ([at, at + 1], hand.file.noise.object_pose[0]),
     ):
         assert off[:, columns].std() == pytest.approx(size / np.sqrt(STILL_ROWS), rel=0.12)
+    turned = difference(moved.qpos[:, at + 3 : at + 7], begin.qpos[:, at + 3 : at + 7])
+    assert turned.std() == pytest.approx(hand.file.noise.object_pose[1] / np.sqrt(STILL_ROWS), rel=0.12)
     assert not off[:, at + 2].any(), "a resting object stands on its support"
     assert np.array_equal(moved.qvel, begin.qvel)
