@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.candidates import candidate, candidates, probes
+from candata.gap.candidates import candidate, candidates, first_probes, probes
 from candata.schema.effect import EffectSetting
 
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -66,10 +66,16 @@ def test_half_and_double_are_equally_far(hand):
     assert half + double == pytest.approx(2 * c.neutral[0], abs=1e-12)
 
 
-def test_the_first_two_probes_of_a_scale_lie_on_both_sides(hand):
-    c = candidate("object_mass", hand)
-    first, second = probes(c, hand)[:2]
-    assert (first[0] - c.neutral[0]) * (second[0] - c.neutral[0]) < 0
+@pytest.mark.parametrize("name", effect_names())
+def test_a_scalar_is_screened_on_each_side_that_it_has(hand, name):
+    c = candidate(name, hand)
+    if c.size > 1:
+        assert len(first_probes(c, hand)) == len(probes(c, hand))
+        return
+    sides = {np.sign(u[0] - c.neutral[0]) for u in probes(c, hand)}
+    first = first_probes(c, hand)
+    assert len(first) == len(sides)
+    assert {np.sign(u[0] - c.neutral[0]) for u in first} == sides
 
 
 def test_a_label_names_the_element(hand):
