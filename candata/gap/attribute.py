@@ -26,7 +26,7 @@ LARGEST_SET = 3
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
 MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
-EXTRA = 0.02
+EXTRA = 0.05
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 12
 #: Nominal replays from other starts, which show how much of a loss is luck.

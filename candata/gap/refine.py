@@ -19,6 +19,8 @@ World = Callable[[Array], Members]
 KEPT, REFINED = 5, 3
 #: Rounds of refinement; each narrows the bracket or re-linearises once.
 REFINEMENTS = 2
+#: Most Gauss-Newton rounds of a joint fit; it ends earlier when no share of a step helps.
+ROUNDS = 5
 #: Shares of a Gauss-Newton step that are tried.
 SHARES = (1.0, 0.5, 0.2)
 #: Step of finite differences, as a share of a coordinate's range: well above the chaos of single contacts.
@@ -149,7 +151,7 @@ def joint(problem: Problem, members: Members, base: Array) -> Fit:
     fit = Fit(members, _constant(problem, members), CrossFit(base, base, np.zeros((0, 0))))
     number = np.concatenate([np.full(c.size, not c.choices) for c, _ in members])
     plane = fit.response
-    for _ in range(REFINEMENTS + 1):
+    for _ in range(ROUNDS):
         if not isinstance(plane, Plane) or not number.any():
             break
         plane = _linearised(problem, plane, fit.split, number)

@@ -20,12 +20,12 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
     """Return the verdict word for what was found and how far the gap shrank."""
     if found.chosen is None:
         return "unknown_effect" if found.remains else "no_gap"
+    closed = size.closed or 0.0
+    if closed < PARTLY:
+        return "unknown_effect"
     if len(found.tied) > 1:
         return "ambiguous"
-    closed = size.closed or 0.0
-    if closed >= EXPLAINED or (closed >= PARTLY and size.after - size.floor <= REMAINING):
-        return "explained"
-    return "partly_explained" if closed >= PARTLY else "unknown_effect"
+    return "explained" if closed >= EXPLAINED or size.after - size.floor <= REMAINING else "partly_explained"
 
 
 def unknown(
