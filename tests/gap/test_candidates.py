@@ -1,0 +1,84 @@
+"""Candidates: effects as vectors of coordinates, inside their bounds, with an absence to compare with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.effects import effect, effect_names, flatten
+from candata.gap.candidates import candidate, candidates, first_probes, probes
+from candata.schema.effect import EffectSetting
+
+CHANNELS = ("joint_position", "object_pose", "fingertip_force")
+
+
+def possible(scene) -> list[str]:
+    return [n for n in effect_names() if effect(n).possible(scene)]
+
+
+def test_every_effect_that_can_act_is_a_candidate(arm, hand, cube):
+    for scene in (arm, hand, cube):
+        assert [c.name for c in candidates(scene, CHANNELS)] == possible(scene)
+
+
+def test_a_sensing_effect_is_no_candidate_where_its_channel_was_not_recorded(hand):
+    some = {c.name for c in candidates(hand, ("joint_position",))}
+    assert set(possible(hand)) - some == {
+        n for n in possible(hand) if effect(n).moves and "joint_position" not in effect(n).moves
+    }
+    assert "tactile_gain" not in some
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_the_neutral_point_is_the_effect_s_absence(hand, name):
+    c = candidate(name, hand)
+    assert c.size == len(flatten(EffectSetting(name=name), hand))
+    if not c.choices:
+        identity = flatten(EffectSetting(name=name), hand)
+        known = np.isfinite(identity)
+        # Through a logarithm and back: rounding.
+        np.testing.assert_allclose(c.values(c.neutral)[known], identity[known], rtol=1e-12, atol=1e-15)
+    assert ((c.low <= c.neutral) & (c.neutral <= c.high)).all()
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_probes_lie_within_bounds_and_off_the_neutral_point(hand, name):
+    c = candidate(name, hand)
+    points = probes(c, hand)
+    assert len(points) >= c.size
+    for u in points:
+        assert ((c.low - 1e-12 <= u) & (u <= c.high + 1e-12)).all()
+        assert (u != c.neutral).sum() == 1, "one coordinate at a time"
+        assert c.setting(u, hand).name == name
+
+
+def test_coordinates_outside_the_bounds_are_brought_back(hand):
+    c = candidate("joint_damping", hand)
+    low, high = effect("joint_damping").parameters[0].bounds(hand)
+    assert c.values(np.array([-1e3])) == pytest.approx(low)
+    assert c.values(np.array([1e3])) == pytest.approx(high)
+
+
+def test_half_and_double_are_equally_far(hand):
+    c = candidate("object_mass", hand)
+    assert c.logarithmic.all()
+    half, double = (u[0] for u in probes(c, hand) if round(float(c.values(u)[0]), 9) in (0.5, 2.0))
+    assert half + double == pytest.approx(2 * c.neutral[0], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_a_scalar_is_screened_on_each_side_that_it_has(hand, name):
+    c = candidate(name, hand)
+    if c.size > 1:
+        assert len(first_probes(c, hand)) == len(probes(c, hand))
+        return
+    sides = {np.sign(u[0] - c.neutral[0]) for u in probes(c, hand)}
+    first = first_probes(c, hand)
+    assert len(first) == len(sides)
+    assert {np.sign(u[0] - c.neutral[0]) for u in first} == sides
+
+
+def test_a_label_names_the_element(hand):
+    assert candidate("joint_damping", hand).label == "joint_damping"
+    assert candidate("joint_damping", hand, "index2").label == "joint_damping index2"
+    assert candidate("joint_damping", hand, "index2").setting(np.array([0.1]), hand).element == "index2"

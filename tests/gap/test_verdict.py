@@ -1,0 +1,84 @@
+"""Verdicts follow the table of rules, and say what they do not know."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from candata.gap.verdict import class_of, unknown, verdict
+from candata.schema.report import Gap, Symptom
+
+SYMPTOMS = (
+    Symptom(channel="object_pose", element="rotation z", phase="release", ratio=9.0, p=0.001),
+    Symptom(channel="object_pose", element="position z", phase="release", ratio=5.0, p=0.001),
+    Symptom(channel="joint_position", element="index2", phase="onset", ratio=3.0, p=0.01),
+)
+
+
+def fit(*labels: str):
+    return SimpleNamespace(labels=labels)
+
+
+def found(chosen=None, tied: int = 1, remains: bool = False):
+    best = fit("object_mass") if chosen else None
+    fits = (fit("object_mass"), fit("object_com"))
+    return SimpleNamespace(
+        chosen=best, tied=fits[:tied] if chosen else (), remains=remains, first=SimpleNamespace(fits=fits)
+    )
+
+
+def closing(share: float, before: float = 11.0) -> Gap:
+    return Gap(before=before, after=1 + (1 - share) * (before - 1), closed=share)
+
+
+@pytest.mark.parametrize(
+    ("attribution", "size", "word"),
+    [
+        (found(), Gap(before=1.0, after=1.0), "no_gap"),
+        (found(remains=True), Gap(before=4.0, after=4.0), "unknown_effect"),
+        (found(True), closing(1.0), "explained"),
+        (found(True), closing(0.8), "explained"),
+        (found(True, remains=True), closing(0.8), "explained"),
+        (found(True), closing(0.79), "partly_explained"),
+        (found(True), closing(0.3), "partly_explained"),
+        (found(True), closing(0.29), "unknown_effect"),
+        (found(True), closing(0.0), "unknown_effect"),
+        (found(True), closing(-0.5), "unknown_effect"),
+        # Half of a small gap closes, and less than 0.30 floors are left.
+        (found(True), closing(0.5, before=1.58), "explained"),
+        (found(True), closing(0.5, before=1.62), "partly_explained"),
+        (found(True, tied=2), closing(1.0), "ambiguous"),
+        (found(True, tied=2), closing(0.5), "ambiguous"),
+        (found(True, tied=2), closing(0.1), "unknown_effect"),
+    ],
+)
+def test_the_table_of_verdicts(attribution, size, word):
+    assert verdict(attribution, size) == word
+
+
+@pytest.mark.parametrize("word", ["no_gap", "explained", "ambiguous", "too_little_data"])
+def test_nothing_is_unknown_where_all_is_said(word):
+    assert unknown(word, found(True), SYMPTOMS, "object", 0.2, "rad") is None
+
+
+def test_what_remains_says_where_how_much_and_when():
+    some = unknown("partly_explained", found(True), SYMPTOMS, "object", 0.2, "rad")
+    assert (some.acts_on, some.element, some.size, some.unit) == ("object", "rotation z", 0.2, "rad")
+    assert some.depends_on == ("release", "onset")
+    assert some.words == "A difference remains in object pose rotation z during release, typically 0.2 rad"
+
+
+def test_an_unknown_effect_names_the_nearest_and_says_it_is_not_it():
+    words = unknown("unknown_effect", found(remains=True), SYMPTOMS, "object", 0.2, "rad").words
+    assert words.endswith("; the nearest effect of the library is object_mass, which does not explain it")
+
+
+def test_a_difference_that_stands_out_nowhere_is_said_to():
+    some = unknown("partly_explained", found(True), (), None, None, None)
+    assert some.words == "A difference remains that no single channel or phase stands out in"
+    assert (some.acts_on, some.element, some.depends_on) == (None, None, ())
+
+
+def test_a_class_is_sorted():
+    assert class_of([fit("joint_dry_friction"), fit("joint_damping")]) == ("joint_damping", "joint_dry_friction")

@@ -1,0 +1,94 @@
+"""A diagnosis as files: the record, the repaired simulator, the page, each whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from types import SimpleNamespace
+
+import pytest
+import yaml
+
+from candata.gap import Diagnosis
+from candata.gap.evidence import Evidence
+from candata.reports import effects_text, write_diagnosis
+from candata.schema.effect import EffectSetting, EffectsFile
+from candata.schema.report import Report
+
+FILES = ["effects.yaml", "report.html", "report.json"]
+REPAIRED = EffectsFile(
+    scene="bench.yaml",
+    effects=(
+        EffectSetting(name="joint_dry_friction", element="index2", parameters={"frictionloss_Nm": 0.0412}),
+        EffectSetting(name="object_com", parameters={"offset_m": (0.01, 0.0, -0.002)}),
+        EffectSetting(name="friction_cone", parameters={"cone": "elliptic"}),
+    ),
+)
+
+
+@pytest.fixture
+def diagnosis(make_report, full_evidence, small_pictures, no_gl) -> Diagnosis:
+    return Diagnosis(make_report(), full_evidence, REPAIRED)
+
+
+@pytest.fixture
+def scene(hand):
+    """All that a page needs of a scene."""
+    return SimpleNamespace(model=hand)
+
+
+def test_three_files_are_written_into_a_folder_that_is_made(tmp_path, diagnosis, scene):
+    out = tmp_path / "deep" / "report"
+    assert write_diagnosis(diagnosis, scene, out) == out / "report.html"
+    assert sorted(p.name for p in out.iterdir()) == FILES
+
+
+def test_the_record_reads_back_as_it_was(tmp_path, diagnosis, scene):
+    write_diagnosis(diagnosis, scene, tmp_path)
+    text = (tmp_path / "report.json").read_text()
+    assert Report.model_validate_json(text) == diagnosis.report
+    assert text.endswith("}\n")
+    assert "class" in json.loads(text), "the key's public name"
+
+
+def test_the_effects_read_back_as_they_were(tmp_path, diagnosis, scene):
+    write_diagnosis(diagnosis, scene, tmp_path)
+    path = tmp_path / "effects.yaml"
+    assert EffectsFile.parse(yaml.safe_load(path.read_text()), path) == REPAIRED
+
+
+def test_no_effects_are_an_empty_list():
+    assert yaml.safe_load(effects_text(EffectsFile(scene="bench.yaml"))) == {"scene": "bench.yaml", "effects": []}
+
+
+def test_the_page_holds_the_effects_as_they_are_in_the_file(tmp_path, diagnosis, scene):
+    page = write_diagnosis(diagnosis, scene, tmp_path).read_text()
+    assert "frictionloss_Nm: 0.0412" in page
+
+
+def test_a_diagnosis_without_evidence_is_written_too(tmp_path, make_report, scene):
+    found = Diagnosis(make_report("too_little_data"), Evidence(), EffectsFile(scene="bench.yaml"))
+    write_diagnosis(found, scene, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == FILES
+
+
+def test_an_older_report_is_replaced(tmp_path, diagnosis, make_report, scene):
+    write_diagnosis(diagnosis, scene, tmp_path)
+    newer = Diagnosis(make_report("no_gap"), Evidence(), EffectsFile(scene="bench.yaml"))
+    write_diagnosis(newer, scene, tmp_path)
+    assert Report.model_validate_json((tmp_path / "report.json").read_text()).verdict == "no_gap"
+    assert sorted(p.name for p in tmp_path.iterdir()) == FILES
+
+
+def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one_whole(tmp_path, diagnosis, scene, monkeypatch):
+    write_diagnosis(diagnosis, scene, tmp_path)
+    before = (tmp_path / "report.json").read_text()
+
+    def full(source, target):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="no space"):
+        write_diagnosis(Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED),
+                        scene, tmp_path)  # fmt: skip
+    assert (tmp_path / "report.json").read_text() == before
