@@ -21,8 +21,8 @@ def diagnose(
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
-    jobs: Annotated[int, typer.Option(help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
-    seed: Annotated[int, typer.Option(help="Seed of folds, null replays and resamples.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of folds, null replays and resamples.")] = 0,
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
@@ -30,7 +30,7 @@ def diagnose(
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     from candata.datasets import open_dataset
-    from candata.errors import UnknownNameError
+    from candata.errors import UnknownNameError, UsageError
     from candata.gap import diagnose as run
     from candata.reports import summary, write_diagnosis
     from candata.scenes import load_scene
@@ -40,9 +40,17 @@ def diagnose(
     for word in refused:
         if word not in VERDICTS:
             raise UnknownNameError("verdict", word, VERDICTS)
+    if out.exists() and not out.is_dir():
+        raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
     world = load_scene(scene)
     with console.stages() as stage:
-        found = run(open_dataset(dataset, version), world, jobs=jobs, seed=seed, progress=stage)
+        found = run(
+            open_dataset(dataset, int(version) if version and version.isdigit() else version),
+            world,
+            jobs=jobs,
+            seed=seed,
+            progress=stage,
+        )
         stage("writing the report")
         page = write_diagnosis(found, world, out)
     console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))

@@ -59,6 +59,9 @@ def _numbers(given: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
         return np.array([float(parameter.choices.index(value))])
     array = np.atleast_1d(np.asarray(value, float))
     low, high = parameter.bounds(scene)
+    # A bound that went through a logarithm and back may lie a rounding error outside.
+    rounded = np.clip(array, low, high)
+    array = np.where(np.isclose(array, rounded, rtol=1e-9, atol=0), rounded, array)
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
         raise UsageError(
             f"{given.name}: {parameter.name} is not possible in scene {scene.name}",

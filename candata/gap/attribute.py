@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 LIVELY = 0.05
 #: Largest number of effects in a set.
 LARGEST_SET = 3
+#: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
+PLAIN = 3.0
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
 MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
@@ -71,6 +73,10 @@ class Stage:
         gain = min(best.gain, float(self.base.mean()) - self.reachable)
         return best if gain > max(self.threshold, standard_error(best.evidence.gain), MATTERS) else None
 
+    def is_plain(self, best: Fit) -> bool:
+        """Tell whether a gain is large enough to count although the loss itself lies within the nulls' range."""
+        return best.gain > PLAIN * max(self.threshold, standard_error(best.evidence.gain))
+
 
 @dataclass(frozen=True)
 class Attribution:
@@ -107,9 +113,9 @@ def attribute(problem: Problem, nominal: Compact) -> Attribution:
         Normalised residuals of the nominal scene.
     """
     first = _stage(problem, nominal, ())
+    remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     best = first.passing()
-    if best is None:
-        remains = bool(first.base.mean() > null_level(problem.score, problem.rng))
+    if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
     best = polished(problem, best, first.base)
     first = replace(first, fits=(best, *(f for f in first.fits if f.members[0][0] is not best.members[0][0])))

@@ -31,8 +31,6 @@ class Candidate:
         Coordinates that are logarithms of the value (scales and times), so that half and double are alike.
     choices : bool
         Whether the value is a choice, not a number.
-    limits : ((d,), (d,)) float64
-        Bounds of the parameter values.
     """
 
     name: str
@@ -42,7 +40,6 @@ class Candidate:
     high: Array
     logarithmic: NDArray[np.bool_]
     choices: bool
-    limits: tuple[Array, Array]
 
     @property
     def size(self) -> int:
@@ -61,8 +58,7 @@ class Candidate:
     def values(self, u: Array) -> Array:
         """Return parameter values of coordinates `u (d,)`, inside the bounds."""
         inside = np.clip(u, self.low, self.high)
-        # exp(log(bound)) may round to just outside the bound.
-        return np.clip(np.where(self.logarithmic, np.exp(inside), inside), *self.limits)
+        return np.where(self.logarithmic, np.exp(inside), inside)
 
     def setting(self, u: Array, scene: Scene) -> EffectSetting:
         """Return the effect setting at coordinates `u (d,)`."""
@@ -75,7 +71,6 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     low: list[float] = []
     high: list[float] = []
     logarithmic: list[bool] = []
-    limits: list[tuple[float, float]] = []
     for p in effect(name).parameters:
         bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
@@ -87,13 +82,8 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
         for column, value in zip((low, high, neutral), ends, strict=True):
             column += [value] * p.size(scene)
         logarithmic += [is_log] * p.size(scene)
-        limits += [(bounds.low, bounds.high)] * p.size(scene)
     discrete = bool(effect(name).parameters[0].choices)
-    lowest, highest = np.array(limits, float).T
-    numbers = [np.array(v, float) for v in (neutral, low, high)]
-    return Candidate(
-        name, element, numbers[0], numbers[1], numbers[2], np.array(logarithmic), discrete, (lowest, highest)
-    )
+    return Candidate(name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete)
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:

@@ -79,7 +79,17 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
             expected=f"one of {', '.join(COMPARED)} in every episode",
             found=", ".join(found[0].arrays) if found else "no episodes",
         )
+    timings = {e.meta.force for e in found}
+    if len(timings) > 1:
+        raise DataError(
+            "episodes differ in what a force means",
+            expected="one of mean, instant",
+            found=" and ".join(sorted(timings)),
+            fix="import them with the same `force` in map.yaml",
+        )
     length = max((len(e) for e in found), default=0)
+    if length < 2:
+        raise DataError("episodes are too short to replay", expected="at least 2 rows", found=f"{length}")
     readings = {
         c: np.stack(
             [

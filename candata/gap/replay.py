@@ -137,7 +137,7 @@ def needs_simulation(some: EffectSet) -> bool:
 
 def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:
     """Return the readings of a replay passed through sensing effects that need no simulation."""
-    for s in some:
+    for s in sorted(some, key=lambda s: s.name):  # the stepping loop's order
         hook = effect(s.name).reading
         if hook is None:
             continue

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import DataError
 from candata.gap.recordings import Recordings
 from candata.gap.starts import Starts, is_toss, reach, support_height
 from candata.rotation import difference
@@ -66,6 +67,12 @@ def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Arr
     if "fingertip_force" in recs.readings:
         columns += [("fingertip_force", f"{f} {a}", "N") for f in scene.file.fingertips for a in _AXES]
     rows = max(1, round(BLOCK_S * scene.file.rate_hz))
+    if recs.lengths.max() < rows:
+        raise DataError(
+            "episodes are too short to compare",
+            expected=f"at least {rows} rows ({1e3 * BLOCK_S:g} ms)",
+            found=f"{recs.lengths.max()}",
+        )
     phases = TOSS_PHASES if is_toss(scene) else HAND_PHASES
     labels = _toss_labels(scene, recs) if is_toss(scene) else _hand_labels(scene, recs, nominal)
     live = np.arange(labels.shape[1])[None] < recs.lengths[:, None]

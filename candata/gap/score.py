@@ -65,10 +65,11 @@ class Score:
         return np.nanmean(ratios, axis=0)
 
     def _mean(self, z: Compact, group: int) -> Array:
-        """Return `(..., E)` the mean size of the residuals of one quantity, in its unit."""
+        """Return `(..., E)` the mean size of the residuals of one quantity, in its unit; NaN where there is none."""
         unit = self.sigma * (self.mask & (self.group == group))
-        count = np.maximum((unit > 0).sum(1), 1)
-        return np.maximum((np.abs(z) * unit).sum(-1, dtype=np.float64) / count, 1e-12)
+        count = (unit > 0).sum(1)
+        mean = (np.abs(z) * unit).sum(-1, dtype=np.float64) / np.maximum(count, 1)
+        return np.where(count > 0, np.maximum(mean, 1e-12), np.nan)
 
     def take(self, index: NDArray[np.int64]) -> Score:
         """Return the score of some episodes."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import DataError, Where
 from candata.gap.recordings import Recordings
 from candata.rotation import conjugate, difference, exp, log, multiply, normalise
 from candata.scenes import Scene
@@ -58,8 +59,7 @@ def starts(scene: Scene, recs: Recordings) -> Starts:
     qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], count, axis=0)
     if "joint_position" in recs.readings:
         first = recs.readings["joint_position"][:, :STILL_ROWS]
-        qpos[:, scene.joint_qpos] = np.where(np.isfinite(first[:, 0]), first[:, 0], qpos[:, scene.joint_qpos])
-        qpos[:, scene.joint_qpos] = _still_mean(first, qpos[:, scene.joint_qpos])
+        qpos[:, scene.joint_qpos] = _still_mean(first, _first_seen(first, qpos[:, scene.joint_qpos]))
     if "object_pose" in recs.readings:
         at = scene.object_qpos
         qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
@@ -67,32 +67,33 @@ def starts(scene: Scene, recs: Recordings) -> Starts:
     return Starts(np.zeros(count, int), qpos, qvel, qpos, qvel)
 
 
+def _first_seen(rows: Array, fallback: Array) -> Array:
+    """Return `(E, D)` the first finite value of each column, else the fallback."""
+    finite = np.isfinite(rows)
+    at = finite.argmax(1)[:, None]
+    return np.where(finite.any(1), np.take_along_axis(rows, at, axis=1)[:, 0], fallback)
+
+
 def _still_mean(rows: Array, fallback: Array) -> Array:
-    """Return the mean `(E, D)` of the first rows where they show no trend, else the first row.
+    """Return the mean `(E, D)` of the first rows where all were seen and show no trend, else the fallback.
 
     A trend is a change between the halves of more than three standard errors.
     """
     half = rows.shape[1] // 2
-    with np.errstate(invalid="ignore"):
-        early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
-        spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
-        still = np.abs(late - early) <= 3 * spread + 1e-7
-        return np.where(still, rows.mean(1), fallback)
+    if half < 1:
+        return fallback
+    early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
+    spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
+    still = np.isfinite(rows).all(1) & (np.abs(late - early) <= 3 * spread + 1e-7)
+    return np.where(still, rows.mean(1), fallback)
 
 
 def _still_pose(rows: Array, fallback: Array) -> Array:
-    """Return the mean pose `(E, 7)` of the first rows, where still."""
-    first = rows[:, :1]
-    seen = np.asarray(np.isfinite(rows).all((1, 2)))
-    anchor = np.where(seen[:, None], first[:, 0], fallback)
-    tangent = np.concatenate(
-        [
-            rows[:, :, :3] - anchor[:, None, :3],
-            difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape)),
-        ],
-        axis=-1,
-    )
-    mean = _still_mean(np.where(seen[:, None, None], tangent, 0.0), np.zeros((len(rows), 6)))
+    """Return the mean pose `(E, 7)` of the first rows where still, else the first that was seen."""
+    anchor = _first_seen(rows, fallback)
+    turn = difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))
+    tangent = np.concatenate([rows[:, :, :3] - anchor[:, None, :3], turn], axis=-1)
+    mean = _still_mean(tangent, np.zeros((len(rows), 6)))
     return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)
 
 
@@ -105,8 +106,17 @@ def _tosses(scene: Scene, recs: Recordings) -> Starts:
     for e in range(count):
         pose = recs.readings["object_pose"][e, : recs.lengths[e]]
         row = _row_before_reach(scene, pose)
+        flight = np.flatnonzero(np.isfinite(pose[: max(row + 1, FIT_ROWS)]).all(1))
+        if len(flight) < FIT_ROWS:
+            raise DataError(
+                "too little of the flight was recorded to know how the toss begins",
+                expected=f"{FIT_ROWS} poses before the impact",
+                found=str(len(flight)),
+                where=Where(episode=recs.ids[e], channel="object_pose"),
+                fix="leave the episode out",
+            )
         for target, target_v, where in ((out.qpos, out.qvel, row), (out.qpos0, out.qvel0, 0)):
-            state = _ballistic(scene, pose[: max(row + 1, FIT_ROWS)], where)
+            state = _ballistic(scene, pose[flight], flight - where)
             target[e, at : at + 7], target_v[e, dof : dof + 6] = state
         out.rows[e] = row
     return out
@@ -130,24 +140,24 @@ def support_height(scene: Scene) -> float:
 
 def _row_before_reach(scene: Scene, pose: Array) -> int:
     """Return the row from which a toss is replayed."""
-    low = np.flatnonzero(pose[:, 2] - support_height(scene) < reach(scene))
+    low = np.flatnonzero(np.nan_to_num(pose[:, 2], nan=np.inf) - support_height(scene) < reach(scene))
     first = int(low[0]) if len(low) else len(pose) - 1
     return max(0, first - ROWS_BEFORE)
 
 
-def _ballistic(scene: Scene, pose: Array, row: int) -> tuple[Array, Array]:
-    """Return pose `(7,)` and velocity `(6,)` at `row` of a flight: parabola and constant body-frame spin.
+def _ballistic(scene: Scene, pose: Array, rows: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Return pose `(7,)` and velocity `(6,)` at row 0 of a flight seen at `rows`: parabola and body-frame spin.
 
-    Linear least squares on positions with gravity known; rotation as the mean body-frame spin about the pose that
-    fits all rows best in the tangent space.
+    Linear least squares on positions with gravity known; rotation as the mean body-frame spin about the pose that fits
+    all rows best in the tangent space.
     """
-    t = (np.arange(len(pose)) - row) / scene.file.rate_hz
+    t = rows / scene.file.rate_hz
     gravity = np.array(scene.model.opt.gravity)
     falling = pose[:, :3] - 0.5 * gravity * t[:, None] ** 2
     design = np.stack([np.ones_like(t), t], axis=1)
     position, velocity = np.linalg.lstsq(design, falling, rcond=None)[0]
     steps = log(multiply(conjugate(pose[:-1, 3:]), pose[1:, 3:]))
-    spin = steps.mean(0) * scene.file.rate_hz
+    spin = steps.sum(0) / (t[-1] - t[0])
     back = multiply(pose[:, 3:], exp(-spin * t[:, None]))
     offset = difference(back, np.broadcast_to(back[0], back.shape)).mean(0)
     turn = normalise(multiply(exp(offset), back[0]))

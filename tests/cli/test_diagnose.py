@@ -159,7 +159,7 @@ def test_fail_on_turns_a_verdict_into_exit_1(three, tmp_path, words, code):
     "by",
     [
         "digest",
-        pytest.param("number", marks=pytest.mark.xfail(strict=True, reason="a number is looked up as a digest")),
+        "number",
     ],
 )
 def test_an_older_version_can_be_diagnosed(tmp_path, by):
@@ -172,7 +172,6 @@ def test_an_older_version_can_be_diagnosed(tmp_path, by):
         assert json.loads(done.out)["data"]["episodes"]["total"] == count
 
 
-@pytest.mark.xfail(strict=True, raises=(OSError, ValueError), reason="ends in a traceback")
 @pytest.mark.parametrize("words", [("--seed", -1), ("--out", "file")])
 def test_an_option_that_cannot_be_is_a_usage_error(three, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)

@@ -142,7 +142,6 @@ def test_an_empty_dataset_is_refused(arm, arm_episodes, as_dataset):
     assert str(caught.value) == f"the dataset is empty\n  expected: recorded episodes\n  where: {empty.path}"
 
 
-@pytest.mark.xfail(strict=True, raises=ValueError, reason="ends in a traceback")
 def test_episodes_shorter_than_a_block_are_refused(arm, arm_episodes, judge):
     with pytest.raises(DataError):
         judge(arm, arm_episodes(rows=3))

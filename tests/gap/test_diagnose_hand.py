@@ -62,7 +62,6 @@ def test_a_planted_property_of_the_object_is_named(hand, played, planted, judge,
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="a tilt gains 0.13 floors on a world that lies at its floor")
 def test_squeezes_of_the_nominal_world_name_nothing(hand, played, judge):
     report = judge(hand, played(hand, duration_s=2.0, policies=("free_sweep", "squeeze"))).report
     assert (report.verdict, report.effects) == ("no_gap", ())

@@ -42,7 +42,6 @@ def test_without_declared_noise_the_floor_is_assumed(plain_recordings, declared)
 
 @pytest.mark.parametrize("size", [0.002, 0.02])
 @pytest.mark.parametrize("moving", [False, True])
-@pytest.mark.xfail(strict=True, reason="the quietest fifth of white noise is a third quieter than the noise")
 def test_white_noise_of_known_size_is_recovered(plain_recordings, rng, size, moving):
     t = np.arange(160) / 100
     wave = moving * 0.5 * np.clip((t - 0.5) / 0.4, 0, 1) * np.sin(2 * np.pi * t)

@@ -175,6 +175,5 @@ def test_the_declared_kind_of_force_is_kept(arm, force):
     assert recordings(arm, [episode(force=force)]).instant_force is (force == "instant")
 
 
-@pytest.mark.xfail(strict=True, reason="the first episode's kind of force is taken for all")
 def test_two_kinds_of_force_are_not_mixed(arm):
     assert "force" in refusal(arm, episode(force="mean"), episode(id="e1", force="instant"))

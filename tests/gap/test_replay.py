@@ -122,9 +122,6 @@ def test_force_sensing_alone_needs_no_simulation(hand, squeezes, planted):
     assert not np.delete(added, 1, axis=2).any()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="after the fact, sensing effects act in the order of the set, not of their names"
-)
 def test_sensing_effects_act_in_one_order(hand, squeezes, planted):
     recs, begin = squeezes
     both = (*planted("tactile_gain", gain=1.5), *planted("tactile_bias", bias_N=tuple(np.arange(15) / 10)))

@@ -79,7 +79,6 @@ def test_what_was_not_recorded_counts_neither_for_nor_against(case):
     assert level.size(z)[0] == pytest.approx(short.size(part)[0], rel=1e-5)
 
 
-@pytest.mark.xfail(strict=True, reason="a quantity that an episode lacks counts as one floor")
 def test_a_quantity_that_was_not_recorded_has_no_discrepancy(case):
     residual, floor = case
     residual[0, :, 2] = np.nan

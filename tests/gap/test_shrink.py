@@ -14,19 +14,19 @@ SIZES = st.lists(st.floats(1.5, 20.0), min_size=8, max_size=24).map(np.array)
 
 @given(SIZES, st.integers(0, 100))
 def test_a_gap_that_comes_down_to_the_floor_is_closed(before, seed):
-    found = gap(before, np.ones_like(before), np.random.default_rng(seed), named=True)
+    found = gap(before, np.ones_like(before), np.random.default_rng(seed), gap_left=True)
     assert (found.closed, found.low, found.high) == (1.0, 1.0, 1.0)
 
 
 @given(SIZES, st.integers(0, 100))
 def test_a_gap_that_stays_is_open(before, seed):
-    found = gap(before, before, np.random.default_rng(seed), named=True)
+    found = gap(before, before, np.random.default_rng(seed), gap_left=True)
     assert (found.closed, found.low, found.high) == (0.0, 0.0, 0.0)
 
 
 @given(SIZES, st.floats(0.0, 0.95), st.integers(0, 100))
 def test_the_share_is_that_of_what_lies_above_the_floor(before, share, seed):
-    found = gap(before, 1 + (1 - share) * (before - 1), np.random.default_rng(seed), named=True)
+    found = gap(before, 1 + (1 - share) * (before - 1), np.random.default_rng(seed), gap_left=True)
     # Every episode closes by the same share, so resampling changes nothing; printed to four places.
     assert [found.closed, found.low, found.high] == pytest.approx([share] * 3, abs=1e-4)
 
@@ -37,7 +37,7 @@ def test_the_interval_contains_the_share_and_narrows_with_episodes():
         rng = np.random.default_rng(count)
         before = 1 + rng.lognormal(1.0, 0.4, count)
         after = 1 + (before - 1) * rng.uniform(0.1, 0.5, count)
-        found = gap(before, after, rng, named=True)
+        found = gap(before, after, rng, gap_left=True)
         assert found.low < found.closed < found.high
         assert found.closed == pytest.approx(1 - (after.mean() - 1) / (before.mean() - 1), abs=1e-4)
         widths.append(found.high - found.low)
@@ -51,23 +51,23 @@ def test_the_interval_covers_the_truth_nine_times_in_ten():
         rng = np.random.default_rng(seed)
         before = 1 + rng.lognormal(1.0, 0.4, 16)
         after = 1 + (before - 1) * rng.uniform(0.1, 0.5, 16)
-        found = gap(before, after, rng, named=True)
+        found = gap(before, after, rng, gap_left=True)
         hits += found.low <= 0.7 <= found.high
     # 180 are meant; a bootstrap of 16 episodes falls short by a few, and 200 draws scatter by 4.
     assert 155 <= hits <= 195
 
 
 def test_more_discrepancy_after_than_before_is_a_negative_share():
-    found = gap(np.full(8, 2.0), np.full(8, 2.5), np.random.default_rng(0), named=True)
+    found = gap(np.full(8, 2.0), np.full(8, 2.5), np.random.default_rng(0), gap_left=True)
     assert (found.before, found.after, found.closed) == (2.0, 2.5, -0.5)
 
 
 def test_luck_below_the_floor_closes_no_more_than_everything():
-    found = gap(np.full(8, 3.0), np.full(8, 0.9), np.random.default_rng(0), named=True)
+    found = gap(np.full(8, 3.0), np.full(8, 0.9), np.random.default_rng(0), gap_left=True)
     assert found.closed == 1.0
 
 
 def test_without_a_name_nothing_closes():
-    found = gap(np.full(8, 2.0), np.full(8, 2.0), np.random.default_rng(0), named=False)
+    found = gap(np.full(8, 2.0), np.full(8, 2.0), np.random.default_rng(0), gap_left=False)
     assert (found.before, found.after, found.floor) == (2.0, 2.0, 1.0)
     assert (found.closed, found.low, found.high) == (None, None, None)

@@ -16,7 +16,6 @@ NOISE = 1e-3
 POSITION, VELOCITY, SPIN = np.array([0.1, -0.2, 0.21]), np.array([1.0, -0.4, 0.1]), np.array([2.0, -3.0, 5.0])
 ATTITUDE = exp(np.array([0.3, 0.8, -0.5]))
 #: A body with `explicitinertial` and no `ipos` gets the body's own place as its centre of mass.
-OFF_CENTRE = pytest.mark.xfail(strict=True, reason="the built-in cube's centre of mass lies 0.2 m above its frame")
 
 
 def noisy(rng: np.random.Generator, count: int, rows: int = 20) -> np.ndarray:
@@ -81,7 +80,6 @@ def test_a_still_object_s_pose_is_averaged(hand, plain_recordings, rng):
     assert 0.33 * size < angle.std() < 0.43 * size
 
 
-@pytest.mark.xfail(strict=True, reason="one missing row of the first eight puts the object at the model's own place")
 def test_a_gap_in_the_first_poses_keeps_the_recorded_place(hand, plain_recordings):
     pose = np.tile(resting_pose(hand), (1, 20, 1))
     pose[..., :2] += 0.05
@@ -90,7 +88,6 @@ def test_a_gap_in_the_first_poses_keeps_the_recorded_place(hand, plain_recording
     np.testing.assert_allclose(found[hand.object_qpos : hand.object_qpos + 2], pose[0, 0, :2], atol=1e-9)
 
 
-@pytest.mark.xfail(strict=True, reason="a missing first row starts a joint at the model's own angle")
 def test_a_gap_in_the_first_row_starts_at_the_next(arm, plain_recordings):
     rows = np.full((1, 20, 2), 0.3)
     rows[0, 0] = np.nan
@@ -153,7 +150,6 @@ def test_what_follows_the_impact_does_not_change_the_start(cube, plain_recording
     assert np.array_equal(a.qvel, b.qvel)
 
 
-@pytest.mark.xfail(strict=True, reason="one missing row of a flight makes its whole start NaN")
 def test_a_gap_in_a_flight_does_not_spoil_its_start(cube, plain_recordings):
     pose = flight(cube, 40)
     whole = starts(cube, plain_recordings(object_pose=pose))
@@ -175,7 +171,6 @@ def test_averaging_takes_the_noise_out_of_a_flight(cube, plain_recordings, rng):
     assert found.qvel0[:, :3].std(0) == pytest.approx(expected, rel=0.2)
 
 
-@OFF_CENTRE
 def test_a_simulated_flight_starts_as_it_was_thrown(cube, played):
     recs = recordings(cube, played(cube, count=6, duration_s=0.4, seed=3, noise=False))
     found = starts(cube, recs)
@@ -186,7 +181,6 @@ def test_a_simulated_flight_starts_as_it_was_thrown(cube, played):
     np.testing.assert_allclose(found.qpos0[:, :3], [p.qpos[:3] for p in plans], atol=1e-5)
 
 
-@OFF_CENTRE
 def test_every_toss_starts_before_its_first_impact(cube, played):
     found = []
     for seed in (3, 4, 5):

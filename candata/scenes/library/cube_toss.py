@@ -26,7 +26,7 @@ def build() -> mujoco.MjSpec:
         rgba=(0.82, 0.78, 0.72, 1),
     )
     cube = spec.worldbody.add_body(
-        name="object", pos=(0, 0, 0.2), mass=MASS_KG, explicitinertial=True, inertia=(INERTIA_KGM2,) * 3
+        name="object", pos=(0, 0, 0.2), mass=MASS_KG, explicitinertial=True, ipos=(0, 0, 0), inertia=(INERTIA_KGM2,) * 3
     )
     cube.add_freejoint(name="object")
     cube.add_geom(
