@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from candata.errors import DataError, UnknownNameError, UsageError, Where
-from candata.schema.channels import CHANNELS
+from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.scene import TableMap
 from candata.units import TO_SI, to_si
 
@@ -110,7 +110,24 @@ def plans(mapping: TableMap, path: Path) -> tuple[Plan, ...]:
     _check_units(mapping, where)
     made = tuple(_plan(mapping, name, path) for name in mapping.channels)
     _check_counts(made, where)
+    for plan in made:
+        _check_quaternion(plan, path)
     return made
+
+
+def _check_quaternion(plan: Plan, path: Path) -> None:
+    """Refuse a pose whose columns say by their names that the real part comes last."""
+    if plan.channel not in QUATERNION or len(plan.columns) != QUATERNION[plan.channel].stop:
+        return
+    names = [name.lower() for name in plan.columns[QUATERNION[plan.channel]]]
+    if names[-1].endswith("w") and not any(name.endswith("w") for name in names[:-1]):
+        raise UsageError(
+            "the quaternion's columns are in the order x y z w",
+            expected="w x y z",
+            found=", ".join(names),
+            where=Where(path=str(path), channel=plan.channel),
+            fix="put the column that ends in w first",
+        )
 
 
 def time_factor(mapping: TableMap, path: Path) -> float:

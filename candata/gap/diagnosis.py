@@ -186,7 +186,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         where=where,
         next_motion=_next_motion(f) if word == "ambiguous" else None,
         data=_data_used(f),
-        measures=measures(f.held),
+        measures=measures(f.held, np.isin(f.scene.file.joints, _slides(f.scene))),
         provenance=provenance(f.scene),
     )
     repaired = f.problem.setting(chosen.members) if chosen and named else ()

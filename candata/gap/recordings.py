@@ -130,7 +130,7 @@ def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
             expected=f"{file.rate_hz:g} Hz",
             found=f"{meta.rate_hz:g} Hz",
             where=Where(episode=meta.id),
-            fix="set rate_hz in scene.yaml to the rate of the recording",
+            fix="give map.yaml (or the episode) and scene.yaml the true rate of the recording",
         )
     pairs = {
         "joint_position": (meta.joint_names, file.joints),

@@ -136,11 +136,18 @@ def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[f
     return out
 
 
-def measures(held: HeldOut) -> dict[str, dict[str, float]]:
-    """Return mean, spread and median over episodes of the mean error over rows, in physical units, before and after."""
+def measures(held: HeldOut, slides: NDArray[np.bool_]) -> dict[str, dict[str, float]]:
+    """Return mean, spread and median over episodes of the mean error over rows, in physical units, before and after.
+
+    Parameters
+    ----------
+    held : HeldOut
+    slides : (J,) bool
+        Joints that are slides [m]; the others are hinges [rad].
+    """
     out: dict[str, dict[str, float]] = {}
-    for name, size in _errors(held.recs, held.before).items():
-        repaired = _errors(held.recs, held.after)[name]
+    for name, size in _errors(held.recs, held.before, slides).items():
+        repaired = _errors(held.recs, held.after, slides)[name]
         out[name] = {
             f"{label}{suffix}": float(statistic(values))
             for label, values in (("before", size), ("after", repaired))
@@ -149,7 +156,7 @@ def measures(held: HeldOut) -> dict[str, dict[str, float]]:
     return out
 
 
-def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
+def _errors(recs: Recordings, readings: dict[str, Array], slides: NDArray[np.bool_]) -> dict[str, Array]:
     """Return `(E,)` mean error of each episode by quantity, with its unit in the name."""
     out = {}
     for channel, recorded in recs.readings.items():
@@ -158,9 +165,14 @@ def _errors(recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
             turn = np.linalg.norm(difference(recorded[..., 3:], readings[channel][..., 3:]), axis=-1)
             out["object_position_m"] = _mean(shift)
             out["object_rotation_deg"] = np.degrees(_mean(turn))
-        else:
-            name = {"joint_position": "joint_position_rad", "fingertip_force": "fingertip_force_N"}[channel]
-            out[name] = _mean(np.abs(recorded - readings[channel]).reshape(len(recorded), -1))
+            continue
+        error = np.abs(recorded - readings[channel])
+        if channel == "fingertip_force":
+            out["fingertip_force_N"] = _mean(error.reshape(len(error), -1))
+            continue
+        for name, columns in (("joint_position_rad", ~slides), ("slide_position_m", slides)):
+            if columns.any():
+                out[name] = _mean(error[:, :, columns].reshape(len(error), -1))
     return out
 
 

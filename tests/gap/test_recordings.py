@@ -88,7 +88,7 @@ def test_a_wrong_rate_is_refused(arm):
         "  expected: 100 Hz\n"
         "  found: 80 Hz\n"
         "  where: episode e0\n"
-        "  do: set rate_hz in scene.yaml to the rate of the recording"
+        "  do: give map.yaml (or the episode) and scene.yaml the true rate of the recording"
     )
 
 
