@@ -225,7 +225,7 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
 
 def _worth_adding(extra: Array, so_far: float) -> bool:
     """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
-    least = max(2 * standard_error(extra), EXTRA * so_far)
+    least = max(standard_error(extra), EXTRA * so_far)
     return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
 
 
