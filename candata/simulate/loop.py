@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import mujoco
 import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
@@ -163,8 +162,3 @@ def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:
     """Return `(qpos (n, nq), qvel (n, nv))` of the model's own start."""
     qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], n, axis=0)
     return qpos, np.zeros((n, scene.model.nv))
-
-
-def version() -> str:
-    """Return the simulator's version for provenance."""
-    return f"mujoco {mujoco.__version__}"
