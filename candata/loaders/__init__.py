@@ -1,0 +1,1 @@
+"""Loaders: windows of episodes, gathered in batches from a memory-mapped cache."""

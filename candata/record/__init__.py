@@ -1,0 +1,1 @@
+"""Recording: devices, the recorder, its logs, and what stands in for a device."""

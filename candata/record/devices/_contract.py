@@ -1,0 +1,118 @@
+"""What a device is: how its bytes are cut into frames, and what the frames say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One whole frame, its check passed.
+
+    Attributes
+    ----------
+    kind : str
+        `command` (host to device), `state` (device to host) or `other`.
+    data : bytes
+        The frame from its head to its check sum.
+    stamp_ns : int
+        When its first byte was on the wire, on the clock of the stamps that were fed [ns].
+    """
+
+    kind: Literal["command", "state", "other"]
+    data: bytes
+    stamp_ns: int
+
+
+class Framer(Protocol):
+    """Cuts a stream of bytes into frames; holds at most one unfinished frame."""
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What was met so far: `frames`, `bytes`, `garbage_bytes`, `crc_failures`, `oversize`."""
+
+    def feed(self, data: bytes, stamp_ns: int) -> list[Frame]:
+        """Return the frames that `data`, read at `stamp_ns`, completes; never raises, whatever the bytes."""
+
+
+@dataclass(frozen=True)
+class States:
+    """What n state frames say.
+
+    Attributes
+    ----------
+    joint_position : (n, J) float64 [rad]
+        Joint positions.
+    motor_current : (n, J) float64 [A]
+        Motor currents.
+    motor_temperature : (n, J) float64 [degC]
+        Motor temperatures.
+    force_counts : (n, F, 3) int16
+        Total force of each fingertip in counts; the z axis of the fingertip presses.
+    taxel_counts : (n, F, taxels, 3) int16
+        Force of each taxel in counts.
+    """
+
+    joint_position: NDArray[np.float64]
+    motor_current: NDArray[np.float64]
+    motor_temperature: NDArray[np.float64]
+    force_counts: NDArray[np.int16]
+    taxel_counts: NDArray[np.int16]
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What n command frames say.
+
+    Attributes
+    ----------
+    joint_target : (n, J) float64 [rad]
+        Joint targets.
+    """
+
+    joint_target: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Device:
+    """A serial device with joints and fingertips.
+
+    Attributes
+    ----------
+    summary : str
+        One line for people.
+    baud : int
+        Bits a second on the wire (8N1: ten bits a byte).
+    rate_hz : float
+        Nominal rate of its state frames.
+    joint_names, fingertip_names : tuple of str
+        In the order of the decoded columns; the names of the built-in scene of this hand.
+    taxels : int
+        Taxels a fingertip.
+    newton_per_count : float
+        Default scale of the forces; a setting where sources differ.
+    count_low, count_high : (3,) int
+        Range of a force count along x, y, z: a count at an end is taken for saturated.
+    framer : callable
+        `() -> Framer`, a fresh one.
+    decode_states, decode_commands : callable
+        `(frames) -> States`, `(frames) -> Commands`: whole frames of that kind, many at once.
+    """
+
+    summary: str
+    baud: int
+    rate_hz: float
+    joint_names: tuple[str, ...]
+    fingertip_names: tuple[str, ...]
+    taxels: int
+    newton_per_count: float
+    count_low: tuple[int, int, int]
+    count_high: tuple[int, int, int]
+    framer: Callable[[], Framer]
+    decode_states: Callable[[Sequence[bytes]], States]
+    decode_commands: Callable[[Sequence[bytes]], Commands]
