@@ -74,8 +74,12 @@ class Stage:
         return best if gain > max(self.threshold, standard_error(best.evidence.gain), MATTERS) else None
 
     def is_plain(self, best: Fit) -> bool:
-        """Tell whether a gain is large enough to count although the loss itself lies within the nulls' range."""
-        return best.gain > PLAIN * max(self.threshold, standard_error(best.evidence.gain))
+        """Tell whether a gain is large enough to count although the loss itself lies within the nulls' range.
+
+        Either it is sure, or it removes most of the loss, which no floor of the right height allows.
+        """
+        sure = best.gain > PLAIN * standard_error(best.evidence.gain)
+        return best.gain > PLAIN * self.threshold and (sure or best.gain > float(self.base.mean()) / 2)
 
 
 @dataclass(frozen=True)

@@ -20,10 +20,10 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     unit = duration_s / 3.2
     half = rng.uniform(0.05, 0.2)
     commands = np.repeat((hand.open + half * (hand.closed - hand.open))[None], len(t), axis=0)
-    stroke = p.blend(t, 0.2 * unit, rng.uniform(0.8, 1.1) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
+    stroke = p.blend(t, 0.1 * unit, rng.uniform(1.1, 1.4) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
     again = p.blend(t, 2.2 * unit, 0.6 * unit)
     if len(hand.slides):
-        reach = rng.uniform(0.03, 0.06)
+        reach = rng.uniform(0.05, 0.08)
         # A hand pushes along its palm: the second rail where there are several.
         rail = hand.slides[min(1, len(hand.slides) - 1)]
         # Lower than the object's middle, or it would tip.
