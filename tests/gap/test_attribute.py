@@ -1,0 +1,38 @@
+"""When a gain counts: against the nulls, against its own spread, and where the floor is too high."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.gap.attribute import Stage
+from candata.gap.folds import CrossFit
+from candata.gap.search import Fit
+
+#: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
+BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])
+
+
+def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
+    fit = Fit((), None, CrossFit(gain, BASE - gain, np.zeros((4, 1))))
+    return Stage(BASE, (fit,), 0.07, (), (), reachable)
+
+
+@pytest.mark.parametrize(
+    ("gain", "plain"),
+    [
+        (np.full(8, 0.4), True),  # the same in every episode
+        (0.95 * BASE, True),  # uneven, as the episodes are, but nearly all of the loss
+        (np.array([2.9, -0.1, 0.0, 0.1, 0.0, 0.2, -0.1, 0.1]), False),  # one episode's doing
+        (np.full(8, 0.1), False),  # what null sets nearly reach
+    ],
+)
+def test_a_gain_within_the_nulls_range_counts_when_it_is_plain(gain, plain):
+    some = stage(gain)
+    assert some.is_plain(some.fits[0]) is plain
+
+
+def test_a_loss_below_what_a_true_world_reaches_counts_for_nothing():
+    gain = np.full(8, 0.15)
+    assert stage(gain).passing() is not None
+    assert stage(gain, reachable=float(BASE.mean()) - 0.01).passing() is None
