@@ -44,6 +44,16 @@ def joints(scene: Scene, element: str | None) -> Ids:
     return np.array([known[element]])
 
 
+def joint_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the driven hinges, in the order of `joint_position`."""
+    return tuple(scene.file.joints[i] for i in scene.driven_hinges)
+
+
+def fingertip_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the fingertips."""
+    return scene.file.fingertips
+
+
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints."""
     return scene.joint_dof[joints(scene, element)]
@@ -77,12 +87,12 @@ def contact_geoms(scene: Scene) -> tuple[int, ...]:
     model, own = scene.model, set(scene.object_geoms.tolist())
     bodies = subtree(model, scene.object_id) if scene.object_id is not None else set()
     partners = [
-        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(_collide(scene, g, o) for o in own)
+        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(collide(scene, g, o) for o in own)
     ]
     return tuple(sorted(own | set(partners)))
 
 
-def _collide(scene: Scene, first: int, second: int) -> bool:
+def collide(scene: Scene, first: int, second: int) -> bool:
     """Tell whether the bit masks let two geoms meet."""
     kind, affinity = scene.model.geom_contype, scene.model.geom_conaffinity
     return bool((kind[first] & affinity[second]) | (kind[second] & affinity[first]))
