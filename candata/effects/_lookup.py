@@ -66,9 +66,10 @@ def _numbers(given: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
     rounded = np.clip(array, low, high)
     array = np.where(np.isclose(array, rounded, rtol=1e-9, atol=0), rounded, array)
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
+        count = _owned(parameter, scene, given.element).sum()
         raise UsageError(
             f"{given.name}: {parameter.name} is not possible in scene {scene.name}",
-            expected=f"{size} number(s) in [{low:g}, {high:g}] {parameter.unit}",
+            expected=f"{count} number(s) in [{low:g}, {high:g}] {parameter.unit}",
             found=str(value),
         )
     return array

@@ -62,7 +62,7 @@ def dofs(scene: Scene, element: str | None) -> Ids:
 def actuators(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids that drive the joints."""
     ids = set(scene.joint_ids[joints(scene, element)].tolist())
-    return np.array([a for a in scene.actuator_ids if scene.model.actuator_trnid[a, 0] in ids], int)
+    return np.array([a for a, joint in scene.driven_joints.items() if joint in ids], int)
 
 
 def fingertips(scene: Scene, element: str | None) -> Ids:
@@ -128,7 +128,8 @@ def drive_damping(scene: Scene) -> float:
     ids = actuators(scene, None)
     if not len(ids):
         return 1.0
-    model, dof = scene.model, dofs(scene, None)
+    model = scene.model
+    dof = model.jnt_dofadr[[scene.driven_joints[a] for a in ids.tolist()]]
     own = model.dof_damping[dof] - model.actuator_biasprm[ids, 2]
     critical = 0.2 * np.sqrt(np.maximum(model.actuator_gainprm[ids, 0], 0) * model.dof_M0[dof])
     return float(np.median(np.maximum(own, critical)))

@@ -31,9 +31,9 @@ EFFECT = Effect(
         Parameter(
             "dampratio",
             "1",
-            scaled_bounds(_own, 0.02, 8.0),
-            scaled(_own, 0.15, 0.4, 2.2),
-            scaled_spans(_own, (0.1, 0.4), (1.8, 3.0)),
+            scaled_bounds(_own, 0.1, 8.0),
+            scaled(_own, 0.25, 0.5, 2.2),
+            scaled_spans(_own, (0.2, 0.5), (1.8, 3.0)),
             "critical (1) is a default, not a measurement: wood and plastic bounce, foam does not",
             neutral=_own,
         ),

@@ -21,7 +21,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     """Let the servo's law kp (u - q) see the reading: kp (u - q - offset)."""
     offsets = dict(zip(scene.joint_ids.tolist(), _of_joints(scene, x, element), strict=True))
     for a in _select.actuators(scene, element):
-        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * offsets[int(model.actuator_trnid[a, 0])]
+        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * offsets[scene.driven_joints[int(a)]]
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:

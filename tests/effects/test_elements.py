@@ -11,7 +11,7 @@ from candata.errors import UnknownNameError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.world import build_worlds
-from tests.effects.gripper import play_grip
+from tests.effects.gripper import XML, play_grip, write_scene
 
 #: A joint of the hand, and the fingertip that it moves.
 JOINT = "index2"
@@ -115,6 +115,22 @@ def test_a_vector_on_one_element_holds_its_numbers_only(scene, name, numbers):
     value = given.parameters[effect(name).parameters[0].name]
     assert np.size(value) == numbers == active(name, scene, JOINT).sum()
     assert np.array_equal(flatten(given, scene), x)
+
+
+def test_a_wrong_count_on_one_element_is_refused(scene):
+    with pytest.raises(UsageError, match=r"expected: 1 number\(s\)"):
+        flatten(EffectSetting(name="joint_offset", element=JOINT, parameters={"offset_rad": (0.1, 0.2)}), scene)
+
+
+def test_an_actuator_of_a_tendon_drives_no_joint(tmp_path):
+    # The tendon's id is 0, the id of the first joint, too.
+    tendon = '<tendon><fixed name="both"><joint joint="right" coef="1"/></fixed></tendon>'
+    xml = XML.replace("<actuator>", f"{tendon}<actuator>").replace(
+        '<position name="lift" joint="lift" kp="1500" kv="80" forcerange="-60 60"/>',
+        '<position name="lift" tendon="both"/>',
+    )
+    scene = write_scene(tmp_path, xml)
+    assert scene.driven_joints == {1: 1, 2: 2}
 
 
 @pytest.mark.parametrize("name", CONTACT)
