@@ -17,8 +17,10 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 
 def _own(scene: Scene) -> float:
-    """Return the median ratio of the second sliding direction to the first."""
+    """Return the median ratio of the second sliding direction to the first; 1 where there are no pairs."""
     friction = scene.model.pair_friction[_contact.pairs(scene, None)]
+    if not len(friction):
+        return 1.0
     return float(np.median(friction[:, 1] / np.maximum(friction[:, 0], mujoco.mjMINVAL)))
 
 

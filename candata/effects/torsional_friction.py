@@ -30,8 +30,10 @@ def _pairs(scene: Scene, element: str | None) -> _contact.Ids:
 
 
 def _own(scene: Scene) -> float:
-    """Return the median torsional friction of contacts between fingertips and object [m]."""
+    """Return the median torsional friction of contacts between fingertips and object [m]; the least without any."""
     model, tips = scene.model, _contact.fingertip_geoms(scene, None)
+    if not len(tips):
+        return NONE_M
     twist = np.maximum(model.geom_friction[tips, 1], model.geom_friction[scene.object_geoms, 1].max())
     dim = np.maximum(model.geom_condim[tips], model.geom_condim[scene.object_geoms].max())
     return max(NONE_M, float(np.median(np.where(dim >= 4, twist, NONE_M))))

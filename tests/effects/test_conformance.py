@@ -195,6 +195,15 @@ def test_a_value_out_of_bounds_is_refused(gripper, name, parameter):
         )
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_can_be_asked_about_any_scene(name):
+    scene = load_scene("cube_toss")
+    for p in effect(name).parameters:
+        own = p.neutral(scene) if p.neutral else p.identity(scene)
+        assert np.isfinite([own, *p.bounds(scene), *p.probes(scene), *np.ravel(p.draws(scene))]).all()
+    assert isinstance(effect(name).possible(scene), bool)
+
+
 def test_a_wrong_parameter_lists_the_known(hand):
     with pytest.raises(UnknownNameError, match="kp_scale"):
         flatten(EffectSetting(name="servo_gain", parameters={"kp": 2.0}), hand)
