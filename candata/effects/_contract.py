@@ -103,7 +103,7 @@ class Effect:
     command, force, reading : Hook, optional
         Filters of the commands, of added forces, of the readings.
     moves : tuple of str
-        Channels a reading hook changes; empty when it needs a simulation.
+        Channels that can change where there is a reading hook; empty without one.
     elements : callable
         `scene -> names` of what it can act on alone (joints, fingertips, geoms); none where it has no elements.
     unread : callable, optional

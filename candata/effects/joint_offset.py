@@ -62,5 +62,6 @@ EFFECT = Effect(
     elements=_select.joint_names,
     edit=_edit,
     reading=Hook(_start, _apply),
+    moves=("joint_position", "object_pose", "fingertip_force"),
     unread=_unread,
 )
