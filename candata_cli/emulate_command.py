@@ -205,5 +205,6 @@ def _say_report(report: dict[str, Any], as_json: bool) -> None:
         f"dropped   {report['dropped_frames']} frames, {report['dropped_bytes']} bytes not taken in time\n"
         f"clipped   {clipped['force_counts']} force counts, {clipped['taxel_counts']} taxel counts out of range\n"
         f"faults    {faults}\n"
-        f"received  {report['received_bytes']} bytes from the reader"
+        f"received  {report['received_bytes']} bytes from the reader\n"
+        f"late      {report['late_s'] * 1e3:.1f} ms at most"
     )

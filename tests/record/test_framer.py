@@ -211,7 +211,7 @@ def test_a_long_noise_is_not_kept():
 
 def test_small_reads_are_not_remembered(sent):
     """300 kB in pieces of ten bytes: what is kept for each read would be 2 MB."""
-    made, stream = framer(), b"".join(sent) * 29
+    made, stream = framer(), b"".join(sent) * 30
     tracemalloc.start()
     for place in range(0, len(stream), 10):
         made.feed(stream[place : place + 10], place)
