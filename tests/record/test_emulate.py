@@ -269,7 +269,7 @@ def test_a_stall_is_a_gap_in_time(script):
     assert silent[(at_s >= 0.15) & (at_s < 0.25)].all()
     assert len(reader.of("state")) == sent.state_whole.sum() > 0
     stamps = np.array([frame.stamp_ns for frame in reader.of("state")])
-    assert np.diff(stamps).max() > 0.095e9
+    assert np.diff(stamps).max() > 0.05e9  # half of it, as the row before may have been late
 
 
 def test_an_unplug_takes_the_port_away(script):
@@ -305,8 +305,8 @@ def test_a_replug_leads_the_link_to_a_new_port(script, tmp_path):
 
 
 def test_a_stop_ends_between_rows_and_a_hold_lasts_until_it(script):
-    asked = time.monotonic() + 0.6
-    sent, reader = heard(script, hold=True, stop=lambda: time.monotonic() > asked)
+    asked = iter(range(150))  # once or twice a row
+    sent, reader = heard(script, hold=True, stop=lambda: next(asked, None) is None)
     assert len(sent.index) > 41
     assert set(sent.index[41:].tolist()) == {40}
     assert len(reader.of("state")) == sent.state_whole.sum()
