@@ -20,6 +20,7 @@ CONSTANTS = {
     "candata.checks": "RULE",
     "candata.scenes.library": "SCENE",
     "candata.scenes.hands": "HAND",
+    "candata.record.devices": "DEVICE",
 }
 FILES = [(package, constant, name) for package, constant in CONSTANTS.items() for name in plugins.names(package)]
 
