@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -146,7 +147,9 @@ class LogWriter:
         from mcap.writer import Writer
 
         classes = {topic: message(name) for topic, name in _MESSAGES.items()}
-        self.meta = meta
+        self.meta, self.path = meta, path
+        self._syncer = ThreadPoolExecutor(1, "log-sync")
+        self._syncing: Future[None] | None = None
         self._class = classes
         self._frames = {JOINTS: 0, TARGETS: 0}
         self._sink = Sink(path)
@@ -165,6 +168,11 @@ class LogWriter:
     def size(self) -> int:
         """Bytes written so far."""
         return self._sink.tell()
+
+    @property
+    def failed(self) -> bool:
+        """Whether the disk took no more: nothing can be written any longer."""
+        return self._sink.failed
 
     def wire(self, data: bytes, stamp_ns: int) -> None:
         """Write bytes as they were read at `stamp_ns`."""
@@ -204,8 +212,18 @@ class LogWriter:
         with self._sink.guarded():
             self._sink.sync()
 
+    def sync_behind(self) -> None:
+        """Start a `sync` in a thread, so that a slow disk delays no flush; an error is raised by the next call."""
+        if self._syncing is not None and not self._syncing.done():
+            return
+        with self._sink.guarded():
+            if self._syncing is not None:
+                self._syncing.result()
+            self._syncing = self._syncer.submit(self._sink.sync)
+
     def close(self) -> None:
         """Write the end of the file and close it; after an error of the disk, only close it."""
+        self._syncer.shutdown()
         try:
             if not self._sink.failed:
                 with self._sink.guarded():
