@@ -20,9 +20,6 @@ from candata.record.recorder_tally import Tally, joined
 from candata.record.recorder_values import Phase, Report, Settings, View
 
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.1, 1.0
-#: How long a port may be silent, or give bytes without one good frame, before it is said.
-_PATIENCE_S = 2.0
-
 
 
 def record(
@@ -146,7 +143,9 @@ class _Session:
             self._tick(show)
             if link.ended:
                 raise SetupError(
-                    "the reader process died", where=Where(path=link.port), fix="the log is whole up to here; start again"
+                    "the reader process died",
+                    where=Where(path=link.port),
+                    fix="the log is whole up to here; start again",
                 )
 
     def close(self) -> CandataError | None:
@@ -288,14 +287,15 @@ class _Session:
 
     def _check_link(self, now_ns: int) -> None:
         """Say when the port is silent; raises SetupError when it never gave a good frame."""
+        patience_s = self._settings.patience_s
         if self._unplugged:
             return
         never_good = self._tally.bytes and not sum(self._tally.frames.values())
-        if never_good and now_ns - self._first_byte_ns > 1e9 * _PATIENCE_S:
+        if never_good and now_ns - self._first_byte_ns > 1e9 * patience_s:
             raise self._no_state()
-        if not self._silent and now_ns - self._heard_ns > 1e9 * _PATIENCE_S:
+        if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
-            self._say(f"no bytes for {_PATIENCE_S:g} s: is the hand on, and does its program ask it for its state?")
+            self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
 
     def _no_state(self) -> SetupError:
         where = Where(path=self._meta.port)

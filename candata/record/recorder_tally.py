@@ -79,8 +79,11 @@ class Tally:
         self.unplugs[-1]["back_ns"] = stamp_ns + self._offset_ns
 
     def recent_rate_hz(self, now_ns: int) -> float:
-        """Return the rate of the states over the last second."""
-        return float(sum(stamp > now_ns - 1_000_000_000 for stamp in self._recent))
+        """Return the rate of the states over the last second, or over what there was of it."""
+        if self.first_ns is None or now_ns <= self.first_ns:
+            return 0.0
+        span_ns = min(1_000_000_000, now_ns - self.first_ns)
+        return 1e9 * sum(stamp > now_ns - span_ns for stamp in self._recent) / span_ns
 
     def losses(self) -> dict[str, int]:
         """Return what was lost on the wire, by kind."""
