@@ -11,7 +11,7 @@ from rich.console import Console
 from candata.record.panel import line, panel
 from candata.record.recorder_values import View
 
-LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0, "missing_states": 0}
+LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0}
 
 
 def view_of(**changes) -> View:
