@@ -14,6 +14,7 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
+    from candata.record.emulate import Sent
     from candata.record.emulate_faults import Faults
     from candata.record.emulate_script import Script
     from candata.schema.episode import Episode
@@ -92,6 +93,7 @@ def emulate(
     Requests and replies come as a listener on the pair of wires sees them. Bytes that the reader does not take in
     time are lost, as on a real port. Ctrl-C ends it with a report.
     """
+    from candata.errors import UsageError
     from candata.record import emulate_files as files
     from candata.record.devices import device
     from candata.record.emulate_faults import parse_faults
@@ -100,6 +102,8 @@ def emulate(
     model, wrong = device(device_name), parse_faults(faults)
     encoder_of(device_name)
     _check(loop, seed, wrong, link)
+    if episode is not None and dataset is None:
+        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
     played = _stored(dataset, episode) if dataset else _simulated(scene, policy, seed, duration_s)
     script = write_script(
         played, device_name, model, rate_hz=rate, still_s=still, newton_per_count=newton_per_count
@@ -107,7 +111,7 @@ def emulate(
     if with_table:
         files.check_table(with_table, script)
     if truth:
-        files.check_free(truth)
+        files.prepare(truth)
     sent = _play(script, link, wait, as_json, seed=seed, faults=wrong, passes=loop, hold=hold)
     if with_table:
         files.write_table(with_table, sent)
@@ -153,7 +157,7 @@ def _simulated(scene_name: str, policy: str | None, seed: int, duration_s: float
     return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
 
 
-def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Any:
+def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Sent:
     """Return what was sent on a fresh port, which is printed first."""
     import numpy as np
 
@@ -201,5 +205,6 @@ def _say_report(report: dict[str, Any], as_json: bool) -> None:
         f"dropped   {report['dropped_frames']} frames, {report['dropped_bytes']} bytes not taken in time\n"
         f"clipped   {clipped['force_counts']} force counts, {clipped['taxel_counts']} taxel counts out of range\n"
         f"faults    {faults}\n"
-        f"received  {report['received_bytes']} bytes from the reader"
+        f"received  {report['received_bytes']} bytes from the reader\n"
+        f"late      {report['late_s'] * 1e3:.1f} ms at most"
     )

@@ -27,25 +27,33 @@ def check_table(path: Path, script: Script) -> None:
     ------
     UsageError
         When it is no Parquet file, it or the map beside it stands, or the wire carries all there is.
+    SetupError
+        When its folder cannot be made.
     """
     if path.suffix != ".parquet":
         raise UsageError("the table is a Parquet file", expected="a name that ends in .parquet", found=path.name)
     if not {"joint_position", "object_pose"} & set(script.unwired):
         raise UsageError("the wire carries all of this episode", fix="leave out --with-table")
-    check_free(path)
-    check_free(path.with_name(MAP))
+    prepare(path)
+    prepare(path.with_name(MAP))
 
 
-def check_free(path: Path) -> None:
-    """Refuse a file that stands.
+def prepare(path: Path) -> None:
+    """Refuse a file that stands, and make its folder.
 
     Raises
     ------
     UsageError
         When it does.
+    SetupError
+        When the folder cannot be made.
     """
     if path.exists():
         raise UsageError("the output exists already", where=Where(path=str(path)), fix="choose another place")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritten(path, error) from None
 
 
 def write_table(path: Path, sent: Sent) -> None:
@@ -69,7 +77,6 @@ def write_table(path: Path, sent: Sent) -> None:
     )  # fmt: skip
     text = yaml.safe_dump(mapping.model_dump(mode="json", exclude_none=True, exclude={"units"}), sort_keys=False)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         columns = pa.table(table).replace_schema_metadata({META_KEY: meta.model_dump_json().encode()})
         pq.write_table(columns, path)
         path.with_name(MAP).write_text(text, encoding="utf-8")
@@ -108,7 +115,6 @@ def write_truth(path: Path, sent: Sent) -> None:
     }  # fmt: skip
     arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired.items()}
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
     except OSError as error:

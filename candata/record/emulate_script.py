@@ -17,6 +17,8 @@ from candata.schema.episode import Episode, EpisodeMeta
 #: The taxels lie in rows of ten; a press spreads over them as a Gaussian of this width [taxels] about the middle.
 #: The taxels' places are not published: a fixed pattern that reaches many of them is all that a test needs.
 ROW_OF_TAXELS, SPREAD = 10, 1.5
+#: Its frames are made before the first is sent.
+STILL_MAX_S = 600.0
 
 
 @dataclass(frozen=True)
@@ -144,10 +146,10 @@ def write_script(
     encoder = encoder_of(device_name)
     rate = episode.meta.rate_hz if rate_hz is None else rate_hz
     scale = device.newton_per_count if newton_per_count is None else newton_per_count
-    _check_numbers(rate, still_s, scale, encoder, device)
     joints = _places("joints", device.joint_names, episode.meta.joint_names, episode)
     actuators = _places("actuators", device.joint_names, episode.meta.actuator_names, episode)
     tips = _places("fingertips", device.fingertip_names, episode.meta.fingertip_names, episode)
+    _check_numbers(rate, still_s, scale, encoder, device)
     still = round(still_s * rate)
     row = np.concatenate([np.zeros(still, np.int64), np.arange(len(episode))])
     position, action = _whole(episode, "joint_position"), _next(_whole(episode, "action"), episode.meta)
@@ -206,8 +208,9 @@ def _check_numbers(rate_hz: float, still_s: float, scale: float, encoder: Encode
     if not 0 < rate_hz <= ceiling:
         raise UsageError("the wire cannot carry this rate", expected=f"above 0, at most {ceiling:.0f} Hz",
                          found=f"{rate_hz:g} Hz", fix="give a --rate that request and reply fit in")  # fmt: skip
-    if not 0 <= still_s < np.inf:
-        raise UsageError("the still stretch has no length", expected="0 s or more", found=f"{still_s:g} s")
+    if not 0 <= still_s <= STILL_MAX_S:
+        raise UsageError("the still stretch has a wrong length", expected=f"0 to {STILL_MAX_S:g} s",
+                         found=f"{still_s:g} s")  # fmt: skip
     if not 0 < scale < np.inf:
         raise UsageError("the scale of the forces is wrong", expected="more than 0 N a count", found=f"{scale:g}")
 

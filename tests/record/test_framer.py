@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -205,3 +207,16 @@ def test_a_long_noise_is_not_kept():
         assert made.held_bytes < wire.LAYOUT.longest
     made.finish()
     assert made.counts["garbage_bytes"] == made.counts["bytes"] == 10**6
+
+
+def test_small_reads_are_not_remembered(sent):
+    """300 kB in pieces of ten bytes: what is kept for each read would be 2 MB."""
+    made, stream = framer(), b"".join(sent) * 30
+    tracemalloc.start()
+    for place in range(0, len(stream), 10):
+        made.feed(stream[place : place + 10], place)
+    kept, _peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(stream) > 300_000
+    # One unfinished frame of 2217 bytes, the reads that brought it, and the lists' room to grow.
+    assert kept < 100_000
