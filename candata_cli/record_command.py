@@ -61,7 +61,7 @@ def record_real(
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
     """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
-    from candata.plugins import load
+    from candata.record.devices import device as device_named
     from candata.record.recorder import record
     from candata.record.recorder_values import Settings
 
@@ -75,7 +75,7 @@ def record_real(
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
     )
-    chosen = load("candata.record.devices", "DEVICE", device)
+    chosen = device_named(device)
     with _until_signal() as stop, _shown(f"candata record-real {port}", plain, as_json) as (show, say):
         report = record(
             chosen, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say

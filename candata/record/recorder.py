@@ -19,7 +19,7 @@ from candata.record.reader_link import Event, ReaderLink, port_error
 from candata.record.recorder_tally import Tally, joined
 from candata.record.recorder_values import Phase, Report, Settings, View
 
-_FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.1, 1.0
+_FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 
 def record(
@@ -53,7 +53,7 @@ def record(
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
-        Given what can be seen, ten times a second, and notes for people.
+        Given what can be seen, five times a second, and notes for people.
 
     Raises
     ------

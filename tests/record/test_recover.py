@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,7 +76,7 @@ def test_any_reader_takes_the_recovered_log(torn):
 
 def test_a_whole_log_is_copied_and_called_whole(torn):
     first = recover(torn)
-    again = recover(type(torn)(first.out), torn.with_name("again.mcap"))
+    again = recover(Path(first.out), torn.with_name("again.mcap"))
     assert not again.torn
     assert again.messages == first.messages
 
@@ -105,9 +106,13 @@ def test_a_killed_recording_is_recovered(hand, tmp_path):
     until = time.monotonic() + 20
     while (not log.exists() or log.stat().st_size < 20_000) and time.monotonic() < until:
         time.sleep(0.01)
+    (reader,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     process.kill()
     killed_ns = time.time_ns()
     process.wait()
+    while Path(f"/proc/{reader}").exists() and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not Path(f"/proc/{reader}").exists(), "the reader outlives its recorder"
     saved = read_log(recover(log).out)
     assert len(saved.joint_position) > 20
     # 0.25 s between two flushes, and room for a busy machine; benchmarks/record.py holds it to 0.3 s.
