@@ -16,6 +16,7 @@ import pytest
 
 from candata.record.devices import _xhand_frames as wire
 from candata.record.logs import read_log
+from candata_cli import main as entry
 
 
 @pytest.fixture
@@ -54,13 +55,19 @@ def start(*arguments) -> subprocess.Popen:
     )
 
 
-def candata(*arguments) -> tuple[int, str, str]:
-    process = start(*arguments)
-    out, err = process.communicate(timeout=60)
-    return process.returncode, out, err
+@pytest.fixture
+def candata(capsys):
+    """Runs a command in this process: exit code, stdout, stderr."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        with pytest.raises(SystemExit) as stop:
+            entry.main([str(a) for a in arguments])
+        return stop.value.code or 0, *capsys.readouterr()
+
+    return run
 
 
-def test_a_recording_reports_and_exits_with_0(port, tmp_path):
+def test_a_recording_reports_and_exits_with_0(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     code, out, err = candata(
         "record-real", "--port", port, "--out", log, "--duration", 1.2, "--calibrate-s", 0.5, "--reserve-mb", 0
@@ -97,7 +104,7 @@ def test_a_signal_finishes_the_file_and_prints_the_report(port, tmp_path, number
     assert facts["sha256"] == read.sha256
 
 
-def test_settings_reach_the_log(port, tmp_path):
+def test_settings_reach_the_log(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     code, _, err = candata(
         "record-real", "--port", port, "--out", log, "--duration", 0.5, "--no-calibrate", "--reserve-mb", 0,
@@ -108,7 +115,7 @@ def test_settings_reach_the_log(port, tmp_path):
     assert (meta.newton_per_count, meta.rate_hz, meta.device, meta.port) == (0.05, 20.0, "xhand", port)
 
 
-def test_no_such_port_exits_with_3_and_leaves_nothing(tmp_path):
+def test_no_such_port_exits_with_3_and_leaves_nothing(tmp_path, candata):
     code, out, err = candata("record-real", "--port", tmp_path / "no", "--out", tmp_path / "log.mcap")
     assert (code, out) == (3, "")
     assert err.startswith("no such port\n")
@@ -125,14 +132,14 @@ def test_no_such_port_exits_with_3_and_leaves_nothing(tmp_path):
         (("--duration", "nan"), "--duration must be above zero"),
     ],
 )
-def test_wrong_options_exit_with_2(port, tmp_path, options, words):
+def test_wrong_options_exit_with_2(port, tmp_path, options, words, candata):
     code, _, err = candata("record-real", "--port", port, "--out", tmp_path / "log.mcap", *options)
     assert code == 2
     assert words in err
     assert not (tmp_path / "log.mcap").exists()
 
 
-def test_a_failure_still_prints_the_report(port, tmp_path):
+def test_a_failure_still_prints_the_report(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     code, out, err = candata(
         "record-real", "--port", port, "--out", log, "--calibrate-s", 0.5, "--newton-per-count", 1, "--reserve-mb", 0,
@@ -144,7 +151,7 @@ def test_a_failure_still_prints_the_report(port, tmp_path):
     assert not read_log(log).torn
 
 
-def test_recover_says_what_was_saved(port, tmp_path):
+def test_recover_says_what_was_saved(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     candata("record-real", "--port", port, "--out", log, "--duration", 0.5, "--no-calibrate", "--reserve-mb", 0)
     data = log.read_bytes()
@@ -163,7 +170,7 @@ def test_recover_says_what_was_saved(port, tmp_path):
     assert "exists already" in err
 
 
-def test_recover_refuses_an_empty_log(tmp_path):
+def test_recover_refuses_an_empty_log(tmp_path, candata):
     (tmp_path / "log.mcap").touch()
     code, out, err = candata("recover", tmp_path / "log.mcap")
     assert (code, out) == (2, "")
