@@ -13,7 +13,7 @@ import numpy as np
 
 from candata.errors import CandataError, SetupError, UsageError, Where
 from candata.record.calibration import Calibration, calibrate
-from candata.record.devices._contract import Device, States
+from candata.record.devices._contract import Device, Frame, States
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.reader_link import Event, ReaderLink, port_error
 from candata.record.recorder_tally import Tally, joined
@@ -195,6 +195,7 @@ class _Session:
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
                 break
+        self._frames(self._framer.finish())
         if not self._tally.frames["state"]:
             raise self._no_state()
 
@@ -204,6 +205,7 @@ class _Session:
                 self._bytes(event)
             elif event.kind == "lost":
                 self._unplugged = True
+                self._frames(self._framer.finish())
                 self._tally.lost(event.stamp_ns)
                 self._say(f"the port is gone; waiting {self._settings.reconnect_s:g} s for it to come back")
             elif event.kind == "back":
@@ -226,7 +228,9 @@ class _Session:
         self._tally.bytes += len(event.data)
         self._first_byte_ns = self._first_byte_ns or event.stamp_ns
         self._heard_ns, self._silent = event.stamp_ns, False
-        frames = self._framer.feed(event.data, event.stamp_ns)
+        self._frames(self._framer.feed(event.data, event.stamp_ns))
+
+    def _frames(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
             self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
