@@ -175,7 +175,10 @@ def port_error(port: str, facts: dict[str, Any]) -> CandataError:
             fix='join the group that owns it, often `sudo usermod -aG dialout "$USER"`, and log in again',
         )
     return SetupError(
-        "the port cannot be opened", found=found, where=where, fix="end the program that holds it, or give another --port"
+        "the port cannot be opened",
+        found=found,
+        where=where,
+        fix="end the program that holds it, or give another --port",
     )
 
 
@@ -185,4 +188,3 @@ def _ports_seen() -> str:
 
     seen = [f"{port.device} ({port.description})" for port in list_ports.comports()]
     return "these ports: " + ", ".join(seen) if seen else "no serial port on this machine"
-

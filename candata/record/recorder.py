@@ -24,7 +24,6 @@ _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.1, 1.0
 _PATIENCE_S = 2.0
 
 
-
 def record(
     device: Device,
     port: str,
@@ -146,7 +145,9 @@ class _Session:
             self._tick(show)
             if link.ended:
                 raise SetupError(
-                    "the reader process died", where=Where(path=link.port), fix="the log is whole up to here; start again"
+                    "the reader process died",
+                    where=Where(path=link.port),
+                    fix="the log is whole up to here; start again",
                 )
 
     def close(self) -> CandataError | None:
