@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -98,7 +98,7 @@ def import_(
         _import_format(format_name, sources, out, append, allow_gaps)
 
 
-def _refuse_options(given: dict[str, object], belongs_to: str) -> None:
+def _refuse_options(given: Mapping[str, object], belongs_to: str) -> None:
     """Refuse options of another kind of source."""
     from candata.errors import UsageError
 

@@ -142,11 +142,11 @@ def span(time_ns: NDArray[np.int64]) -> str:
     """Return first and last time of a stream, in UTC and in unix seconds."""
     if not len(time_ns):
         return "no stamps"
-    return " to ".join(f"{_utc(int(t))} ({t * 1e-9:.3f} s)" for t in (time_ns[0], time_ns[-1]))
+    return " to ".join(f"{utc(int(t))} ({t * 1e-9:.3f} s)" for t in (time_ns[0], time_ns[-1]))
 
 
-def _utc(time_ns: int) -> str:
-    """Return a time in UTC to the millisecond; a number that is no time of any clock as such."""
+def utc(time_ns: int) -> str:
+    """Return a time in UTC to the millisecond, `no date` for a number that is none."""
     try:
         return datetime.fromtimestamp(time_ns * 1e-9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     except (ValueError, OverflowError, OSError):

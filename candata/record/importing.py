@@ -10,7 +10,7 @@ is no joint effort, as no torque constant of the motors is published.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from candata import align
 from candata.errors import DataError, Where
 from candata.record.companions import Companion, Stream
-from candata.record.import_streams import column_order, merged, require_overlap, span, wire_streams
+from candata.record.import_streams import column_order, merged, require_overlap, span, utc, wire_streams
 from candata.record.logs import Log
 from candata.schema.channels import QUATERNION, VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
@@ -58,7 +58,7 @@ class Recipe(Record):
     scene : str, optional
         Name of the scene; `roles` is what its file says.
     object, task : str, optional
-        Of the episode; else the scene's and the companions'.
+        Of the episode; else what the companions say, or the scene.
     """
 
     episode: str
@@ -141,7 +141,7 @@ def _meta(
     rate_hz: float,
     invalid: dict[str, int],
 ) -> EpisodeMeta:
-    """Return who, what, when: what the recipe says, else the scene, else the companions."""
+    """Return who, what, when."""
     scale = recipe.newton_per_count or log.meta.newton_per_count
     forces = "fingertip_force" in names
     return EpisodeMeta(
@@ -149,7 +149,8 @@ def _meta(
         source="real",
         rate_hz=rate_hz,
         scene=recipe.scene or _first(c.scene for c in companions),
-        object=recipe.object or (recipe.roles.object if recipe.roles else _first(c.object for c in companions)),
+        object=recipe.object
+        or _first([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
         task=recipe.task or _first(c.task for c in companions),
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
@@ -197,7 +198,7 @@ def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> ND
         spans = "; ".join(f"{s.channel} of {s.origin} {span(s.time_ns)}" for s in streams)
         raise DataError(
             "too little is left of the log: all streams together cover less than two rows",
-            expected=f"time after {span(np.array([settled]))[:24]}, when the calibration ended, that all streams cover",
+            expected=f"time that all streams cover after {utc(settled)}, when the calibration ended",
             found=spans,
             where=Where(path=str(path)),
             fix="record longer",
@@ -258,7 +259,7 @@ def _clock(log: Log, recipe: Recipe) -> Alignment:
     return align.clock_fit(reference, np.array([p["wall_ns"] for p in pairs], np.int64), method)
 
 
-def _first(found: Any) -> Any:
+def _first(found: Iterable[str | None]) -> str | None:
     """Return the first that is stated, None if none is."""
     return next((value for value in found if value is not None), None)
 

@@ -203,7 +203,113 @@ def test_validate_and_inspect_run_on_it(imported, capsys):
     assert "lineage: import log" in printed
 
 
-@pytest.mark.slow
 def test_diagnose_takes_it(imported, tmp_path, capsys):
     assert run("diagnose", imported, "--scene", SCENE, "--out", tmp_path / "d", "--jobs", "1", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["data"]["episodes"]["total"] == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["verdict"] == "too_little_data"  # one episode; joints, rate and commands were accepted
+    assert report["data"]["episodes"]["total"] == 1
+
+
+def test_lost_frames_are_marked_on_the_way(tmp_path, played, capsys):
+    lost = range(STILL + 100, STILL + 120)
+    sent = send(tmp_path, played, lost=lost)
+    out = tmp_path / "ds"
+    assert run("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out) == 0
+    assert "rows marked invalid by gaps: joint_position 21, action 21, " in capsys.readouterr().err
+    (episode,) = open_dataset(out)
+    assert episode.meta.invalid_counts["fingertip_force"] in (20, 21)
+    assert "object_pose" not in episode.meta.invalid_counts
+    assert run("validate", out) == 0
+
+
+def test_the_same_log_twice_adds_nothing(sent, tmp_path, capsys):
+    out = tmp_path / "ds"
+    command = ("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out)
+    assert run(*command) == 0
+    before = open_dataset(out).file
+    assert run(*command) == 2
+    assert "the output exists already" in capsys.readouterr().err
+    assert run(*command, "--append") == 0
+    assert capsys.readouterr().out.endswith("0 episodes added, 1 in version 1\n")
+    assert open_dataset(out).file == before
+    assert run(*command, "--append", "--threshold", "0.5") == 2
+    assert "another content" in capsys.readouterr().err
+    assert run(*command, "--append", "--threshold", "0.5", "--episode", "strict", "--object", "can") == 0
+    assert open_dataset(out).episode("strict").meta.object == "can"
+
+
+def test_several_logs_are_one_version(tmp_path, played, capsys):
+    logs = [send(tmp_path, played, log_name=f"run{i}.mcap", bias=(i, i, i)).log for i in range(2)]
+    assert run("import", "log", *logs, "--rate", "40", "--out", tmp_path / "ds") == 0
+    assert capsys.readouterr().out.endswith("2 episodes added, 2 in version 1\n")
+    dataset = open_dataset(tmp_path / "ds")
+    assert dataset.ids == ("run0", "run1")
+    assert [d["log"] for d in dataset.lineage[0].details["logs"]] == ["run0.mcap", "run1.mcap"]
+    episode = dataset.episode("run0")
+    assert (episode.meta.rate_hz, episode.meta.joint_names) == (40, device("xhand").joint_names)
+    assert len(dataset.file.parts) == 2  # one log a part: only one is held
+
+
+def shifted(folder: Path) -> Path:
+    """A table whose stamps are those of another clock."""
+    columns = {"t": np.arange(500) / 80.0} | {name: np.full(500, float(name == "qw")) for name in POSE}
+    pa.parquet.write_table(pa.table(columns), folder / "t.parquet")
+    mapping = {"file": "t.parquet", "time_s": "t", "rate_hz": 80, "channels": {"object_pose": POSE}}
+    (folder / "map.yaml").write_text(yaml.safe_dump(mapping))
+    return folder / "t.parquet"
+
+
+def empty(folder: Path) -> Path:
+    (folder / "empty.mcap").write_bytes(b"")
+    return folder / "empty.mcap"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (lambda sent, folder: [empty(folder)], "the log is empty"),
+        (lambda sent, folder: [folder / "absent.mcap"], "no such log"),
+        (lambda sent, folder: [sent.table], "the file is no log"),
+        (lambda sent, folder: [sent.log, empty(folder)], "the log is empty"),
+        (lambda sent, folder: [sent.log, "--with", shifted(folder)], "was not recorded while the log was"),
+        (lambda sent, folder: [sent.log, "--with", folder / "absent.parquet"], "the table has no map"),
+        (lambda sent, folder: [sent.log, "--scene", SCENE], "joint_position lacks joints of the scene"),
+        (lambda sent, folder: [sent.log, "--scene", "xhand_tabletopp"], "unknown scene"),
+        (lambda sent, folder: [sent.log, "--rate", "0"], "rate_hz"),
+        (lambda sent, folder: [sent.log, "--newton-per-count", "-1"], "newton_per_count"),
+        (lambda sent, folder: [sent.log, "--allow-gaps"], "--allow-gaps is for `import table` only"),
+        (lambda sent, folder: [sent.log, sent.log, "--episode", "x"], "--episode names one episode"),
+    ],
+)
+@pytest.mark.parametrize("standing", [False, True])
+def test_bad_input_is_one_message_and_nothing_written(sent, tmp_path, capsys, arguments, words, standing):
+    out = tmp_path / "made" / "ds"
+    if standing:
+        run("import", "log", sent.log, "--episode", "first", "--out", out)
+        before = open_dataset(out).file
+    capsys.readouterr()
+    assert run("import", "log", *arguments(sent, tmp_path), "--out", out, "--append") == 2
+    printed = capsys.readouterr()
+    assert words in printed.err
+    assert "Traceback" not in printed.err
+    assert printed.out == ""
+    if standing:
+        assert open_dataset(out).file == before
+    else:
+        assert not out.parent.exists() or list(out.parent.iterdir()) == []
+
+
+def test_what_belongs_to_logs_is_refused_elsewhere(sent, out_of_table, capsys):
+    source, out = out_of_table
+    for option in (("--with", sent.table), ("--scene", SCENE), ("--threshold", "1"), ("--uncalibrated",)):
+        assert run("import", "table", source, *option, "--out", out) == 2
+        assert capsys.readouterr().err.startswith(f"{option[0]} is for `import log` only")
+    assert run("import", "table", source, source, "--out", out) == 2
+    assert "takes one source" in capsys.readouterr().err
+    assert run("import", "logs", source, "--out", out) == 2
+    assert "did you mean 'log'?" in capsys.readouterr().err
+
+
+@pytest.fixture
+def out_of_table(tmp_path) -> tuple[Path, Path]:
+    return shifted(tmp_path).with_name("map.yaml"), tmp_path / "ds"
