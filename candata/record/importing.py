@@ -1,10 +1,12 @@
 """From a log to an episode: streams put on one grid, forces calibrated, gaps marked.
 
-The grid has the scene's rate. It begins when all streams have begun and the calibration window is over, a quarter of
-a period after a state, so that jitter of the stamps moves no reading into another step; it ends with the first
-stream that ends. `action[k]` is what was commanded in the middle of the step that it is held over: at a rate other
-than the host's, the command moves by half a step at most, and not always late. Motor current stays in the log: it
-is no joint effort, as no torque constant of the motors is published.
+The grid has the scene's rate. It begins when all streams have begun and the calibration window is over, on the beat
+of the states (a command takes effect once its frame is whole, which is when the reply begins), and ends with the
+first stream that ends. `action[k]` is what was commanded in the middle of the step that it is held over, and a
+reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
+Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
+have not, commands and forces move by half a period at most, neither always early nor always late. Motor current
+stays in the log: it is no joint effort, as no torque constant of the motors is published.
 """
 
 from __future__ import annotations
@@ -31,8 +33,8 @@ from candata.schema.scene import Positive, SceneFile
 
 Arrays = dict[str, NDArray]
 
-#: Where in its own period the grid follows the states.
-PHASE = 0.25
+#: States whose median beat the grid begins on: one late stamp must not shift it.
+BEAT_ROWS = 81
 #: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
 SCALES = (0.5, 1.0, 2.0)
 _ROLES: dict[str, align.Role] = {"action": "command", "fingertip_force": "measurement", "taxels": "sample"}
@@ -193,7 +195,7 @@ def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> ND
     period = align.period_ns(states)
     found = np.zeros(0, np.int64)
     if row < len(states) and np.isfinite(period):
-        found = align.grid(int(states[row]) + round(PHASE * period), last, rate_hz)
+        found = align.grid(_on_beat(states[row : row + BEAT_ROWS], period, earliest), last, rate_hz)
     if len(found) < 2:
         spans = "; ".join(f"{s.channel} of {s.origin} {span(s.time_ns)}" for s in streams)
         raise DataError(
@@ -204,6 +206,14 @@ def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> ND
             fix="record longer",
         )
     return found
+
+
+def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> int:
+    """Return the first time from `earliest_ns` on that lies on the median beat of `states`."""
+    # From the first state on: unix nanoseconds are more than a float holds.
+    late = (states - states[0] + period_ns / 2) % period_ns - period_ns / 2
+    beat, least = float(np.median(late)), int(earliest_ns - states[0])
+    return int(states[0]) + round(beat + period_ns * np.ceil((least - beat - 1) / period_ns))
 
 
 def _aligned(
@@ -223,12 +233,18 @@ def _aligned(
 
 
 def _on_grid(stream: Stream, grid_ns: NDArray[np.int64], max_gap_periods: float) -> align.Resampled:
-    """Return a stream on the grid; a command as it was in the middle of the step."""
-    role = _ROLES.get(stream.channel, "state")
-    at = grid_ns + (grid_ns[1] - grid_ns[0]) // 2 if role == "command" else grid_ns
-    limit = max_gap_periods * align.period_ns(stream.time_ns)
+    """Return a stream on the grid; a command in the middle of the step, a reading of force as of its middle."""
+    role, period = _ROLES.get(stream.channel, "state"), align.period_ns(stream.time_ns)
+    shift = {"state": 0.0, "command": float(grid_ns[1] - grid_ns[0])}.get(role, period) / 2
     quaternion = QUATERNION.get(stream.channel)
-    return align.resample(stream.time_ns, stream.values, at, role, max_gap_ns=limit, quaternion=quaternion)
+    return align.resample(
+        stream.time_ns,
+        stream.values,
+        grid_ns + round(shift),
+        role,
+        max_gap_ns=max_gap_periods * period,
+        quaternion=quaternion,
+    )
 
 
 def _add_contact(arrays: Arrays, threshold_n: float) -> None:

@@ -123,8 +123,8 @@ def imported(tmp_path_factory, sent) -> Path:
 
 
 def rows_sent(sent: Sent, episode: Episode) -> np.ndarray:
-    """Return, for each row of the import, the row that was sent last before it."""
-    return np.searchsorted(sent.state_time_ns, episode["time_ns"], side="right") - 1
+    """Return, for each row of the import, the row that was sent next to it."""
+    return np.searchsorted(sent.state_time_ns, episode["time_ns"] - round(0.5e9 / RATE))
 
 
 def outside_one_period(values, sent_values, rows) -> np.ndarray:
