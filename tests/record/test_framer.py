@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -134,7 +136,7 @@ def test_wire_time():
 
 def test_stamps_increase_even_where_reads_do_not(sent):
     made = framer()
-    stamps = [frame.stamp_ns for frame in sum((made.feed(frame, 7) for frame in sent), [])]
+    stamps = [frame.stamp_ns for piece in sent for frame in made.feed(piece, 7)]
     assert (np.diff(stamps) > 0).all()
 
 
@@ -205,3 +207,16 @@ def test_a_long_noise_is_not_kept():
         assert made.held_bytes < wire.LAYOUT.longest
     made.finish()
     assert made.counts["garbage_bytes"] == made.counts["bytes"] == 10**6
+
+
+def test_small_reads_are_not_remembered(sent):
+    """300 kB in pieces of ten bytes: what is kept for each read would be 2 MB."""
+    made, stream = framer(), b"".join(sent) * 30
+    tracemalloc.start()
+    for place in range(0, len(stream), 10):
+        made.feed(stream[place : place + 10], place)
+    kept, _peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert len(stream) > 300_000
+    # One unfinished frame of 2217 bytes, the reads that brought it, and the lists' room to grow.
+    assert kept < 100_000

@@ -176,3 +176,24 @@ def _blank(layout: np.dtype, count: int, source: int, target: int) -> NDArray:
 def _sealed(frames: NDArray) -> list[bytes]:
     """Return the frames as bytes with their check sums."""
     return [seal(frame.tobytes()[:-CHECK]) for frame in frames]
+
+
+def with_heads(frame: bytes) -> bytes:
+    """Return the frame with beginnings of frames in its reserved bytes and temperatures; what it says stays.
+
+    Raises
+    ------
+    UsageError
+        When it is neither a command nor a state frame.
+    """
+    kind = kind_of(frame)
+    if kind == "other":
+        raise UsageError("only a command or a state frame can hide heads", found=f"{len(frame)} bytes")
+    record = np.frombuffer(frame, COMMAND if kind == "command" else STATE).copy()
+    if kind == "command":
+        head = np.frombuffer(HEAD + bytes((DEVICE_BIT, HOST, SET_JOINTS)) + (2208).to_bytes(2, "little") + b"\0", "<u2")
+        record["joints"]["reserved"] = head
+    else:
+        head = np.frombuffer(HEAD + bytes((HOST, DEVICE_BIT, SET_JOINTS)) + (288).to_bytes(2, "little"), "u1")
+        record["tips"]["temperature"][..., : len(head)] = head
+    return _sealed(record)[0]

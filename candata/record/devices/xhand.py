@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from candata.errors import DataError
 from candata.record.devices import _xhand_frames as wire
 from candata.record.devices._contract import Commands, Device, States
-from candata.record.devices._wire import HeadFramer
+from candata.record.devices._wire import Encoder, HeadFramer
 
 #: In the order of the ids on the wire, which is that of the scene's hand.
 JOINT_NAMES = (
@@ -99,3 +99,5 @@ DEVICE = Device(
     decode_states=decode_states,
     decode_commands=decode_commands,
 )
+
+ENCODER = Encoder(wire.command_frames, wire.state_frames, wire.with_heads)
