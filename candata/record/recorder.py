@@ -19,10 +19,7 @@ from candata.record.reader_link import Event, ReaderLink, port_error
 from candata.record.recorder_tally import Tally, joined
 from candata.record.recorder_values import Phase, Report, Settings, View
 
-_FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.1, 1.0
-#: How long a port may be silent, or give bytes without one good frame, before it is said.
-_PATIENCE_S = 2.0
-
+_FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
 def record(
     device: Device,
@@ -55,7 +52,7 @@ def record(
     stop : callable
         Asked several times a second; True ends the recording in good order.
     show, say : callable
-        Given what can be seen, ten times a second, and notes for people.
+        Given what can be seen, five times a second, and notes for people.
 
     Raises
     ------
@@ -289,14 +286,15 @@ class _Session:
 
     def _check_link(self, now_ns: int) -> None:
         """Say when the port is silent; raises SetupError when it never gave a good frame."""
+        patience_s = self._settings.patience_s
         if self._unplugged:
             return
         never_good = self._tally.bytes and not sum(self._tally.frames.values())
-        if never_good and now_ns - self._first_byte_ns > 1e9 * _PATIENCE_S:
+        if never_good and now_ns - self._first_byte_ns > 1e9 * patience_s:
             raise self._no_state()
-        if not self._silent and now_ns - self._heard_ns > 1e9 * _PATIENCE_S:
+        if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
-            self._say(f"no bytes for {_PATIENCE_S:g} s: is the hand on, and does its program ask it for its state?")
+            self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
 
     def _no_state(self) -> SetupError:
         where = Where(path=self._meta.port)

@@ -27,7 +27,7 @@ class Tally:
         self.frames = {"state": 0, "command": 0, "other": 0}
         self.first_ns: int | None = None
         self.last_ns: int | None = None
-        self.gaps, self.missing, self.longest_gap_s = 0, 0, 0.0
+        self.gaps, self.longest_gap_s = 0, 0.0
         self.unanswered = 0
         self.saturated_forces, self.saturated_taxels = 0, 0
         self.unplugs: list[dict[str, int | None]] = []
@@ -79,12 +79,15 @@ class Tally:
         self.unplugs[-1]["back_ns"] = stamp_ns + self._offset_ns
 
     def recent_rate_hz(self, now_ns: int) -> float:
-        """Return the rate of the states over the last second."""
-        return float(sum(stamp > now_ns - 1_000_000_000 for stamp in self._recent))
+        """Return the rate of the states over the last second, or over what there was of it."""
+        if self.first_ns is None or now_ns <= self.first_ns:
+            return 0.0
+        span_ns = min(1_000_000_000, now_ns - self.first_ns)
+        return 1e9 * sum(stamp > now_ns - span_ns for stamp in self._recent) / span_ns
 
     def losses(self) -> dict[str, int]:
         """Return what was lost on the wire, by kind."""
-        return {**self._losses(), "requests_without_reply": self.unanswered, "missing_states": self.missing}
+        return {**self._losses(), "requests_without_reply": self.unanswered}
 
     def statistics(self, now_ns: int) -> dict[str, Any]:
         """Return what the statistics channel says each second; times in it are unix nanoseconds but for `clock`."""
@@ -115,7 +118,6 @@ class Tally:
             interval = stamp_ns - self.last_ns
             if interval > GAP_PERIODS * self._period_ns:
                 self.gaps += 1
-                self.missing += round(interval / self._period_ns) - 1
                 self.longest_gap_s = max(self.longest_gap_s, interval / 1e9)
         self.last_ns = stamp_ns
         self._recent.append(stamp_ns)

@@ -30,6 +30,8 @@ class Settings:
         How long to wait for a port that was unplugged [s].
     reserve_bytes : int
         Free space on the disk at which the recording ends.
+    patience_s : float
+        How long a port may be silent, or give bytes without one good frame, before it is said [s].
     """
 
     duration_s: float | None = None
@@ -37,6 +39,7 @@ class Settings:
     limits: Limits = field(default_factory=Limits)
     reconnect_s: float = 10.0
     reserve_bytes: int = 200_000_000
+    patience_s: float = 2.0
 
 
 @dataclass(frozen=True, eq=False)
