@@ -129,7 +129,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
-    kept = {name: values for name, values in arrays.items() if flags.get(name, name) in {*invalid, name}}
+    kept = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
     episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
     details = _details(path, log, recipe, companions, episode, scale)
     return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))

@@ -21,6 +21,7 @@ from candata.record.recorder_values import Phase, Report, Settings, View
 
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
+
 def record(
     device: Device,
     port: str,
