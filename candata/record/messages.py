@@ -5,6 +5,7 @@ Descriptors are built at run time, so that no generated file has to follow the p
 
 from __future__ import annotations
 
+import importlib
 from functools import cache
 from typing import Any
 
@@ -21,7 +22,7 @@ _FIELDS: dict[str, tuple[tuple[str, str, bool], ...]] = {
 
 @cache
 def message(name: str) -> Any:
-    """Return the class of the message `name`: `candata.WireBytes`, ... or `foxglove.JointStates`.
+    """Return the class of the message `name`: `candata.WireBytes`, ... or one of foxglove's.
 
     Raises
     ------
@@ -29,10 +30,9 @@ def message(name: str) -> Any:
         When protobuf or the foxglove schemas are not installed.
     """
     try:
-        if name == "foxglove.JointStates":
-            from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-
-            return JointStates
+        if name.startswith("foxglove."):
+            kind = name.removeprefix("foxglove.")
+            return getattr(importlib.import_module(f"foxglove_schemas_protobuf.{kind}_pb2"), kind)
         from google.protobuf import message_factory
     except ModuleNotFoundError as error:
         package = "foxglove-schemas-protobuf" if "foxglove" in str(error) else "protobuf"
