@@ -267,7 +267,8 @@ def windows(
     stride : int, optional
         Native rows a step, instead of `rate_hz`.
     channels : sequence of str, optional
-        Channels to hold; by default those that all episodes hold. `point_cloud` demands a cloud of every object.
+        Channels to hold; by default those that all episodes hold, without taxels. `point_cloud` demands a cloud
+        of every object.
     split : str, optional
         `train`, `val` or `test`; all episodes when omitted.
     splits : Split or str, optional

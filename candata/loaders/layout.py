@@ -19,6 +19,9 @@ from candata.schema.channels import CHANNELS, VALID_SUFFIX, canonical_order
 #: The pseudo-channel that asks for a point cloud of every episode's object.
 POINT_CLOUD = "point_cloud"
 
+#: Channels that windows hold only when asked for: the clock, and taxels, of which a row is a hundred times the rest.
+NOT_BY_DEFAULT = {"time_ns", "taxels"}
+
 #: Channel to its shape without the time axis.
 Shapes = dict[str, tuple[int, ...]]
 
@@ -60,7 +63,8 @@ def row_shapes(dataset: Dataset, channels: Sequence[str] | None) -> Shapes:
     dataset : Dataset
         Version to read.
     channels : sequence of str, optional
-        Channels that every episode must hold; by default those that all hold, without `time_ns`.
+        Channels that every episode must hold; by default those that all hold, without time and
+        taxels.
 
     Raises
     ------
@@ -69,7 +73,7 @@ def row_shapes(dataset: Dataset, channels: Sequence[str] | None) -> Shapes:
     """
     layouts = _layouts(dataset)
     if channels is None:
-        common = set.intersection(*(set(layout) for _, layout in layouts)) & (set(CHANNELS) - {"time_ns"})
+        common = set.intersection(*(set(layout) for _, layout in layouts)) & (set(CHANNELS) - NOT_BY_DEFAULT)
         if not common:
             raise DataError("no channel is common to all episodes", where=Where(path=str(dataset.path)))
         channels = canonical_order(list(common))
