@@ -92,3 +92,22 @@ def tiny() -> Callable[..., torch.nn.Module]:
 def generator() -> Callable[[int], torch.Generator]:
     """Makes torch generators: `generator(seed)`."""
     return seeded
+
+
+@pytest.fixture
+def normaliser() -> Callable[..., Normaliser]:
+    """Makes the made-up normaliser."""
+    return make_normaliser
+
+
+@pytest.fixture
+def awake() -> Callable[[torch.nn.Module], torch.nn.Module]:
+    """Moves every weight off its start, so that outputs that start at zero show something."""
+
+    def move(module: torch.nn.Module, size: float = 0.05) -> torch.nn.Module:
+        with torch.no_grad():
+            for number, parameter in enumerate(module.parameters()):
+                parameter += size * torch.randn(parameter.shape, generator=seeded(number))
+        return module
+
+    return move
