@@ -18,6 +18,7 @@ CONSTANTS = {
     "candata.formats": "FORMAT",
     "candata.policies": "POLICY",
     "candata.checks": "RULE",
+    "candata.models": "MODEL",
     "candata.scenes.library": "SCENE",
     "candata.scenes.hands": "HAND",
 }
