@@ -10,14 +10,21 @@ from typing import Any
 
 #: Name to the file of this room that defines it.
 _HOMES = {
+    "Ask": "prepare",
+    "Evaluation": "results",
     "Job": "loop",
+    "Manner": "evaluation",
+    "Progress": "settings",
     "Report": "loop",
     "Run": "settings",
     "Settings": "settings",
+    "Track": "results",
+    "evaluate": "evaluation",
+    "prepare": "prepare",
     "train": "loop",
 }
 
-__all__ = ["Job", "Report", "Run", "Settings", "train"]
+__all__ = list(_HOMES)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:

@@ -66,8 +66,9 @@ def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[
     OSError
         When the disk is full or cannot be written; what stood at `path` is unharmed.
     """
-    tensors = {f"{group}/{name}": value.detach().contiguous().cpu() for group, named in groups.items()
-               for name, value in named.items()}  # fmt: skip
+    tensors: dict[str, torch.Tensor] = {}
+    for group, named in groups.items():
+        tensors |= {f"{group}/{name}": value for name, value in _apart(named).items()}
     header = {"run": run.model_dump_json(), "progress": progress.model_dump_json()}
     staged = path.with_name(f".{path.name}.part")
     try:
@@ -77,6 +78,18 @@ def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[
         sync(path.parent)
     finally:
         staged.unlink(missing_ok=True)
+
+
+def _apart(named: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the tensors on the CPU, none sharing memory with another: a module may stand in two places."""
+    found: dict[str, torch.Tensor] = {}
+    taken: set[int] = set()
+    for name, value in named.items():
+        whole = value.detach().contiguous().cpu()
+        place = whole.untyped_storage().data_ptr()
+        found[name] = whole.clone() if place in taken else whole
+        taken.add(place)
+    return found
 
 
 def copy(source: Path, target: Path) -> None:

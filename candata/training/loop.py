@@ -6,11 +6,13 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from candata.errors import DataError, Where
 from candata.models import Batch
+from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
 from candata.training.settings import Progress, Run, Settings
 from candata.training.state import State, fresh, generator
@@ -36,13 +38,16 @@ class Job:
         Batches of the validation loss; empty for none.
     device : str
         `cpu` or `cuda`.
+    split : Record or None
+        Who trains, kept in the run's folder.
     """
 
     run: Run
-    module: torch.nn.Module
+    module: Any  # a torch.nn.Module with `losses`; mypy knows no intersection
     draw: Callable[[int], Batch]
     held_out: Sequence[Batch] = ()
     device: str = "cpu"
+    split: Record | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +124,7 @@ def train(
     DataError
         When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
     """
-    runs.begin(folder, job.run)
+    runs.begin(folder, job.run, job.split)
     state = fresh(job.module, job.run.settings)
     if (folder / checkpoint.LAST).is_file():
         state.restore(checkpoint.read(folder / checkpoint.LAST))

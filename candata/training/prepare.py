@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,8 +60,8 @@ class Ask:
     init: Path | None = None
 
 
-def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu") -> tuple[Job, Split]:
-    """Return the job, and the split it trains on.
+def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu") -> Job:
+    """Return the job.
 
     Raises
     ------
@@ -88,7 +89,8 @@ def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu")
         module.load_state_dict(begin.tensors(checkpoint.AVERAGE, device))
     held_out = _windows(dataset, split, model.reads(config), "val", shape) if split.val else None
     batches = () if held_out is None else feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
-    return Job(run, module, feed.drawing(train, settings.seed, settings.batch, device), batches, device), split
+    draw = feed.drawing(train, settings.seed, settings.batch, device)
+    return Job(run, module, draw, batches, device, split)
 
 
 def build(run: Run, device: str = "cpu") -> torch.nn.Module:
@@ -122,8 +124,21 @@ def check_device(device: str) -> None:
         raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
 
 
-def facts_of(found: Windows) -> dict[str, Any]:
-    """Return the fields of a Run that data must share with a checkpoint; the number of points may differ."""
+def check_data(kept: Checkpoint, found: Windows) -> None:
+    """Refuse windows of another hand or shape than a checkpoint was made for; the number of points may differ.
+
+    Raises
+    ------
+    UsageError
+        Names both.
+    """
+    facts = _facts(found)
+    facts["sizes"] |= {"points": kept.run.sizes["points"]} if found.clouds.shape[1] else {}
+    checkpoint.check_fits(kept.run, facts, kept.path)
+
+
+def _facts(found: Windows) -> dict[str, Any]:
+    """Return the fields of a Run that the windows decide."""
     return {
         "joint_names": found.joint_names,
         "actuator_names": found.actuator_names,
@@ -164,18 +179,16 @@ def _windows(
     dataset: Dataset, split: Split, channels: tuple[str, ...], group: str, shape: Mapping[str, Any]
 ) -> Windows:
     """Return the windows of a group: presents up to the end of the episode, where the future is partly there."""
-    wanted = (*channels, "point_cloud") if _has_clouds(dataset) else channels
-    given = {"channels": wanted, "splits": split, "split": group, **shape}
+    given = {"channels": channels_for(dataset, channels), "splits": split, "split": group, **shape}
     if group == "train":
         windows(dataset, **given)  # refuses a horizon that no episode holds
     return windows(dataset, pad="both", **given)
 
 
-def _has_clouds(dataset: Dataset) -> bool:
-    """Tell whether every episode names its object's cloud."""
-    import json
-
-    return all(json.loads(text).get("point_cloud") for text in dataset.catalog()["meta"].to_pylist())
+def channels_for(dataset: Dataset, channels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the channels to ask windows for: those the model reads, and clouds where all have one."""
+    has_clouds = all(json.loads(text).get("point_cloud") for text in dataset.catalog()["meta"].to_pylist())
+    return (*channels, "point_cloud") if has_clouds else channels
 
 
 def _run(
@@ -189,9 +202,9 @@ def _run(
     begin: Checkpoint | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
-    facts = facts_of(train)
+    facts = _facts(train)
     if begin is not None:
-        checkpoint.check_fits(begin.run, facts, begin.path)
+        check_data(begin, train)
     units = {name: str(CHANNELS[name].unit) for name in train.channels}
     return Run(
         model=name,

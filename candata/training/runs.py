@@ -7,15 +7,27 @@ import os
 from pathlib import Path
 from typing import Any
 
-from candata.datasets.durable import ensure_folder, sync
+from candata.datasets.durable import encode_record, ensure_folder, sync
 from candata.errors import UsageError, Where
+from candata.schema.record import Record
 from candata.training.settings import Run
 
 FILE = "run.json"
+#: Who trains, validates and tests, beside it.
+SPLIT = "split.json"
 
 
-def begin(folder: Path, run: Run) -> None:
+def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     """Make the run's folder, or see that the one that stands holds this very run.
+
+    Parameters
+    ----------
+    folder : Path
+        Where.
+    run : Run
+        The run.
+    split : Record, optional
+        Who trains, kept beside it.
 
     Raises
     ------
@@ -28,18 +40,25 @@ def begin(folder: Path, run: Run) -> None:
     if path.is_file():
         _refuse_other(read_run(folder), run, path)
         return
-    if folder.is_dir() and any(folder.iterdir()):
+    if folder.is_dir() and any(p.name not in (SPLIT, f".{SPLIT}.part", f".{FILE}.part") for p in folder.iterdir()):
         raise UsageError(
             "the output folder holds something that is no run", expected=f"a new folder, or one with {FILE}",
             found=", ".join(sorted(p.name for p in folder.iterdir())[:8]), where=Where(path=str(folder)),
             fix="choose another --out",
         )  # fmt: skip
     ensure_folder(folder)
-    staged = path.with_name(f".{FILE}.part")
-    staged.write_text(run.model_dump_json(indent=1) + "\n")
+    if split is not None:
+        _write(folder / SPLIT, split)
+    _write(path, run)  # last: with it the run stands
+
+
+def _write(path: Path, record: Record) -> None:
+    """Write a record whole or not at all."""
+    staged = path.with_name(f".{path.name}.part")
+    staged.write_bytes(encode_record(record))
     sync(staged)
     os.replace(staged, path)
-    sync(folder)
+    sync(path.parent)
 
 
 def read_run(folder: Path) -> Run:

@@ -88,8 +88,8 @@ class Run(Record):
         What the elements of the channels are.
     dataset, digest, version : str, str, int
         Data trained on.
-    split : str
-        Name of the split whose `train` part was trained on.
+    split, split_digest : str
+        Name of the split whose `train` was trained on, and the hash of who is in it.
     rate_hz : float
         Rate at which the model steps.
     channels : tuple of str
@@ -118,6 +118,7 @@ class Run(Record):
     digest: str
     version: int
     split: str
+    split_digest: str
     rate_hz: float
     channels: tuple[str, ...]
     units: dict[str, str]
