@@ -10,7 +10,7 @@ from typing import Any
 
 #: Name to the file of this room that defines it.
 _HOMES = {
-    "Ask": "prepare",
+    "Ask": "jobs",
     "Evaluation": "results",
     "Job": "loop",
     "Manner": "evaluation",
@@ -20,11 +20,11 @@ _HOMES = {
     "Settings": "settings",
     "Track": "results",
     "evaluate": "evaluation",
-    "prepare": "prepare",
+    "prepare": "jobs",
     "train": "loop",
 }
 
-__all__ = list(_HOMES)  # noqa: PLE0605
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

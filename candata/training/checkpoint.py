@@ -72,7 +72,10 @@ def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[
     header = {"run": run.model_dump_json(), "progress": progress.model_dump_json()}
     staged = path.with_name(f".{path.name}.part")
     try:
+        staged.touch()
+        mode = staged.stat().st_mode
         save_file(tensors, staged, header)
+        staged.chmod(mode)  # safetensors gives a file to its owner alone
         sync(staged)
         os.replace(staged, path)
         sync(path.parent)

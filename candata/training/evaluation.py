@@ -14,7 +14,7 @@ from candata.errors import UnknownNameError, UsageError
 from candata.loaders import Split, Windows, find_split, split_digest, split_names, windows
 from candata.loaders.splits import GROUPS
 from candata.models import model as find_model
-from candata.training import checkpoint, feed, prepare, runs
+from candata.training import checkpoint, feed, jobs, runs
 from candata.training.forecasters import BASELINES, Forecaster, Trained
 from candata.training.results import Evaluation, Scores, Track
 from candata.training.scoring import Findings, score
@@ -75,14 +75,14 @@ def evaluate(
     kept = checkpoint.read(path)
     run = kept.run
     _check(manner, run)
-    prepare.check_device(manner.device)
+    jobs.check_device(manner.device)
     split, name = split_of(kept.path.parent, run, dataset)
     stage("reading the dataset")
     chosen = _windows(dataset, split, run, manner.group)
-    prepare.check_data(kept, chosen)
+    jobs.check_data(kept, chosen)
     model = Trained(
-        prepare.trained(kept, manner.device), feed.clouds_of(chosen, manner.device), manner.samples, manner.steps,
-        manner.device, reads_contact(run), f"the model ({run.model}, mean of {manner.samples} samples)",
+        jobs.trained(kept, manner.device), feed.clouds_of(chosen, manner.device), manner.samples, manner.steps,
+        manner.device, f"the model ({run.model}, mean of {manner.samples} samples)",
     )  # fmt: skip
     forecasters: dict[str, Forecaster] = {run.model: model, **BASELINES}
     found = score(chosen, forecasters, manner.execute, manner.seed, stage)
@@ -137,7 +137,7 @@ def _windows(dataset: Dataset, split: Split, run: Run, group: str) -> Windows:
     """Return a window at every step of the model."""
     given: dict[str, Any] = {
         "history": run.sizes["history"], "horizon": run.sizes["horizon"], "rate_hz": run.rate_hz,
-        "channels": prepare.channels_for(dataset, run.channels),
+        "channels": jobs.channels_for(dataset, run.channels),
     }  # fmt: skip
     if group != "all":
         given |= {"split": group, "splits": split}
@@ -145,14 +145,14 @@ def _windows(dataset: Dataset, split: Split, run: Run, group: str) -> Windows:
     return windows(dataset, pad="both", step=int(whole.stride[whole.owner].min()), **given)
 
 
-def reads_contact(run: Run) -> bool:
+def _reads_contact(run: Run) -> bool:
     """Tell whether the model's history holds the hand's contact."""
     return "contact" in find_model(run.model).channels and bool(run.config.get("contact_history", True))
 
 
 def _contact_from(run: Run, found: Findings) -> str:
     """Return what the closed loop feeds the model as contact."""
-    if not reads_contact(run):
+    if not _reads_contact(run):
         return "not read"
     return "recorded" if found.closed_loop[run.model].contact is None else "predicted"
 

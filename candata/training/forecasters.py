@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -39,8 +39,9 @@ class Answer:
 class Forecaster(Protocol):
     """Forecasts the pose increments of windows."""
 
-    summary: str
-    reads_contact: bool
+    @property
+    def summary(self) -> str:
+        """What people call it."""
 
     def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
         """Return the forecasts of a batch of `candata.loaders`; `seed` fixes the noise."""
@@ -51,7 +52,6 @@ class Stays:
     """The object stays where it is, and so does the hand's contact."""
 
     summary: str = "the object stays"
-    reads_contact: bool = False
 
     def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
         """Return increments of zero."""
@@ -63,7 +63,6 @@ class KeepsVelocity:
     """The object repeats the step it has just made; none where the row before is not there."""
 
     summary: str = "the object keeps its velocity"
-    reads_contact: bool = False
 
     def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
         """Return the last increment, at every step."""
@@ -71,7 +70,8 @@ class KeepsVelocity:
         if poses.shape[1] < 2:
             return Stays().forecast(batch)
         last = increments_of(poses[:, -2:])
-        last = np.where(batch["history_pad"][:, -2:].any(1)[:, None, None], 0.0, last)
+        absent = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
+        last = np.where(absent[:, None, None], 0.0, last)
         return Answer(np.repeat(last, horizon, axis=1)[None], _present_contact(batch))
 
 
@@ -101,8 +101,6 @@ class Trained:
         Samples of each forecast, and steps of the sampler.
     device : str
         `cpu` or `cuda`.
-    reads_contact : bool
-        Whether its history holds contact.
     summary : str
         Name for people.
     """
@@ -112,8 +110,7 @@ class Trained:
     samples: int
     steps: int
     device: str = "cpu"
-    reads_contact: bool = False
-    summary: str = field(default="the model")
+    summary: str = "the model"
 
     def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
         """Return the model's forecasts, a few hundred windows at a time."""

@@ -239,6 +239,6 @@ def _diverged(progress: Progress, settings: Settings, folder: Path) -> DataError
         expected="finite losses and gradients",
         found=f"{progress.bad_in_row} steps in a row without, up to step {progress.step}",
         where=Where(path=str(folder)),
-        fix=f"lower --rate (now {settings.learning_rate:g}) or look at the data with candata validate; "
+        fix=f"lower --learning-rate (now {settings.learning_rate:g}) or look at the data with candata validate; "
         "the last good checkpoint stands",
     )

@@ -77,12 +77,12 @@ def course(windows: Windows) -> Course:
     stride = windows.stride[episodes]
     rows = np.array(windows.cache.file.rows, np.int64)[episodes]
     in_all = (rows - 1) // stride
-    start = np.where(in_all > first, first, 0)
+    start = first * (in_all > first).astype(np.int64)
     steps = in_all - start
     begin = windows.cache.begin[episodes]
 
     def gathered(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
-        wanted = (start[:, None] + offsets) * stride[:, None]
+        wanted: NDArray[np.int64] = (start[:, None] + offsets) * stride[:, None]
         return begin[:, None] + np.clip(wanted, 0, (in_all * stride)[:, None])
 
     before, after = gathered(np.arange(-first, 1)), gathered(np.arange(1, steps.max() + 1))

@@ -125,7 +125,7 @@ def test_many_such_steps_end_the_run_and_keep_the_last_good_checkpoint(tmp_path,
 
     with pytest.raises(DataError, match=r"4 steps in a row without, up to step 29") as caught:
         train(job(draw=draw, bad_limit=4), tmp_path)
-    assert "--rate" in str(caught.value)
+    assert "--learning-rate" in str(caught.value)
     kept = checkpoint.read(tmp_path / "last.safetensors")
     assert kept.progress.step == 20
     assert all(torch.isfinite(value).all() for value in kept.tensors("weights").values())
