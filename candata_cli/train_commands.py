@@ -88,7 +88,9 @@ def evaluate(
     split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
     samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
     steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
-    execute: Annotated[int, typer.Option("--execute", min=1, help="Steps before the next forecast.")] = 8,
+    execute: Annotated[
+        int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
     out: Annotated[Path | None, typer.Option("--out", help="Folder for the page; RUN/evaluation by default.")] = None,
     device: Device = "cpu",

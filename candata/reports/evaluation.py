@@ -16,6 +16,10 @@ from candata.reports.tables import pairs, table
 from candata.training.results import Contact, Evaluation, Scores, Success, Track
 
 DASH = "\N{EN DASH}"
+#: Columns of the two tables.
+LOOP_HEAD = ("", "ADD-S AUC", "the model gains", "ADD-S", "final position error", "rotation error", "within 5 cm",
+             "95 % interval", "contact F1")  # fmt: skip
+FORECAST_HEAD = ("", "ADD-S AUC", "position error", "energy score", "rotation error", "contact F1")
 
 
 def write_evaluation(found: Evaluation, tracks: Sequence[Track], out: Path) -> Path:
@@ -41,7 +45,7 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
             f'<h1>{escape(headline)}</h1><p class="meaning">{escape(_meaning(found))}</p></header>',
             _answers(found),
             "<h2>Beside the baselines</h2>",
-            _table(found),
+            _tables(found),
             "<h2>Error against horizon</h2>",
             _horizon(found, specs),
             "<h2>Closed loops</h2>",
@@ -94,8 +98,8 @@ def _meaning(found: Evaluation) -> str:
     """Return one sentence on what was done."""
     seen = f" {found.seen_episodes} of them were trained on." if found.seen_episodes else ""
     return (
-        f"{found.episodes} episodes, forecast from their first {found.history / found.rate_hz:.1f} s to their end: "
-        f"the model sees its own poses, joints and actions are replayed from the recording.{seen}"
+        f"{found.episodes} episodes, forecast from their first {(found.history - 1) / found.rate_hz:.1f} s to their "
+        f"end: the model sees its own poses, joints and actions are replayed from the recording.{seen}"
     )
 
 
@@ -136,29 +140,33 @@ def _best_baseline(found: Evaluation) -> Scores:
     return max(others, key=lambda one: (one.closed_loop.adds_auc or 0.0, -one.closed_loop.final_position_error_m))
 
 
-def _table(found: Evaluation) -> str:
-    """Return one row a forecaster; the model's first."""
-    head = (
-        "", "ADD-S AUC", "the model gains", "ADD-S", "final position", "rotation", "within 5 cm", "95 % interval",
-        "one forecast: ADD-S AUC", f"position {_ahead(found)}", f"rotation {_ahead(found)}", "contact F1",
-    )  # fmt: skip
-    rows = []
+def _tables(found: Evaluation) -> str:
+    """Return both tables, one row a forecaster, the model's first: whole episodes, then single forecasts."""
+    loops, forecasts = [], []
     for name, one in found.forecasters.items():
         loop, opened, gain = one.closed_loop, one.windows, found.gain.get(name)
-        rows.append(
+        gained = f"{100 * gain.value:+.1f} ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})" if gain else DASH
+        loops.append(
             (
-                one.summary, _share(loop.adds_auc),
-                f"{100 * gain.value:+.1f} ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})" if gain else DASH,
-                _mm(loop.adds_m), _mm(loop.final_position_error_m), _degrees(loop.rotation_error_rad),
-                _count(loop.success), _interval(loop.success), _share(opened.adds_auc),
-                _mm(opened.position_error_m[-1]), _degrees(opened.rotation_error_rad[-1]), _f1(opened.contact),
+                one.summary, _share(loop.adds_auc), gained, _mm(loop.adds_m), _mm(loop.final_position_error_m),
+                _degrees(loop.rotation_error_rad), _count(loop.success), _interval(loop.success), _f1(loop.contact),
             )
         )  # fmt: skip
-    note = (
-        "Closed loop first, then one forecast from each window. Gains in points of AUC, with a 95 % interval over "
-        "resampled episodes. All forecasters go through the same code."
+        ahead = (opened.position_error_m[-1], opened.position_energy_m[-1], opened.rotation_error_rad[-1])
+        forecasts.append(
+            (
+                one.summary, _share(opened.adds_auc), _mm(ahead[0]), _mm(ahead[1]), _degrees(ahead[2]),
+                _f1(opened.contact),
+            )
+        )  # fmt: skip
+    return (
+        "<h3>Closed loop, whole episodes</h3>"
+        + table(LOOP_HEAD, loops, numeric=range(1, len(LOOP_HEAD)))
+        + '<p class="note">Gains in points of AUC, with a 95 % interval over resampled episodes. All go through the '
+        "same code.</p><br>"
+        + f"<h3>One forecast from each window; errors {escape(_ahead(found))}</h3>"
+        + table(FORECAST_HEAD, forecasts, numeric=range(1, len(FORECAST_HEAD)))
     )
-    return table(head, rows, numeric=range(1, len(head))) + f'<p class="note">{note}</p>'
 
 
 def _horizon(found: Evaluation, specs: dict[str, Spec]) -> str:

@@ -17,8 +17,11 @@ from candata.models import model as find_model
 from candata.training import checkpoint, feed, jobs, runs
 from candata.training.forecasters import BASELINES, Forecaster, Trained
 from candata.training.results import Evaluation, Scores, Track
-from candata.training.scoring import Findings, score
+from candata.training.scoring import Findings, chosen_windows, score
 from candata.training.settings import Run
+
+#: Steps of a chunk in closed loop, half the default horizon.
+EXECUTE = 8
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class Manner:
         Samples averaged.
     steps : int
         Steps of the sampler.
-    execute : int
-        Steps executed before the next forecast in closed loop.
+    execute : int or None
+        Steps executed before the next forecast in closed loop; by default 8, or the horizon where that is shorter.
     seed : int
         Seed of the noise.
     device : str
@@ -44,7 +47,7 @@ class Manner:
     group: str = "test"
     samples: int = 16
     steps: int = 10
-    execute: int = 8
+    execute: int | None = None
     seed: int = 0
     device: str = "cpu"
 
@@ -74,7 +77,8 @@ def evaluate(
     """
     kept = checkpoint.read(path)
     run = kept.run
-    _check(manner, run)
+    execute = manner.execute if manner.execute is not None else min(EXECUTE, run.sizes["horizon"])
+    _check(manner, execute, run)
     jobs.check_device(manner.device)
     split, name = split_of(kept.path.parent, run, dataset)
     stage("reading the dataset")
@@ -85,14 +89,15 @@ def evaluate(
         manner.device, f"the model ({run.model}, mean of {manner.samples} samples)",
     )  # fmt: skip
     forecasters: dict[str, Forecaster] = {run.model: model, **BASELINES}
-    found = score(chosen, forecasters, manner.execute, manner.seed, stage)
+    found = score(chosen, forecasters, execute, manner.seed, stage)
     seen = _seen(kept.path.parent, found)
     return Evaluation(
         run=path.name, checkpoint=kept.path.name, step=kept.progress.step, model=run.model,
         trained_on=f"{run.dataset}@{run.digest[:12]}", dataset=f"{dataset.name}@{dataset.digest[:12]}",
-        split=name, group=manner.group, seen_episodes=seen, episodes=len(found.by_episode), windows=len(chosen),
-        rows=found.rows, rate_hz=run.rate_hz, history=run.sizes["history"], horizon=run.sizes["horizon"],
-        samples=manner.samples, sampling_steps=manner.steps, execute=manner.execute, seed=manner.seed,
+        split=name, group=manner.group, seen_episodes=seen, episodes=len(found.by_episode),
+        windows=len(chosen_windows(chosen)), rows=found.rows, rate_hz=run.rate_hz,
+        history=run.sizes["history"], horizon=run.sizes["horizon"],
+        samples=manner.samples, sampling_steps=manner.steps, execute=execute, seed=manner.seed,
         contact_from=_contact_from(run, found), gain=found.gain, by_episode=found.by_episode,
         forecasters={
             key: Scores(summary=one.summary, windows=found.windows[key], closed_loop=found.closed_loop[key])
@@ -102,7 +107,7 @@ def evaluate(
     ), found.tracks  # fmt: skip
 
 
-def _check(manner: Manner, run: Run) -> None:
+def _check(manner: Manner, execute: int, run: Run) -> None:
     """Refuse numbers that mean nothing."""
     known = (*GROUPS, "all")
     if manner.group not in known:
@@ -110,7 +115,7 @@ def _check(manner: Manner, run: Run) -> None:
     for name, value, most in (
         ("samples", manner.samples, None),
         ("steps", manner.steps, run.config.get("train_steps")),
-        ("execute", manner.execute, run.sizes["horizon"]),
+        ("execute", execute, run.sizes["horizon"]),
     ):
         if value < 1 or (most is not None and value > most):
             raise UsageError(

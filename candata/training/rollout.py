@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import DataError
 from candata.loaders import Windows
 from candata.training.forecasters import Forecaster
 from candata.training.poses import integrate, mean_pose
@@ -71,9 +72,24 @@ class Loop:
 def course(windows: Windows) -> Course:
     """Return the episodes that the windows are of, each from the first row with a whole history.
 
-    An episode shorter than that begins at its first row, with the history padded.
+    An episode shorter than that begins at its first row, with the history padded; one without a valid row after its
+    beginning is left out.
+
+    Raises
+    ------
+    DataError
+        When no episode has such a row.
     """
-    episodes, first = np.unique(windows.owner), windows.history - 1
+    found = _course(windows, np.unique(windows.owner))
+    kept = found.valid.any(axis=1)
+    if not kept.any():
+        raise DataError("no episode can be followed in closed loop: no pose after its first rows is valid")
+    return found if kept.all() else _course(windows, found.episodes[kept])
+
+
+def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
+    """Return the course of these episodes."""
+    first = windows.history - 1
     stride = windows.stride[episodes]
     rows = np.array(windows.cache.file.rows, np.int64)[episodes]
     in_all = (rows - 1) // stride
@@ -129,6 +145,8 @@ def close_loop(given: Course, forecaster: Forecaster, execute: int, seed: int) -
     for done in range(0, longest, execute):
         alive = np.flatnonzero(given.steps > done)
         batch = at_rows(given.windows, given.episodes[alive], np.full(len(alive), done))
+        # What the loop has made is known, whatever the recording has gaps in.
+        batch["history_pad"] &= np.arange(1 - past, 1) + done <= 0
         batch["history/object_pose"] = poses[alive, done : done + past].astype(np.float32)
         if contact is not None:
             batch["history/contact"] = contact[alive, done : done + past] >= CONTACT_THRESHOLD

@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
 
+from candata.datasets import Dataset, append, create_dataset, open_dataset, put_cloud
+from candata.rotation import exp
+from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.manifest import Lineage
 from candata.training.loop import Job
 from candata.training.settings import Run, Settings
 
@@ -60,3 +67,41 @@ def job():
 def batch():
     """Makes the batch of a step."""
     return make_batch
+
+
+RATE_HZ = 20.0
+VELOCITY_M_S, TURN_RAD_S = np.array([0.05, -0.02, 0.01]), np.array([0.0, 0.0, 0.4])
+
+
+def gliding(name: str, seed: int, rows: int = 61, contact: bool = True, **meta: object) -> Episode:
+    """An object that glides and turns at constant rates; the hand touches in the second half."""
+    rng, time_s = np.random.default_rng(seed), np.arange(rows) / RATE_HZ
+    pose = np.concatenate(
+        [rng.normal(0, 0.1, 3) + time_s[:, None] * VELOCITY_M_S, exp(time_s[:, None] * TURN_RAD_S)], 1
+    )
+    arrays = {
+        "time_ns": np.arange(rows) * round(1e9 / RATE_HZ),
+        "object_pose": pose,
+        "joint_position": rng.normal(size=(rows, 2)),
+        "action": rng.normal(size=(rows, 2)),
+    }
+    if contact:
+        arrays["contact"] = np.arange(rows) >= rows // 2
+    fields = {"source": "sim", "rate_hz": RATE_HZ, "joint_names": ("a", "b"), "actuator_names": ("a", "b")}
+    return Episode(EpisodeMeta.model_validate({"id": name, **fields, **meta}), arrays)
+
+
+@pytest.fixture
+def dataset(tmp_path) -> Callable[..., Dataset]:
+    """Makes datasets of gliding objects: `dataset(name, episodes=..., rows=..., cloud=...)`."""
+
+    def make(name: str = "glide", episodes: int = 10, rows: int = 61, cloud: bool = True, **more: object) -> Dataset:
+        folder: Path = create_dataset(tmp_path / name, name=name)
+        points = np.random.default_rng(0).normal(0, 0.03, (40, 3)).astype(np.float32)
+        if cloud:
+            more["point_cloud"] = put_cloud(folder, points)
+        made = (gliding(f"{name}-{k:02d}", k, rows=rows + 2 * k, **more) for k in range(episodes))
+        append(folder, made, Lineage(operation="test"))
+        return open_dataset(folder)
+
+    return make

@@ -1,4 +1,4 @@
-"""Trains the tiny model of the tests in a process that can be killed: `train_worker.py FOLDER STEPS [slow]`."""
+"""Trains the tiny model of the tests in a process that can be killed: `train_worker.py FOLDER STEPS`."""
 
 from __future__ import annotations
 
@@ -18,5 +18,4 @@ def slowly(step):
 
 
 if __name__ == "__main__":
-    draw = slowly if "slow" in sys.argv else make_batch
-    train(make_job(draw, steps=int(sys.argv[2])), Path(sys.argv[1]))
+    train(make_job(slowly, steps=int(sys.argv[2])), Path(sys.argv[1]))
