@@ -68,6 +68,10 @@ class Cache:
     rows: NDArray
     valid: NDArray[np.bool_]
 
+    def __reduce__(self) -> tuple[Callable[[Path], Cache], tuple[Path]]:
+        """Send only the place to another process, which maps the same file."""
+        return reopen, (self.folder,)
+
     @cached_property
     def begin(self) -> NDArray[np.int64]:
         """`(E,) int64`: first row of each episode."""
@@ -93,7 +97,8 @@ def open_cache(
     """Return the cache of a version, made now unless a whole one stands.
 
     A cache whose bytes do not match its check sums is made again. Several processes may do so at once:
-    each builds in its own staging folder, and the first to finish gives the name to its own.
+    each builds in its own staging folder, and the first to finish gives the name to its own. A killed one
+    leaves at most its staging folder. The cache folder may be deleted at any time.
 
     Parameters
     ----------
@@ -114,13 +119,14 @@ def open_cache(
     SetupError
         When the cache cannot be written.
     """
-    home = folder or _home(dataset.path)
-    target = home / f"windows-{_key(dataset, channels)}"
-    found = _read(target)
+    name = f"windows-{_key(dataset, channels)}"
+    homes = [folder] if folder else [dataset.path / "cache", _user_folder()]
+    found = next((cache for home in homes if (cache := _read(home / name))), None)
     if found is None:
+        home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]
         shapes = row_shapes(dataset, None if channels is None else [n for n in channels if n != POINT_CLOUD])
         try:
-            found = _make(dataset, shapes, POINT_CLOUD in (channels or ()), target, progress)
+            found = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
         except OSError as error:
             raise SetupError(
                 "the cache cannot be written",
@@ -132,10 +138,26 @@ def open_cache(
     return found
 
 
-def _home(dataset: Path) -> Path:
-    """Return the dataset's cache folder, or the user's (XDG) where the dataset cannot be written."""
-    if os.access(dataset, os.W_OK):
-        return dataset / "cache"
+def reopen(folder: Path) -> Cache:
+    """Return the cache that lies in `folder`.
+
+    Raises
+    ------
+    DataError
+        When it is missing or damaged.
+    """
+    found = _read(folder)
+    if found is None:
+        raise DataError(
+            "the cache is missing or damaged",
+            where=Where(path=str(folder)),
+            fix="open the windows of the dataset again",
+        )
+    return found
+
+
+def _user_folder() -> Path:
+    """Return the user's cache folder (XDG base directories)."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "candata"
 
 

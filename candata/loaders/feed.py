@@ -88,7 +88,8 @@ class Windows:
         - `cloud` (B,) int64: index into `clouds`, -1 without one; `episode` (B,) int64: index into `episode_ids`;
           `row` (B,) int64: the present row in its episode.
 
-        Channels are views of one gathered block: not contiguous, free to write to.
+        Channels are views of one gathered block of this batch: not contiguous, free to write to; `planned/action`
+        shares its memory with the actions of history and future.
 
         Parameters
         ----------
@@ -198,7 +199,7 @@ class Windows:
         rows = np.concatenate([np.arange(self.cache.begin[e], self.cache.end[e]) for e in self.fit_episodes])
         rows = rows[self.cache.valid[rows]]
         rows = rows[:: -(-len(rows) // SAMPLE) or 1]
-        taken = self.cache.rows[rows]
+        taken = self.cache.rows.take(rows)
         scales = {n: channel_scale(n, taken[n], self.method) for n in float_channels(self.channels)}
         poses, good = self._fit_poses() if "object_pose" in self.channels else (None, np.empty((0, 0), bool))
         return Normaliser(
@@ -217,7 +218,7 @@ class Windows:
     def _fit_poses(self) -> tuple[NDArray, NDArray[np.bool_]]:
         """Return `(n, H + 1, 7)` poses of training windows, and `(n, H) bool` where an increment is real."""
         present, owner = present_rows(self.cache, self.fit_episodes, self.stride, 1, self.horizon, 1, pad="both")
-        every = -(-len(present) * (self.horizon + 1) // (4 * SAMPLE)) or 1
+        every = -(-len(present) * (self.horizon + 1) // (2 * SAMPLE)) or 1
         fit = replace(self, history=1, present=present[::every], owner=owner[::every])
         batch = fit.batch(np.arange(len(fit)))
         poses = np.concatenate([batch["history/object_pose"], batch["future/object_pose"]], axis=1)

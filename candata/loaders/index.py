@@ -57,14 +57,14 @@ def strides(cache: Cache, episodes: Numbers, rate_hz: float, stride: int | None)
     whole = np.round(ratio)
     bad = np.flatnonzero((whole < 1) | (np.abs(ratio - whole) > RATIO_TOLERANCE * ratio))
     if len(bad):
-        rate = float(native[episodes[bad[0]]])
-        nearest = max(1, round(rate / rate_hz))
+        nearest = max(1, round(found[0] / rate_hz))
+        stride_fix = f"take stride={nearest} ({found[0] / nearest:.4g} Hz)"
         raise DataError(
             "the episodes' rate is no whole multiple of the model's",
             expected=f"a multiple of rate_hz = {rate_hz:g}",
             found=_rates(found),
             where=Where(episode=cache.file.ids[episodes[bad[0]]]),
-            fix=f"take rate_hz={rate / nearest:.10g} (every {nearest}. row), or resample when importing",
+            fix=stride_fix if len(found) == 1 else "take a rate that divides all of them, or resample when importing",
         )
     result[episodes] = whole.astype(np.int64)
     return result, float(rate_hz)

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.errors import UnknownNameError, UsageError
+from candata.errors import DataError, UnknownNameError
 from candata.loaders.increments import increments
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.record import Record
@@ -18,9 +18,10 @@ Method = Literal["robust", "std"]
 #: Source: F. R. Hampel, "The influence curve and its role in robust estimation", JASA 69 (1974).
 MAD_TO_STD = 1.4826
 
-#: Least share of the standard deviation that the robust scale must reach. A force that is zero most of the time has
-#: a MAD near zero, which says nothing of its size; the standard deviation is taken there. Chosen.
-MAD_SHARE = 0.2
+#: Tails of a channel that lie outside the range below, and half that range in standard deviations of a normal
+#: distribution, Phi^-1(1 - TAIL). A force that is zero most of the time has a MAD of zero; the range still says how
+#: large it gets. Chosen: a spike in a thousand rows does not count, a finger that touches in one of a hundred does.
+TAIL, TAIL_STD = 0.001, 3.0902
 
 #: Least scale of a channel, in SI units (1 cm, 10 mrad, 10 mN): a joint that never moves in the training data must
 #: not explode once it does. Chosen: below what matters to a hand.
@@ -89,16 +90,18 @@ def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scal
     values : (n, ...) float
         Valid values.
     method : str
-        `robust`: median and 1.4826 MAD, the standard deviation where that is far below it; `std`: mean and
-        standard deviation.
+        `robust`: median, and the larger of 1.4826 MAD and the range of all but the outer 0.1 % on each side, in
+        standard deviations; `std`: mean and standard deviation.
 
     Raises
     ------
-    UsageError
-        When there is no value, or the method is unknown.
+    DataError
+        When there is no value.
+    UnknownNameError
+        When the method is unknown.
     """
     if not len(values):
-        raise UsageError(f"no valid value of {name} to fit a normaliser on")
+        raise DataError(f"no valid value of {name} to fit a normaliser on", fix="train on episodes that hold it")
     flat = np.asarray(values, np.float64).reshape(len(values), -1)
     centre, scale = _centre_and_scale(flat, method)
     if name in QUATERNION:
@@ -109,18 +112,20 @@ def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scal
 
 def _centre_and_scale(values: NDArray, method: Method) -> tuple[NDArray, NDArray]:
     """Return both `(n,)` for `(rows, n)` values."""
-    spread = values.std(0)
     if method == "std":
-        return values.mean(0), np.maximum(spread, CHANNEL_FLOOR)
+        return values.mean(0), np.maximum(values.std(0), CHANNEL_FLOOR)
     if method != "robust":
         raise UnknownNameError("method of a normaliser", method, ("robust", "std"))
     centre = np.median(values, 0)
-    robust = MAD_TO_STD * np.median(np.abs(values - centre), 0)
-    return centre, np.maximum(np.where(robust < MAD_SHARE * spread, spread, robust), CHANNEL_FLOOR)
+    low, high = np.quantile(values, [TAIL, 1 - TAIL], axis=0)
+    scale = np.maximum(MAD_TO_STD * np.median(np.abs(values - centre), 0), (high - low) / (2 * TAIL_STD))
+    return centre, np.maximum(scale, CHANNEL_FLOOR)
 
 
 def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
-    """Return mean and standard deviation of the increments, `(H, 6)`.
+    """Return mean and standard deviation of the increments by step, `(H, 6)`.
+
+    A step that no episode reaches takes those of all steps together.
 
     Parameters
     ----------
@@ -131,16 +136,15 @@ def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
 
     Raises
     ------
-    UsageError
-        When a step has no real increment at all.
+    DataError
+        When there is no real increment at all.
     """
+    if not good.any():
+        raise DataError("no real pose increment to fit a normaliser on", fix="train on episodes that hold the pose")
     steps = increments(poses)
-    count = good.sum(0)[:, None]
-    if not count.all():
-        raise UsageError("a step of the horizon has no real increment to fit a normaliser on")
-    weight = good[:, :, None]
-    centre = (steps * weight).sum(0) / count
-    spread = np.sqrt((((steps - centre) ** 2) * weight).sum(0) / count)
+    taken = [steps[good[:, k], k] if good[:, k].any() else steps[good] for k in range(good.shape[1])]
+    centre = np.stack([step.mean(0) for step in taken])
+    spread = np.stack([step.std(0) for step in taken])
     scale = np.maximum(spread, INCREMENT_FLOOR)
     return Scale(shape=centre.shape, centre=tuple(centre.ravel().tolist()), scale=tuple(scale.ravel().tolist()))
 

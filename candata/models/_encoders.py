@@ -107,7 +107,11 @@ class Encoder(nn.Module):
         return found
 
     def _cloud(self, batch: Batch) -> Tensor:
-        """Return features `(B, latent)` of each window's cloud; in the object's frame each cloud is encoded once."""
+        """Return features `(B, latent)` of each window's cloud; 0 where it has none.
+
+        In the object's frame each cloud is encoded once; all of them, where they are no more than the windows, as
+        finding the distinct ones would make a GPU wait.
+        """
         lacking = [name for name in ("cloud", "clouds") if name not in batch]
         if lacking:
             raise DataError(
@@ -115,11 +119,12 @@ class Encoder(nn.Module):
                 found=f"no {', '.join(lacking)}",
             )  # fmt: skip
         which, clouds = batch["cloud"], batch["clouds"][:, : self.config.cloud_points]
+        there, which = which[:, None] >= 0, which.clamp_min(0)
         if self.config.cloud == "world":
-            found: Tensor = self.cloud(turned(batch["history/object_pose"][:, -1], clouds[which]))
-            return found
-        if len(clouds) > len(which):
-            used, which = which.unique(return_inverse=True)
-            clouds = clouds[used]
-        found = self.cloud(clouds)[which]
-        return found
+            found = self.cloud(turned(batch["history/object_pose"][:, -1], clouds[which]))
+        else:
+            if len(clouds) > len(which):
+                used, which = which.unique(return_inverse=True)
+                clouds = clouds[used]
+            found = self.cloud(clouds)[which]
+        return torch.where(there, found, torch.zeros_like(found))

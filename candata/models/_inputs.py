@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from candata.errors import DataError, UsageError
+from candata.loaders import Normaliser
 from candata.models._config import HistoryConfig
 from candata.models._contract import Batch, Sizes
 from candata.models._poses import increments, rotation_matrix, targets
@@ -42,7 +43,7 @@ class Reader(nn.Module):
     increment_centre: Tensor
     increment_scale: Tensor
 
-    def __init__(self, config: HistoryConfig, sizes: Sizes, normaliser: Any) -> None:
+    def __init__(self, config: HistoryConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__()
         self.config, self.sizes = config, sizes
         for name, channel, columns in (

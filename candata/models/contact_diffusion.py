@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy_with_logits
 
+from candata.loaders import Normaliser
 from candata.models._config import PRESETS, ContactConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
@@ -23,7 +24,7 @@ class ContactDiffusion(DiffusionUNet):
 
     config: ContactConfig
 
-    def __init__(self, config: ContactConfig, sizes: Sizes, normaliser: object) -> None:
+    def __init__(self, config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__(config, sizes, normaliser, extra=config.contact_features)
         self.contact_head = mlp(config.latent, config.latent, sizes.horizon)
         self.contact_feature = mlp(sizes.horizon, config.contact_features, config.contact_features)
@@ -66,7 +67,7 @@ class ContactDiffusion(DiffusionUNet):
         return torch.where(use, truth, predicted)
 
 
-def _build(config: ContactConfig, sizes: Sizes, normaliser: object) -> ContactDiffusion:
+def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> ContactDiffusion:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
     return seeded(config.seed, lambda: ContactDiffusion(config, sizes, normaliser))

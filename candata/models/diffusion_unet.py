@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from candata.loaders import Normaliser
 from candata.models._config import PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, normal
@@ -19,7 +20,7 @@ class DiffusionUNet(nn.Module):
 
     alpha_bars: Tensor
 
-    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: object, extra: int = 0) -> None:
+    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser, extra: int = 0) -> None:
         super().__init__()
         self.config, self.sizes = config, sizes
         self.process = Process(tuple(cosine_alpha_bars(config.train_steps)), config.target, config.sampler)
@@ -84,7 +85,7 @@ class DiffusionUNet(nn.Module):
         return found.transpose(1, 2)
 
 
-def _build(config: DiffusionConfig, sizes: Sizes, normaliser: object) -> DiffusionUNet:
+def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> DiffusionUNet:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
     return seeded(config.seed, lambda: DiffusionUNet(config, sizes, normaliser))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from candata.loaders import Normaliser
 from candata.models._config import MlpConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._encoders import mlp
@@ -15,7 +16,7 @@ from candata.models._seed import seeded
 class Mlp(nn.Module):
     """Linear layers with Mish from everything read to H increments."""
 
-    def __init__(self, config: MlpConfig, sizes: Sizes, normaliser: object) -> None:
+    def __init__(self, config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__()
         self.sizes = sizes
         self.reader = reader = Reader(config, sizes, normaliser)
@@ -40,7 +41,7 @@ class Mlp(nn.Module):
         return found.unflatten(-1, (self.sizes.horizon, 6))
 
 
-def _build(config: MlpConfig, sizes: Sizes, normaliser: object) -> Mlp:
+def _build(config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> Mlp:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
     return seeded(config.seed, lambda: Mlp(config, sizes, normaliser))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
+from candata.loaders import Normaliser, Scale
 from candata.models import Sizes
 
 SIZES = Sizes(history=4, horizon=8, joints=3, actuators=2, fingertips=2, points=20)
@@ -19,19 +19,22 @@ TINY = {
 }  # fmt: skip
 
 
-def arrays(centre: float, scale: float, *shape: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.full(shape, centre, np.float32), np.full(shape, scale, np.float32)
+def scale(centre: float, size: float, *shape: int) -> Scale:
+    count = int(np.prod(shape))
+    return Scale(shape=shape, centre=(centre,) * count, scale=(size,) * count)
 
 
-def make_normaliser(sizes: Sizes = SIZES) -> SimpleNamespace:
-    """A stand-in for the value that the loaders fit: pose 0.1 m, joints and actions about 0.5, steps of 1 cm."""
-    channels = {
-        "object_pose": arrays(0.1, 0.2, 7),
-        "joint_position": arrays(0.5, 0.5, sizes.joints),
-        "action": arrays(0.5, 0.5, sizes.actuators),
-    }
-    increments = SimpleNamespace(arrays=lambda: arrays(0.001, 0.01, sizes.horizon, 6))
-    return SimpleNamespace(channel=channels.__getitem__, increments=increments)
+def make_normaliser(sizes: Sizes = SIZES, increments: Scale | None = None) -> Normaliser:
+    """Made-up scales: positions 0.2 m about 0.1, joints and actions 0.5 about 0.5, steps of 1 cm about 1 mm."""
+    return Normaliser(
+        method="robust", dataset="made-up", digest="", episodes=1, rows=1, windows=1, rate_hz=10, horizon=sizes.horizon,
+        channels={
+            "object_pose": scale(0.1, 0.2, 7),
+            "joint_position": scale(0.5, 0.5, sizes.joints),
+            "action": scale(0.5, 0.5, sizes.actuators),
+        },
+        increments=increments or scale(0.001, 0.01, sizes.horizon, 6),
+    )  # fmt: skip
 
 
 def make_batch(count: int = 5, seed: int = 0, sizes: Sizes = SIZES, clouds: int = 2) -> dict[str, torch.Tensor]:
@@ -89,3 +92,22 @@ def tiny() -> Callable[..., torch.nn.Module]:
 def generator() -> Callable[[int], torch.Generator]:
     """Makes torch generators: `generator(seed)`."""
     return seeded
+
+
+@pytest.fixture
+def normaliser() -> Callable[..., Normaliser]:
+    """Makes the made-up normaliser."""
+    return make_normaliser
+
+
+@pytest.fixture
+def awake() -> Callable[[torch.nn.Module], torch.nn.Module]:
+    """Moves every weight off its start, so that outputs that start at zero show something."""
+
+    def move(module: torch.nn.Module, size: float = 0.05) -> torch.nn.Module:
+        with torch.no_grad():
+            for number, parameter in enumerate(module.parameters()):
+                parameter += size * torch.randn(parameter.shape, generator=seeded(number))
+        return module
+
+    return move
