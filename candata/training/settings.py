@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Self
+
+from pydantic import Field, model_validator
 
 from candata.schema.record import Record
 
@@ -47,20 +49,27 @@ class Settings(Record):
         Steps in a row without a finite loss and gradient that end the run.
     """
 
-    seed: int = 0
-    batch: int = 64
-    steps: int | None = 20_000
-    minutes: float | None = None
-    learning_rate: float = 1e-4
+    seed: int = Field(0, ge=0)
+    batch: int = Field(64, ge=1)
+    steps: int | None = Field(20_000, ge=1)
+    minutes: float | None = Field(None, gt=0)
+    learning_rate: float = Field(1e-4, gt=0)
     betas: tuple[float, float] = (0.95, 0.999)
-    weight_decay: float = 1e-6
-    warm_up: int = 500
-    ema_power: float = 0.75
-    clip_norm: float = 1.0
-    validate_every: int = 500
-    save_every_s: float = 60.0
-    log_every: int = 10
-    bad_limit: int = 20
+    weight_decay: float = Field(1e-6, ge=0)
+    warm_up: int = Field(500, ge=0)
+    ema_power: float = Field(0.75, gt=0)
+    clip_norm: float = Field(1.0, gt=0)
+    validate_every: int = Field(500, ge=1)
+    save_every_s: float = Field(60.0, ge=0)
+    log_every: int = Field(10, ge=1)
+    bad_limit: int = Field(20, ge=1)
+
+    @model_validator(mode="after")
+    def _ends(self) -> Self:
+        """Return the settings; a run must end."""
+        if self.steps is None and self.minutes is None:
+            raise ValueError("a run needs a length: steps or minutes")
+        return self
 
     def share(self, step: int, elapsed_s: float) -> float:
         """Return the share of the run that is done, 0 to 1."""

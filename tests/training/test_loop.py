@@ -161,6 +161,11 @@ def test_minutes_bound_a_run():
     assert settings.share(3, 121.0) == 1.0
 
 
+def test_a_run_must_end():
+    with pytest.raises(ValueError, match="a run needs a length"):
+        Settings(steps=None)
+
+
 def test_a_torn_log_is_whole_again(tmp_path):
     with StepLog(tmp_path, 0) as log:
         for step in (5, 10, 15):
