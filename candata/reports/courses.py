@@ -83,7 +83,7 @@ def course(track: Track) -> Spec:
         key: {**axis, "title": {"text": f"{key[0]} [cm]", "font": {"size": 10}}, "range": [low[i], high[i]]}
         for i, key in enumerate(("xaxis", "yaxis", "zaxis"))
     }
-    camera = {"eye": {"x": 1.15, "y": 1.15, "z": 0.65}, "center": {"x": 0, "y": 0, "z": -0.12}}
+    camera = {"eye": {"x": 1.25, "y": 1.25, "z": 0.7}, "center": {"x": 0, "y": 0, "z": -0.12}}
     layout = {
         "height": 320,
         "margin": {"l": 0, "r": 0, "t": 0, "b": 0},
