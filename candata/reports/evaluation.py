@@ -41,7 +41,8 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
     tone, headline = verdict(found)
     body = "".join(
         (
-            f'<header><p class="kicker">{escape(_model(found))} on the {escape(found.group)} episodes of {escape(found.dataset)}</p>'
+            f'<header><p class="kicker">{escape(_model(found))} on the {escape(found.group)} episodes of '
+            f"{escape(found.dataset)}</p>"
             f'<h1>{escape(headline)}</h1><p class="meaning">{escape(_meaning(found))}</p></header>',
             _answers(found),
             "<h2>Beside the baselines</h2>",
