@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.training.poses import increments_of
+from candata.loaders.increments import increments
 
 if TYPE_CHECKING:
     import torch
@@ -69,7 +69,7 @@ class KeepsVelocity:
         horizon, poses = batch["future_pad"].shape[1], batch["history/object_pose"]
         if poses.shape[1] < 2:
             return Stays().forecast(batch)
-        last = increments_of(poses[:, -2:])
+        last = increments(poses[:, -2:])
         absent = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
         last = np.where(absent[:, None, None], 0.0, last)
         return Answer(np.repeat(last, horizon, axis=1)[None], _present_contact(batch))

@@ -1,41 +1,13 @@
-"""Poses from increments, their mean and their distance: numpy, over any leading axes."""
+"""The mean of poses and their distance: numpy, over any leading axes."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.rotation import difference, exp, multiply, normalise
+from candata.rotation import difference
 
 Array = NDArray[np.float64]
-
-
-def integrate(start: NDArray, increments: NDArray) -> Array:
-    """Return the poses `(..., H, 7) float64 [m, w x y z]` that the increments lead to.
-
-    Parameters
-    ----------
-    start : (..., 7)
-        Present pose; its leading axes broadcast against those of `increments`.
-    increments : (..., H, 6)
-        dp [m], then the world-frame rotation vector omega [rad]: R(k) = exp(omega^) R(k-1).
-    """
-    steps = np.asarray(increments, np.float64)
-    start = np.broadcast_to(np.asarray(start, np.float64), (*steps.shape[:-2], 7))
-    poses = np.empty((*steps.shape[:-1], 7))
-    poses[..., :3] = start[..., None, :3] + np.cumsum(steps[..., :3], axis=-2)
-    turned, turns = normalise(start[..., 3:]), exp(steps[..., 3:])
-    for k in range(steps.shape[-2]):
-        turned = normalise(multiply(turns[..., k, :], turned))
-        poses[..., k, 3:] = turned
-    return poses
-
-
-def increments_of(poses: NDArray) -> Array:
-    """Return `(..., H, 6) [m, rad]`, the increments between the H + 1 rows of `poses (..., H + 1, 7)`."""
-    poses = np.asarray(poses, np.float64)
-    turns = difference(poses[..., 1:, 3:], poses[..., :-1, 3:])
-    return np.concatenate([np.diff(poses[..., :3], axis=-2), turns], axis=-1)
 
 
 def mean_pose(poses: NDArray) -> Array:

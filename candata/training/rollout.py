@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError
 from candata.loaders import Windows
+from candata.loaders.increments import integrate
 from candata.training.forecasters import Forecaster
-from candata.training.poses import integrate, mean_pose
+from candata.training.poses import mean_pose
 
 #: Probability from which a forecast of contact is fed back as contact.
 CONTACT_THRESHOLD = 0.5

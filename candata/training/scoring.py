@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from candata.loaders import Windows
+from candata.loaders.increments import integrate
 from candata.training import metrics
 from candata.training.forecasters import Forecaster
-from candata.training.poses import integrate, mean_pose, position_error, rotation_error
+from candata.training.poses import mean_pose, position_error, rotation_error
 from candata.training.results import (
     ClosedLoopScores,
     Contact,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from candata.loaders.increments import increments, integrate
 from candata.rotation import exp, multiply, normalise
 from candata.training import poses
 
@@ -19,23 +20,23 @@ def scipy_of(quaternion):
 
 def test_integrating_the_increments_gives_the_poses_back(rng):
     rows = track(rng, 4, 6)
-    found = poses.integrate(rows[:, 0], poses.increments_of(rows))
+    found = integrate(rows[:, 0], increments(rows))
     np.testing.assert_allclose(found[..., :3], rows[:, 1:, :3], atol=1e-12)
     assert poses.rotation_error(found, rows[:, 1:]).max() < 1e-7  # an angle near 0 loses half the digits
 
 
 def test_an_increment_turns_in_the_world(rng):
     start, omega = track(rng), np.array([0.1, -0.2, 0.3])
-    found = poses.integrate(start, np.concatenate([np.zeros(3), omega])[None])[0]
+    found = integrate(start, np.concatenate([np.zeros(3), omega])[None])[0]
     expected = Rotation.from_rotvec(omega) * scipy_of(start[3:])
     assert (scipy_of(found[3:]) * expected.inv()).magnitude() < 1e-12
 
 
 def test_samples_share_a_start(rng):
     start, steps = track(rng, 3), rng.normal(0, 0.1, (5, 3, 4, 6))
-    found = poses.integrate(start, steps)
+    found = integrate(start, steps)
     assert found.shape == (5, 3, 4, 7)
-    np.testing.assert_allclose(found[2], poses.integrate(start, steps[2]))
+    np.testing.assert_allclose(found[2], integrate(start, steps[2]))
 
 
 def test_the_mean_is_scipys_whatever_the_signs(rng):

@@ -10,11 +10,12 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError
 from candata.loaders import windows
+from candata.loaders.increments import increments
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata.training import metrics, scoring
 from candata.training.forecasters import BASELINES, Answer, KeepsVelocity, Stays
-from candata.training.poses import increments_of, position_error
+from candata.training.poses import position_error
 from candata.training.rollout import close_loop, course, shown
 
 SPEED_M_S = float(np.linalg.norm([0.05, -0.02, 0.01]))
@@ -30,7 +31,7 @@ class Oracle:
     def forecast(self, batch, seed):
         self.seen.append(batch)
         poses = np.concatenate([batch["history/object_pose"][:, -1:], batch["future/object_pose"]], axis=1)
-        return Answer(increments_of(poses)[None], batch["future/contact"].astype(float))
+        return Answer(increments(poses)[None], batch["future/contact"].astype(float))
 
 
 @dataclass
