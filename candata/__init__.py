@@ -19,9 +19,10 @@ _HOMES = {
     "load_scene": "candata.scenes",
     "open_dataset": "candata.datasets",
     "rollout": "candata.simulate",
+    "windows": "candata.loaders",
 }
 
-__all__ = ["Effect", "Episode", "Scene", "diagnose", "load_scene", "open_dataset", "rollout"]
+__all__ = ["Effect", "Episode", "Scene", "diagnose", "load_scene", "open_dataset", "rollout", "windows"]
 
 
 def __getattr__(name: str) -> Any:

@@ -9,6 +9,7 @@ from candata.errors import UnknownNameError, Where
 #: Factor that turns a value of the unit into SI (CGPM SI brochure, 9th edition; degrees by definition).
 TO_SI: dict[str, float] = {
     "1": 1.0,
+    "count": 1.0,
     "m": 1.0,
     "mm": 1e-3,
     "cm": 1e-2,

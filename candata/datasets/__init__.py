@@ -1,6 +1,6 @@
 """Datasets: immutable parts and versions on disk; open, iterate, append, verify."""
 
-from candata.datasets.adding import append
+from candata.datasets.adding import append, write_parts
 from candata.datasets.clouds import get_cloud, put_cloud
 from candata.datasets.dataset import Dataset, open_dataset
 from candata.datasets.encode import RawEpisode, content_hash
@@ -20,4 +20,5 @@ __all__ = [
     "publish",
     "put_cloud",
     "write_part",
+    "write_parts",
 ]

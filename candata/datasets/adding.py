@@ -37,6 +37,32 @@ def append(path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part
     UsageError
         When there is no dataset, or nothing at all to publish.
     """
+    return publish(path, write_parts(path, episodes, lineage.operation, part_size), lineage)
+
+
+def write_parts(path: str | Path, episodes: Iterable[Episode], operation: str, part_size: int = 16) -> list[str]:
+    """Return the ids of the parts that hold what `episodes` add; they belong to no version until published.
+
+    For a lineage that is known only once all episodes are; else `append` does both.
+
+    Parameters
+    ----------
+    path : str or Path
+        Dataset.
+    episodes : iterable of Episode
+        As for `append`.
+    operation : str
+        How they came to be: kept as the parts' producer.
+    part_size : int
+        Episodes a part.
+
+    Raises
+    ------
+    DataError
+        When an id stands, or comes twice, with different content.
+    UsageError
+        When there is no dataset.
+    """
     root = Path(path)
     read_dataset_file(root)
     if part_size < 1:
@@ -44,8 +70,7 @@ def append(path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part
     current = newest(root)
     known = index_of(root, current.parts) if current else {}
     batches = _batches(_unknown(root, episodes, known), part_size)
-    producer = {"operation": lineage.operation}
-    return publish(root, [write_part(root, batch, producer).id for batch in batches], lineage)
+    return [write_part(root, batch, {"operation": operation}).id for batch in batches]
 
 
 def _unknown(root: Path, episodes: Iterable[Episode], known: dict[str, str]) -> Iterator[Episode]:

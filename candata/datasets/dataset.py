@@ -172,7 +172,7 @@ def _keep(root: Path, path: Path, table: pa.Table) -> None:
 
 
 def _read_group(part: RawPart, number: int) -> list[RawEpisode]:
-    """Return the stored episodes of one row group."""
+    """Return the stored episodes of one row group, without dense channels: those are too large to keep."""
     return part.group(number)
 
 
@@ -182,7 +182,7 @@ def _episode(group: list[RawEpisode], place: Place, name: str) -> Episode:
     offset = place.position % EPISODES_PER_ROW_GROUP
     if offset >= len(group) or group[offset].id != name:
         raise durable.damaged(path, f"another episode at position {place.position}", name)
-    raw = group[offset]
+    raw = place.part.whole(group[offset])
     found = raw.content_hash()
     if found != place.content_hash:
         raise DataError(

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from candata.schema.channels import CHANNELS, VALID_SUFFIX, canonical_order
+from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX, canonical_order
 from candata.schema.episode import Episode, EpisodeMeta
 
 #: Shapes without the time axis, by column: what all episodes of one part share.
@@ -49,12 +49,21 @@ class RawEpisode:
         Columns as stored.
     stored_hash : str
         Content hash that the catalog row claims.
+    first_row : int
+        Rows of the part before it.
+    rows : int
+        Rows that its catalog row claims.
+    dense : mapping of str to tuple of int, optional
+        Shapes of channels that the tables lack because they lie in Zarr stores.
     """
 
     id: str
     meta_json: str
     arrays: Mapping[str, NDArray]
     stored_hash: str
+    first_row: int = 0
+    rows: int = 0
+    dense: Layout | None = None
 
     def content_hash(self) -> str:
         """Return the hash of what is stored now."""
@@ -90,7 +99,8 @@ def hash_columns(meta: str, arrays: Mapping[str, NDArray]) -> str:
         array = np.ascontiguousarray(arrays[name])
         little = array.astype(array.dtype.newbyteorder("<"), copy=False)
         shape = ",".join(map(str, array.shape))
-        digest.update(f"{name}|{array.dtype.name}|{shape}|".encode() + little.tobytes())
+        digest.update(f"{name}|{array.dtype.name}|{shape}|".encode())
+        digest.update(little.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -107,11 +117,17 @@ def layout_of(episode: Episode) -> Layout:
     return {name: array.shape[1:] for name, array in episode.arrays.items()}
 
 
+def dense_layout(layout: Layout) -> Layout:
+    """Return the part of a layout that lies in Zarr stores; a channel without elements lies nowhere."""
+    return {name: shape for name, shape in layout.items() if name in DENSE and 0 not in shape}
+
+
 def steps_schema(layout: Layout) -> pa.Schema:
     """Return the Arrow schema of `steps.parquet`: a fixed-size list a column, units in the field metadata."""
     fields = [pa.field("episode", pa.string())]
+    dense = dense_layout(layout)
     for name, shape in layout.items():
-        if math.prod(shape):
+        if math.prod(shape) and name not in dense:
             fields.append(pa.field(name, _column_type(name, shape), metadata=_field_metadata(name, shape)))
     text = json.dumps({name: list(shape) for name, shape in layout.items()})
     return pa.schema(fields, metadata={LAYOUT_KEY: text.encode()})
@@ -157,8 +173,10 @@ def episode_row(episode: Episode, digest: str, row_group: int) -> dict[str, obje
     }  # fmt: skip
 
 
-def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[RawEpisode]:
+def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_row: int = 0) -> list[RawEpisode]:
     """Return the episodes of one row group: `steps` split by the row counts in `rows`.
+
+    Dense channels are named, not read. `first_row` counts the part's rows before the group.
 
     Raises
     ------
@@ -169,8 +187,9 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[
     if sum(counts) != steps.num_rows:
         raise ValueError(f"{steps.num_rows} rows where the episodes claim {sum(counts)}")
     layout = {name: _stored_shape(steps.schema.field(name).type) for name in steps.column_names[1:]}
-    layout |= json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}"))
-    columns = {name: _decode_column(steps, name, tuple(shape)) for name, shape in layout.items()}
+    layout |= {n: tuple(s) for n, s in json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}")).items()}
+    dense = dense_layout(layout)
+    columns = {name: _decode_column(steps, name, shape) for name, shape in layout.items() if name not in dense}
     ends = np.cumsum(counts)
     return [
         RawEpisode(
@@ -178,6 +197,9 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]]) -> list[
             str(row["meta"]),
             {name: column[end - count : end] for name, column in columns.items()},
             str(row["content_hash"]),
+            first_row + int(end - count),
+            count,
+            dense,
         )
         for row, count, end in zip(rows, counts, ends, strict=True)
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import itertools
 import os
@@ -13,7 +14,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from candata.datasets import durable, encode
+from candata.datasets import dense, durable, encode
 from candata.errors import DataError, UsageError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import FileEntry, PartEntry, PartFile
@@ -47,9 +48,10 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
     root = Path(path)
     with durable.staged(root) as folder:
         pairs, rows = _write_tables(folder, episodes)
+        tables = [folder / STEPS, folder / EPISODES]
         manifest = PartFile(
             id=_part_id(pairs),
-            files=tuple(_file_entry(folder / name) for name in (STEPS, EPISODES)),
+            files=tuple(_file_entry(folder, path) for path in [*tables, *dense.files(folder)]),
             rows=rows,
             episodes=tuple(pairs),
             producer=dict(producer),
@@ -75,7 +77,7 @@ def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
 
 
 def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple[str, str]], int]:
-    """Write both tables row group by row group; return (id, content hash) pairs and the number of rows."""
+    """Write both tables and the dense channels; return (id, content hash) pairs and the number of rows."""
     stream = iter(episodes)
     first = next(stream, None)
     if first is None:
@@ -83,6 +85,7 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
     layout = encode.layout_of(first)
     schema = encode.steps_schema(layout)
     table: list[dict[str, object]] = []
+    stores = [dense.Writer(folder, name, shape) for name, shape in encode.dense_layout(layout).items()]
     with pq.ParquetWriter(folder / STEPS, schema, compression="zstd", compression_level=3) as writer:
         for number, group in enumerate(_groups(itertools.chain([first], stream))):
             _check_group(group, layout, {str(row["id"]) for row in table})
@@ -90,7 +93,11 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
             steps = pa.Table.from_batches(batches)
             writer.write_table(steps, row_group_size=max(1, steps.num_rows))
             table += [encode.episode_row(e, encode.content_hash(e), number) for e in group]
+            for store, episode in itertools.product(stores, group):
+                store.add(episode)
     pq.write_table(pa.Table.from_pylist(table, encode.EPISODE_COLUMNS), folder / EPISODES, compression="zstd")
+    for store in stores:
+        store.close()
     for name in (STEPS, EPISODES):
         durable.sync(folder / name)
     return [(str(r["id"]), str(r["content_hash"])) for r in table], sum(int(str(r["rows"])) for r in table)
@@ -130,9 +137,11 @@ def _part_id(pairs: list[tuple[str, str]]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def _file_entry(path: Path) -> FileEntry:
-    """Return a file's name, size and hash."""
-    return FileEntry(path=path.name, bytes=path.stat().st_size, sha256=durable.file_sha256(path))
+def _file_entry(folder: Path, path: Path) -> FileEntry:
+    """Return a file's name in the part, size and hash."""
+    return FileEntry(
+        path=path.relative_to(folder).as_posix(), bytes=path.stat().st_size, sha256=durable.file_sha256(path)
+    )
 
 
 def part_folder(root: Path, part_id: str) -> Path:
@@ -233,7 +242,9 @@ class RawPart:
         return rows
 
     def group(self, number: int, rows: list[dict[str, Any]] | None = None) -> list[encode.RawEpisode]:
-        """Return the episodes of one row group as stored; `rows` are those of `rows()`, if at hand.
+        """Return the episodes of one row group as the tables hold them; `whole` adds what lies in Zarr stores.
+
+        `rows` are those of `rows()`, if at hand.
 
         Raises
         ------
@@ -245,12 +256,27 @@ class RawPart:
         try:
             with pq.ParquetFile(path) as file:
                 steps = file.read_row_group(number, use_threads=False)
-            return encode.decode_group(steps, [row for row in rows if row["row_group"] == number])
+            before = sum(int(row["rows"]) for row in rows if row["row_group"] < number)
+            return encode.decode_group(steps, [row for row in rows if row["row_group"] == number], before)
         except UNREADABLE as error:
             raise durable.damaged(path, durable.reason(error)) from None
 
+    def whole(self, episode: encode.RawEpisode) -> encode.RawEpisode:
+        """Return an episode of `group` with its dense channels.
+
+        Raises
+        ------
+        DataError
+            When a store is missing or does not decode; names it.
+        """
+        if not episode.dense:
+            return episode
+        rows = slice(episode.first_row, episode.first_row + episode.rows)
+        read = {name: dense.read(self.folder, name, rows, shape) for name, shape in episode.dense.items()}
+        return dataclasses.replace(episode, arrays={**episode.arrays, **read})
+
     def episodes(self) -> Iterator[encode.RawEpisode]:
-        """Yield the episodes as stored, at most 8 held at a time.
+        """Yield the episodes as stored, at most the tables of 8 held at a time.
 
         Raises
         ------
@@ -259,7 +285,7 @@ class RawPart:
         """
         rows = self.rows()
         for number in sorted({row["row_group"] for row in rows}):
-            yield from self.group(number, rows)
+            yield from map(self.whole, self.group(number, rows))
 
     def size_problem(self, manifest: PartFile) -> DataError | None:
         """Return what is wrong with the presence or size of the part's files, without reading them."""

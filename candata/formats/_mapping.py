@@ -10,7 +10,7 @@ from pathlib import Path
 import yaml
 
 from candata.errors import DataError, UnknownNameError, UsageError, Where
-from candata.schema.channels import CHANNELS, QUATERNION
+from candata.schema.channels import CHANNELS, DENSE, QUATERNION
 from candata.schema.scene import TableMap
 from candata.units import TO_SI, to_si
 
@@ -97,7 +97,7 @@ def plans(mapping: TableMap, path: Path) -> tuple[Plan, ...]:
         When two channels disagree about the number of joints or fingertips.
     """
     where = Where(path=str(path))
-    known = [name for name in CHANNELS if name != "time_ns"]
+    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
     for name in mapping.channels:
         if name not in known:
             raise UnknownNameError("channel", name, known, where)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from candata.schema.record import Record
 
-#: Name to tensor, as `candata.loaders.windows` gives them, normalised where the normaliser says so.
+#: Name to tensor, as `candata.loaders.windows` gives them: raw SI values, which the module normalises itself.
 Batch = Mapping[str, "torch.Tensor"]
 #: Name of a term to its value; `loss` is the one that is minimised.
 Losses = Mapping[str, "torch.Tensor"]
@@ -30,7 +30,7 @@ class Sizes:
     joints, actuators, fingertips : int
         J, A, F.
     points : int
-        Points of an object's cloud (N).
+        Points of an object's cloud (N); 0 where the data hold no clouds.
     """
 
     history: int
@@ -77,13 +77,16 @@ class Model:
     summary : str
         One line for people.
     channels : tuple of str
-        Channels its windows must hold.
+        Channels its windows must always hold.
     presets : mapping of str to Record
         `small`, `base`, `paper`: configurations.
     parse : callable
         `(plain values) -> configuration`, checked; raises UsageError.
     build : callable
-        `(configuration, sizes, normaliser) -> Module`; the normaliser's values become buffers.
+        `(configuration, sizes, normaliser) -> Module`; the normaliser's values become buffers, and the
+        configuration's `seed` alone decides the first weights.
+    optional : mapping of str to str
+        Field of the configuration that is true or false, to the channel read where it is true.
     """
 
     summary: str
@@ -91,3 +94,8 @@ class Model:
     presets: Mapping[str, Record]
     parse: Callable[[Mapping[str, Any]], Record]
     build: Callable[[Any, Sizes, Any], Any]
+    optional: Mapping[str, str] = field(default_factory=dict)
+
+    def reads(self, config: Any) -> tuple[str, ...]:
+        """Return the channels that windows must hold for this configuration."""
+        return self.channels + tuple(channel for flag, channel in self.optional.items() if getattr(config, flag))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from html import escape
 from pathlib import Path
@@ -11,10 +10,10 @@ import mujoco
 
 from candata.gap.evidence import Evidence, Example
 from candata.reports import figures, tables, words
+from candata.reports.document import document, figure, plot
 from candata.reports.figures import Spec
 from candata.reports.filmstrip import filmstrip
 from candata.reports.numbers import percent
-from candata.reports.style import SCRIPT, STYLE
 from candata.schema.report import Report
 
 #: Colour of the headline for each verdict.
@@ -56,8 +55,6 @@ def write_report(
 
 def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:
     """Return the whole page as text."""
-    from plotly.offline import get_plotlyjs
-
     specs: dict[str, Spec] = {}
     body = "".join(
         (
@@ -75,15 +72,8 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
             f"{tables.verdicts(report)}</section></div>",
         )
     )
-    title = escape(f"{words.HEADLINES[report.verdict]}: {report.data.dataset}")
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<link rel="icon" href="data:,"><title>{title}</title><style>{STYLE}</style></head>'
-        f'<body style="--tone:var(--{TONES[report.verdict]})"><main>{body}</main>'
-        f'<script type="application/json" id="figures">{_json(specs)}</script>'
-        f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
-    )
+    title = f"{words.HEADLINES[report.verdict]}: {report.data.dataset}"
+    return document(title, TONES[report.verdict], body, specs)
 
 
 def _head(report: Report) -> str:
@@ -142,10 +132,10 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
     if evidence.heat is not None and len(evidence.heat.rows):
         specs["heat"] = figures.heat_map(evidence.heat)
         parts.append(
-            _figure(
+            figure(
                 "Where",
                 "mismatch over its floor (what noise alone gives); numbers where p is at most 0.05",
-                _plot("heat", specs),
+                plot("heat", specs),
             )
         )
     if report.ranking:
@@ -153,11 +143,11 @@ def _first_screen(report: Report, evidence: Evidence, specs: dict[str, Spec]) ->
         hidden = len(report.ranking) - len(figures.shown_candidates(report))
         more = f'<p class="note">{hidden} more in report.json.</p>' if hidden else ""
         sub = "gain over the unchanged simulation on held-out episodes, 90 % interval; named effects in colour"
-        parts.append(_figure("Which", sub, _plot("ranking", specs) + more))
+        parts.append(figure("Which", sub, plot("ranking", specs) + more))
     if evidence.example is not None and evidence.example.traces:
         sub = f"held-out episode {evidence.example.episode}, before and after the repair"
         drawn = _traces(report, evidence.example, 0, FIRST_TRACES, specs)
-        parts.append(_figure("How far", sub, _key(report, evidence.example) + drawn))
+        parts.append(figure("How far", sub, _key(report, evidence.example) + drawn))
     return f'<div class="first">{"".join(parts)}</div>' if parts else ""
 
 
@@ -170,7 +160,7 @@ def _strip(report: Report, example: Example | None, model: mujoco.MjModel | None
     if not pictures and not rest:
         return ""
     sub = f"episode {example.episode}: the recording beside the simulation of the same commands"
-    return f'<div class="strip">{_figure("Before and after", sub, pictures + rest)}</div>'
+    return f'<div class="strip">{figure("Before and after", sub, pictures + rest)}</div>'
 
 
 def _traces(report: Report, example: Example, first: int, last: int, specs: dict[str, Spec]) -> str:
@@ -181,7 +171,7 @@ def _traces(report: Report, example: Example, first: int, last: int, specs: dict
         specs[name] = figures.trace(example.time_s, one, words.after_name(report))
         label = f"{words.plain(one.channel)} {one.element}".strip()
         unit = f" <small>[{escape(one.unit)}]</small>" if one.unit else ""
-        cells.append(f"<div><p>{escape(label)}{unit}</p>{_plot(name, specs)}</div>")
+        cells.append(f"<div><p>{escape(label)}{unit}</p>{plot(name, specs)}</div>")
     return f'<div class="traces">{"".join(cells)}</div>' if cells else ""
 
 
@@ -193,7 +183,7 @@ def _episodes(report: Report, evidence: Evidence, specs: dict[str, Spec]) -> str
     if evidence.losses is not None and len(evidence.losses.ids):
         specs["losses"] = figures.losses(evidence.losses, words.after_name(report))
         sub = "each held-out episode; the band is what noise alone gives"
-        drawn = _figure("Loss before and after", sub, _plot("losses", specs))
+        drawn = figure("Loss before and after", sub, plot("losses", specs))
         parts.append(f"<section><h2>Every episode</h2>{drawn}</section>")
     return f'<div class="two">{"".join(parts)}</div>' if len(parts) == 2 else "".join(parts)
 
@@ -215,21 +205,6 @@ def _key(report: Report, example: Example) -> str:
         names.append(("repaired", words.after_name(report)))
     spans = "".join(f'<span class="{kind}">{escape(name)}</span>' for kind, name in names)
     return f'<p class="sub key">{spans}</p>'
-
-
-def _figure(title: str, sub: str, inner: str) -> str:
-    """Return a framed figure with its title and one line on how to read it."""
-    return f'<figure><h3>{escape(title)}</h3><p class="sub">{escape(sub)}</p>{inner}</figure>'
-
-
-def _plot(name: str, specs: dict[str, Spec]) -> str:
-    """Return the empty box that the script draws a figure into, at its final height."""
-    return f'<div id="{name}" style="height:{specs[name]["layout"]["height"]}px"></div>'
-
-
-def _json(specs: dict[str, Spec]) -> str:
-    """Return the specifications as JSON that cannot end its script element."""
-    return json.dumps(specs, allow_nan=False, separators=(",", ":")).replace("</", "<\\/")
 
 
 def _clipped(share: float) -> float:

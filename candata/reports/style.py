@@ -91,6 +91,7 @@ td:last-child,th:last-child { padding-right:0; }
 tr.now td { font-weight:600; } tr.now td:first-child { color:var(--tone); }
 .two { display:grid; grid-template-columns:minmax(0,1fr) minmax(0,1fr); gap:16px 32px;
   align-items:start; }
+.courses figure > h3 { overflow-wrap:anywhere; } .courses { margin-top:8px; }
 .file { position:relative; }
 .file button { position:absolute; top:8px; right:8px; padding:4px 11px; font:inherit; font-size:13px;
   cursor:pointer;

@@ -63,7 +63,7 @@ def unknown(report: Report) -> str:
         ("size", size),
         ("depends on", ", ".join(rest.depends_on)),
     ]
-    return f"<h2>What stays unexplained</h2>{_pairs(rows)}"
+    return f"<h2>What stays unexplained</h2>{pairs(rows)}"
 
 
 def measures(report: Report) -> str:
@@ -113,7 +113,7 @@ def data(report: Report) -> str:
         *(("note", note) for note in used.notes),
         *report.provenance.items(),
     ]
-    return _pairs([(words.plain(name), text) for name, text in rows])
+    return pairs([(words.plain(name), text) for name, text in rows])
 
 
 def table(
@@ -137,7 +137,7 @@ def table(
     return f'<div class="scroll" tabindex="0"><table>{inner}</table></div>'
 
 
-def _pairs(rows: Iterable[tuple[str, str]]) -> str:
+def pairs(rows: Iterable[tuple[str, str]]) -> str:
     """Return names beside their texts; rows without a text are left out."""
     body = "".join(f'<tr><th scope="row">{escape(k)}</th><td>{escape(v)}</td></tr>' for k, v in rows if v)
     return f'<table class="wrap"><tbody>{body}</tbody></table>'

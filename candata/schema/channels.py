@@ -19,7 +19,7 @@ class Channel(Record):
     unit : str
         SI unit of its values, from `candata.units`; `joint` where the scene says it per element.
     shape : tuple of str or int
-        Shape; T steps, J joints, A actuators, F fingertips are bound by the episode.
+        Shape; T steps, J joints, A actuators, F fingertips, N taxels a fingertip are bound by the episode.
     dtype : str
         numpy dtype in which it is kept and stored.
     role : str
@@ -136,6 +136,15 @@ _TABLE = (
         role="measurement",
         meaning="any fingertip touches the object",
     ),
+    Channel(
+        name="taxels",
+        unit="count",
+        shape=("T", "F", "N", 3),
+        dtype="int16",
+        role="measurement",
+        frame="fingertip",
+        meaning="raw counts of each fingertip's N taxels, as on the wire; times newton_per_count: the force in N",
+    ),
 )
 
 #: Channel name to its row; the order is the canonical one (storage, hashing, printing).
@@ -145,6 +154,9 @@ CHANNELS: dict[str, Channel] = {row.name: row for row in _TABLE}
 QUATERNION: dict[str, slice] = {"object_pose": slice(3, 7), "hand_pose": slice(3, 7)}
 
 VALID_SUFFIX = "_valid"
+
+#: Channels too wide for a table: kept as a sharded Zarr store beside the tables of a part.
+DENSE = frozenset({"taxels"})
 
 
 def canonical_order(names: list[str]) -> list[str]:

@@ -36,7 +36,10 @@ class Alignment(Record):
 
 
 class EpisodeMeta(Record):
-    """Who, what, when of an episode; `effects` null means not known or withheld."""
+    """Who, what, when of an episode; `effects` null means not known or withheld.
+
+    `newton_per_count` is the scale of `taxels`.
+    """
 
     id: str
     source: Literal["sim", "real"]
@@ -53,6 +56,7 @@ class EpisodeMeta(Record):
     actuator_names: tuple[str, ...] = ()
     fingertip_names: tuple[str, ...] = ()
     contact_rule: ContactRule | None = None
+    newton_per_count: float | None = None
     point_cloud: str | None = None
     alignment: Alignment | None = None
     invalid_counts: dict[str, int] = {}
@@ -202,9 +206,27 @@ def _time(meta: EpisodeMeta, time_ns: NDArray) -> Iterator[DataError]:
         )
 
 
+def _counts(meta: EpisodeMeta, name: str, array: NDArray) -> Iterator[DataError]:
+    """Yield counts that are not whole, or that int16 does not hold."""
+    limits = np.iinfo(np.int16)
+    whole = array.dtype.kind in "iu"
+    if not whole or (array.dtype.itemsize > 1 and array.dtype != np.int16 and array.size
+                     and not limits.min <= array.min() <= array.max() <= limits.max):  # fmt: skip
+        yield DataError(
+            f"{name} holds no counts",
+            expected=f"whole numbers from {limits.min} to {limits.max}",
+            found=f"from {array.min()} to {array.max()}" if whole else str(array.dtype),
+            where=Where(episode=meta.id, channel=name),
+            fix="store the counts as they came from the sensor, and the scale as newton_per_count",
+        )
+
+
 def _values(meta: EpisodeMeta, name: str, arrays: Mapping[str, NDArray]) -> Iterator[DataError]:
     """Yield non-finite values and non-unit quaternions in valid rows."""
     array = np.asarray(arrays[name])
+    if np.dtype(CHANNELS[name].dtype) == np.int16:
+        yield from _counts(meta, name, array)
+        return
     if array.dtype.kind != "f" or array.ndim == 0:
         return
     valid = np.asarray(arrays.get(name + VALID_SUFFIX, np.ones(len(array), bool)))

@@ -18,8 +18,10 @@ CONSTANTS = {
     "candata.formats": "FORMAT",
     "candata.policies": "POLICY",
     "candata.checks": "RULE",
+    "candata.models": "MODEL",
     "candata.scenes.library": "SCENE",
     "candata.scenes.hands": "HAND",
+    "candata.record.devices": "DEVICE",
 }
 FILES = [(package, constant, name) for package, constant in CONSTANTS.items() for name in plugins.names(package)]
 

@@ -18,7 +18,7 @@ from candata.schema.manifest import Lineage
 
 @st.composite
 def arrays(draw):
-    sizes = {"T": draw(st.integers(1, 6)), "J": draw(st.integers(0, 3)), "A": 2, "F": draw(st.integers(1, 3))}
+    sizes = {"T": draw(st.integers(1, 6)), "J": draw(st.integers(0, 3)), "A": 2, "F": draw(st.integers(1, 3)), "N": 4}
     state = draw(st.sampled_from(["object_pose", "joint_position"]))
     names = draw(st.sets(st.sampled_from([n for n in CHANNELS if n != "time_ns"]))) | {state, "time_ns"}
     rng = np.random.default_rng(draw(st.integers(0, 2**32)))
@@ -37,6 +37,8 @@ def _values(name, sizes, rng):
     shape = tuple(sizes[d] if isinstance(d, str) else d for d in CHANNELS[name].shape)
     if CHANNELS[name].dtype == "bool":
         return rng.random(shape) > 0.5
+    if CHANNELS[name].dtype == "int16":
+        return rng.integers(-(2**15), 2**15, shape).astype(np.int16)
     values = rng.normal(size=shape).astype(np.float32)
     if name in QUATERNION:
         values[:, QUATERNION[name]] = [1, 0, 0, 0]

@@ -39,6 +39,9 @@ class Framer(Protocol):
     def feed(self, data: bytes, stamp_ns: int) -> list[Frame]:
         """Return the frames that `data`, read at `stamp_ns`, completes; never raises, whatever the bytes."""
 
+    def finish(self) -> list[Frame]:
+        """Return the frames inside what is held, and hold nothing: for the end of a stream."""
+
 
 @dataclass(frozen=True)
 class States:

@@ -1,0 +1,316 @@
+"""The memory-mapped cache of a version: all rows of all episodes in one file, made once, checked when opened."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset, durable
+from candata.errors import CandataError, DataError, SetupError, Where
+from candata.loaders.layout import POINT_CLOUD, Shapes, row_dtype, row_shapes
+from candata.schema.channels import CHANNELS, QUATERNION
+from candata.schema.episode import Episode
+from candata.schema.record import Record
+
+#: Raised when the bytes of the cache, or what they mean, change.
+LAYOUT_VERSION = 1
+
+ROWS, VALID, FACTS = "rows.npy", "valid.npy", "cache.json"
+
+#: Called with (episodes done, episodes in all).
+Progress = Callable[[int, int], None]
+
+
+class CacheFile(Record):
+    """`cache.json`: what the arrays are; columns with an entry an episode, in the order of the ids."""
+
+    layout_version: int
+    digest: str
+    shapes: dict[str, tuple[int, ...]]
+    crc32: dict[str, int]
+    ids: tuple[str, ...]
+    rows: tuple[int, ...]
+    rate_hz: tuple[float, ...]
+    clouds: tuple[str | None, ...]
+    joint_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    fingertip_names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Cache:
+    """All rows of a version, memory-mapped.
+
+    Attributes
+    ----------
+    folder : Path
+        Where it lies.
+    file : CacheFile
+        What is in it.
+    rows : (R,) structured
+        Rows of all episodes, one after the other; a field a channel. Values that are not valid are
+        replaced by the last valid ones before them (the first after them at the start).
+    valid : (R,) bool
+        False where any of the channels holds no valid value.
+    """
+
+    folder: Path
+    file: CacheFile
+    rows: NDArray
+    valid: NDArray[np.bool_]
+
+    def __reduce__(self) -> tuple[Callable[[Path], Cache], tuple[Path]]:
+        """Send only the place to another process, which maps the same file."""
+        return reopen, (self.folder,)
+
+    @cached_property
+    def begin(self) -> NDArray[np.int64]:
+        """`(E,) int64`: first row of each episode."""
+        return self.end - np.array(self.file.rows, np.int64)
+
+    @cached_property
+    def end(self) -> NDArray[np.int64]:
+        """`(E,) int64`: row behind the last one of each episode."""
+        return np.cumsum(np.array(self.file.rows, np.int64))
+
+    @cached_property
+    def all_valid(self) -> bool:
+        """Whether no row is invalid."""
+        return bool(self.valid.all())
+
+
+def open_cache(
+    dataset: Dataset,
+    channels: Sequence[str] | None = None,
+    folder: Path | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Cache:
+    """Return the cache of a version, made now unless a whole one stands.
+
+    A cache whose bytes do not match its check sums is made again. Several processes may do so at once:
+    each builds in its own staging folder, and the first to finish gives the name to its own. A killed one
+    leaves at most its staging folder. The cache folder may be deleted at any time.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Version to read.
+    channels : sequence of str, optional
+        As for `row_shapes`; `point_cloud` asks for a cloud of every episode's object.
+    folder : Path, optional
+        Where caches are kept; by default `cache/` of the dataset, or the user's cache folder where the
+        dataset cannot be written.
+    progress : callable
+        Called with (episodes done, episodes in all) while the cache is made.
+
+    Raises
+    ------
+    DataError
+        When episodes lack a channel or differ in shapes or names, or a part is damaged.
+    SetupError
+        When the cache cannot be written.
+    """
+    name = f"windows-{_key(dataset, channels)}"
+    homes = [folder] if folder else [dataset.path / "cache", _user_folder()]
+    found = next((cache for home in homes if (cache := _read(home / name))), None)
+    if found is None:
+        home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]
+        shapes = row_shapes(dataset, None if channels is None else [n for n in channels if n != POINT_CLOUD])
+        try:
+            found = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
+        except OSError as error:
+            raise SetupError(
+                "the cache cannot be written",
+                expected=f"{sum(_counts(dataset)) * row_dtype(shapes).itemsize / 1e6:.0f} MB of space",
+                found=durable.reason(error),
+                where=Where(path=str(home)),
+                fix="free space, or name another folder: windows(..., cache=FOLDER)",
+            ) from None
+    return found
+
+
+def reopen(folder: Path) -> Cache:
+    """Return the cache that lies in `folder`.
+
+    Raises
+    ------
+    DataError
+        When it is missing or damaged.
+    """
+    found = _read(folder)
+    if found is None:
+        raise DataError(
+            "the cache is missing or damaged",
+            where=Where(path=str(folder)),
+            fix="open the windows of the dataset again",
+        )
+    return found
+
+
+def _user_folder() -> Path:
+    """Return the user's cache folder (XDG base directories)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "candata"
+
+
+def _key(dataset: Dataset, channels: Sequence[str] | None) -> str:
+    """Return what names a cache: content, episodes left out, channels, layout."""
+    facts = [LAYOUT_VERSION, dataset.digest, dataset.ids, None if channels is None else list(channels)]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()[:24]
+
+
+def _read(folder: Path) -> Cache | None:
+    """Return the cache in `folder`; None where there is none, or it is not what was written."""
+    try:
+        facts = json.loads((folder / FACTS).read_bytes())
+        file = CacheFile.parse(facts["cache"], folder / FACTS)
+        if facts["sha256"] != _hash(file) or {n: _crc(folder / n) for n in (ROWS, VALID)} != file.crc32:
+            return None
+        rows, valid = (np.asarray(np.load(folder / name, mmap_mode="r", allow_pickle=False)) for name in (ROWS, VALID))
+    except (OSError, ValueError, KeyError, TypeError, CandataError):
+        return None
+    return Cache(folder, file, rows, valid)
+
+
+def _crc(path: Path) -> int:
+    """Return the check sum of a file's bytes; at memory speed, so that every opening can afford it."""
+    return zlib.crc32(np.memmap(path, np.uint8, "r").data)
+
+
+def _hash(file: CacheFile) -> str:
+    """Return the sha256 of what the cache says of itself."""
+    return hashlib.sha256(durable.encode_record(file)).hexdigest()
+
+
+def _make(dataset: Dataset, shapes: Shapes, clouds: bool, target: Path, progress: Progress) -> Cache:
+    """Return the cache at `target`, built aside and given its name when whole."""
+    with durable.staged(target.parent) as folder:
+        draft = folder / target.name
+        draft.mkdir()
+        file = _write(dataset, shapes, clouds, draft, progress)
+        text = {"sha256": _hash(file), "cache": file.model_dump(mode="json")}
+        (draft / FACTS).write_text(json.dumps(text), encoding="utf-8")
+        while True:
+            try:
+                os.rename(draft, target)
+            except OSError:
+                if not target.exists():
+                    raise
+            found = _read(target)
+            if found is not None:
+                return found
+            _move_aside(target, folder)
+
+
+def _move_aside(target: Path, folder: Path) -> None:
+    """Take a damaged cache out of the way; another process may have done so."""
+    try:
+        os.rename(target, folder / f"damaged-{len(list(folder.iterdir()))}")
+    except FileNotFoundError:
+        return
+
+
+def _counts(dataset: Dataset) -> list[int]:
+    """Return the rows of each episode."""
+    counts: list[int] = dataset.catalog()["rows"].to_pylist()
+    return counts
+
+
+def _write(dataset: Dataset, shapes: Shapes, clouds: bool, folder: Path, progress: Progress) -> CacheFile:
+    """Write both arrays into `folder` and return what is in them."""
+    catalog = dataset.catalog()
+    meta = [json.loads(text) for text in catalog["meta"].to_pylist()]
+    counts = _counts(dataset)
+    names = {key: _common_names(dataset, meta, key, axis, shapes) for key, axis in _NAMED_AXES.items()}
+    named_clouds = tuple(fields.get(POINT_CLOUD) for fields in meta)
+    if clouds:
+        _require_clouds(dataset, named_clouds)
+    rows = np.lib.format.open_memmap(folder / ROWS, "w+", row_dtype(shapes), (sum(counts),))
+    valid = np.ones(len(rows), bool)
+    ends = dict(zip(dataset.ids, np.cumsum(counts).tolist(), strict=True))
+    # Read as it lies, not by id: each row group is then decoded once.
+    order = sorted(dataset.ids, key=lambda i: (dataset.places[i].part.entry.id, dataset.places[i].position))
+    for done, episode in enumerate(dataset.episodes(order), 1):
+        part = slice(ends[episode.meta.id] - len(episode), ends[episode.meta.id])
+        _fill(episode, rows[part], valid[part])
+        progress(done, len(order))
+    rows.flush()
+    del rows
+    np.save(folder / VALID, valid, allow_pickle=False)
+    return CacheFile(
+        layout_version=LAYOUT_VERSION,
+        digest=dataset.digest,
+        shapes=shapes,
+        crc32={name: _crc(folder / name) for name in (ROWS, VALID)},
+        ids=dataset.ids,
+        rows=tuple(counts),
+        rate_hz=tuple(catalog["rate_hz"].to_pylist()),
+        clouds=named_clouds,
+        **names,
+    )
+
+
+def _fill(episode: Episode, rows: NDArray, valid: NDArray[np.bool_]) -> None:
+    """Write an episode's rows in place, gaps held, commands as those that follow their row."""
+    for name in rows.dtype.names or ():
+        values, good = episode[name], episode.valid(name)
+        if name == "action" and episode.meta.action == "previous":
+            values, good = (np.concatenate([x[1:], x[-1:]]) for x in (values, good))
+        rows[name] = values if good.all() else _held(name, values, good)
+        valid &= good
+
+
+def _held(name: str, values: NDArray, valid: NDArray[np.bool_]) -> NDArray:
+    """Return values with each gap filled by the last valid row before it, at the start by the first one.
+
+    The rows stay flagged; what is filled in is finite, so that a masked loss stays so.
+    """
+    if not valid.any():
+        rest = np.zeros_like(values)
+        if name in QUATERNION:
+            rest[:, QUATERNION[name].start] = 1
+        return rest
+    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    return values[np.where(last < 0, np.argmax(valid), last)]
+
+
+#: Field of the record to the axis it names.
+_NAMED_AXES = {"joint_names": "J", "actuator_names": "A", "fingertip_names": "F"}
+
+
+def _common_names(dataset: Dataset, meta: list[dict], key: str, axis: str, shapes: Shapes) -> tuple[str, ...]:
+    """Return the names of an axis; episodes must agree where a channel has that axis."""
+    found = [tuple(fields.get(key, ())) for fields in meta]
+    other = next((i for i, names in enumerate(found) if names != found[0]), None)
+    if other is None:
+        return found[0]
+    if not any(axis in CHANNELS[name].shape for name in shapes):
+        return ()
+    raise DataError(
+        f"episodes differ in their {key.replace('_', ' ')}",
+        expected=f"{', '.join(found[0]) or 'none'} (episode {dataset.ids[0]})",
+        found=", ".join(found[other]) or "none",
+        where=Where(path=str(dataset.path), episode=dataset.ids[other]),
+        fix="keep one hand a dataset, its joints in one order",
+    )
+
+
+def _require_clouds(dataset: Dataset, clouds: Sequence[str | None]) -> None:
+    """Refuse episodes whose object has no point cloud."""
+    lacking = [name for name, cloud in zip(dataset.ids, clouds, strict=True) if cloud is None]
+    if lacking:
+        raise DataError(
+            "the dataset lacks point clouds",
+            expected=f"a point cloud of the object in all {len(dataset)} episodes",
+            found=f"{len(lacking)} without one",
+            where=Where(path=str(dataset.path), episode=lacking[0], channel=POINT_CLOUD),
+            fix="generate with a scene that has an object, or take a model without a point cloud",
+        )

@@ -1,0 +1,313 @@
+"""Windows: K + 1 rows of the past and H of the future at every row, gathered whole batches at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from candata.datasets import Dataset, get_cloud, open_dataset
+from candata.loaders.cache import Cache, Progress, open_cache
+from candata.loaders.index import Pad, present_rows, strides
+from candata.loaders.layout import known_channels
+from candata.loaders.normaliser import SAMPLE, Method, Normaliser, channel_scale, float_channels, increment_scale
+from candata.loaders.splits import Split, find_split, group_ids
+
+Batch = dict[str, NDArray]
+
+#: Seed of the choice of points where clouds differ in size.
+_THINNING_SEED = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Windows of a version, one for each present row; a map-style dataset for torch that needs no torch.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        The version.
+    cache : Cache
+        Its rows, memory-mapped.
+    split : Split or None
+        The split, where one is used.
+    history, horizon : int
+        Rows of the past, the present one included, and steps of the future.
+    rate_hz : float
+        Rate of the model's steps.
+    stride : (E,) int64
+        Native rows a step, by episode.
+    present : (n,) int64
+        Row of the cache that is the present of each window.
+    owner : (n,) int64
+        Episode of each window, an index into `episode_ids`.
+    fit_episodes : (m,) int64
+        Episodes that the normaliser is fitted on: those that train, all without a split.
+    method : str
+        Method of the normaliser.
+    """
+
+    dataset: Dataset
+    cache: Cache
+    split: Split | None
+    history: int
+    horizon: int
+    rate_hz: float
+    stride: NDArray[np.int64]
+    present: NDArray[np.int64]
+    owner: NDArray[np.int64]
+    fit_episodes: NDArray[np.int64]
+    method: Method = "robust"
+
+    def __len__(self) -> int:
+        """Return the number of windows."""
+        return len(self.present)
+
+    def __getitem__(self, number: int) -> Batch:
+        """Return one window: a batch without the first axis."""
+        return {name: values[0] for name, values in self.batch([number]).items()}
+
+    def __getitems__(self, numbers: Sequence[int]) -> Batch:
+        """Return the batch of these windows: what a DataLoader asks for."""
+        return self.batch(numbers)
+
+    def batch(self, numbers: ArrayLike) -> Batch:
+        """Return the windows with these numbers, raw SI values, channel by channel.
+
+        - `history/<channel>` (B, K + 1, ...): the oldest row first, the present row last.
+        - `future/<channel>` (B, H, ...): the H steps after it.
+        - `planned/action` (B, H, A), where there are actions: those at the present row and at the H - 1 steps
+          after it, which lead to `future`.
+        - `history_pad` (B, K + 1) and `future_pad` (B, H) bool: rows beyond the episode (its first or last row
+          stands there) and rows in which any of the channels is not valid (its last valid value stands there). A
+          pose increment is real where its row and the one before are both not flagged.
+        - `cloud` (B,) int64: index into `clouds`, -1 without one; `episode` (B,) int64: index into `episode_ids`;
+          `row` (B,) int64: the present row in its episode.
+
+        Channels are views of one gathered block of this batch: not contiguous, free to write to; `planned/action`
+        shares its memory with the actions of history and future.
+
+        Parameters
+        ----------
+        numbers : (B,) int
+            From 0 to `len(windows) - 1`.
+
+        Raises
+        ------
+        IndexError
+            When a number is out of range.
+        """
+        chosen = np.asarray(numbers, np.int64)
+        owner, present = self.owner[chosen], self.present[chosen]
+        begin, last = self.cache.begin[owner], self.cache.end[owner] - 1
+        wanted = present[:, None] + self._steps * self.stride[owner][:, None]
+        rows = np.minimum(np.maximum(wanted, begin[:, None]), last[:, None])
+        flagged = rows != wanted
+        if not self.cache.all_valid:
+            flagged |= ~self.cache.valid[rows]
+        # mode="clip" skips a buffered check; the rows are within the episodes by construction.
+        block = self.cache.rows.take(rows, mode="clip")
+        past = self.history
+        out: Batch = {}
+        for name in self.channels:
+            values = block[name]
+            out[f"history/{name}"], out[f"future/{name}"] = values[:, :past], values[:, past:]
+            if name == "action":
+                out["planned/action"] = values[:, past - 1 : -1]
+        out["history_pad"], out["future_pad"] = flagged[:, :past], flagged[:, past:]
+        out["cloud"], out["episode"], out["row"] = self._cloud_of[owner], owner, present - begin
+        return out
+
+    @cached_property
+    def _steps(self) -> NDArray[np.int64]:
+        """Steps from the present, the oldest first."""
+        return np.arange(1 - self.history, self.horizon + 1)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channels of a row, in canonical order."""
+        return tuple(self.cache.file.shapes)
+
+    @property
+    def episode_ids(self) -> tuple[str, ...]:
+        """Ids of all episodes of the version; `episode` of a batch is an index into them."""
+        return self.cache.file.ids
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in the order of `joint_position`."""
+        return self.cache.file.joint_names
+
+    @property
+    def actuator_names(self) -> tuple[str, ...]:
+        """Names of the actuators, in the order of `action`."""
+        return self.cache.file.actuator_names
+
+    @property
+    def fingertip_names(self) -> tuple[str, ...]:
+        """Names of the fingertips, in the order of `fingertip_force`."""
+        return self.cache.file.fingertip_names
+
+    def sizes(self) -> dict[str, int]:
+        """Return what fixes a model: history, horizon, joints, actuators, fingertips, points; 0 for what is absent."""
+        shapes = self.cache.file.shapes
+        tips = shapes.get("fingertip_force") or shapes.get("fingertip_contact") or (0,)
+        return {
+            "history": self.history,
+            "horizon": self.horizon,
+            "joints": shapes.get("joint_position", (0,))[0],
+            "actuators": shapes.get("action", (0,))[0],
+            "fingertips": tips[0],
+            "points": self.clouds.shape[1],
+        }
+
+    @cached_property
+    def cloud_names(self) -> tuple[str, ...]:
+        """sha256 of each distinct cloud, sorted: the order of `clouds`."""
+        return tuple(sorted({name for name in self.cache.file.clouds if name is not None}))
+
+    @cached_property
+    def _cloud_of(self) -> NDArray[np.int64]:
+        """Index of each episode's cloud, -1 without one."""
+        number = {name: i for i, name in enumerate(self.cloud_names)}
+        return np.array([-1 if name is None else number[name] for name in self.cache.file.clouds], np.int64)
+
+    @cached_property
+    def clouds(self) -> NDArray[np.float32]:
+        """`(C, N, 3) float32 [m]`: distinct point clouds, in the object's frame.
+
+        Clouds of more points than the smallest are thinned to its N, by a fixed draw.
+
+        Raises
+        ------
+        DataError
+            When the file of a cloud is missing or damaged.
+        """
+        found = [get_cloud(self.dataset.path, name) for name in self.cloud_names]
+        if not found:
+            return np.zeros((0, 0, 3), np.float32)
+        points = min(map(len, found))
+        return np.stack([_thinned(cloud, points) for cloud in found])
+
+    @cached_property
+    def normaliser(self) -> Normaliser:
+        """Centre and scale of the float channels and of the pose increments, from the training episodes only."""
+        rows = np.concatenate([np.arange(self.cache.begin[e], self.cache.end[e]) for e in self.fit_episodes])
+        rows = rows[self.cache.valid[rows]]
+        rows = rows[:: -(-len(rows) // SAMPLE) or 1]
+        taken = self.cache.rows.take(rows)
+        scales = {n: channel_scale(n, taken[n], self.method) for n in float_channels(self.channels)}
+        poses, good = self._fit_poses() if "object_pose" in self.channels else (None, np.empty((0, 0), bool))
+        return Normaliser(
+            method=self.method,
+            dataset=self.dataset.name,
+            digest=self.dataset.digest,
+            episodes=len(self.fit_episodes),
+            rows=len(rows),
+            windows=len(good),
+            rate_hz=self.rate_hz,
+            horizon=self.horizon,
+            channels=scales,
+            increments=None if poses is None else increment_scale(poses, good),
+        )
+
+    def _fit_poses(self) -> tuple[NDArray, NDArray[np.bool_]]:
+        """Return `(n, H + 1, 7)` poses of training windows, and `(n, H) bool` where an increment is real."""
+        present, owner = present_rows(self.cache, self.fit_episodes, self.stride, 1, self.horizon, 1, pad="both")
+        every = -(-len(present) * (self.horizon + 1) // (2 * SAMPLE)) or 1
+        fit = replace(self, history=1, present=present[::every], owner=owner[::every])
+        batch = fit.batch(np.arange(len(fit)))
+        poses = np.concatenate([batch["history/object_pose"], batch["future/object_pose"]], axis=1)
+        flagged = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
+        return poses, ~(flagged[:, 1:] | flagged[:, :-1])
+
+
+def _thinned(cloud: NDArray[np.float32], points: int) -> NDArray[np.float32]:
+    """Return `points` of a cloud; the points of a cloud are not in random order."""
+    if len(cloud) == points:
+        return cloud
+    picked = np.random.default_rng(_THINNING_SEED).choice(len(cloud), points, replace=False)
+    return cloud[np.sort(picked)]
+
+
+def windows(
+    dataset: Dataset | str | Path,
+    history: int = 8,
+    horizon: int = 16,
+    rate_hz: float = 10.0,
+    *,
+    stride: int | None = None,
+    channels: Sequence[str] | None = None,
+    split: str | None = None,
+    splits: Split | str | None = None,
+    pad: Pad = "history",
+    step: int = 1,
+    method: Method = "robust",
+    cache: str | Path | None = None,
+    progress: Progress = lambda done, total: None,
+) -> Windows:
+    """Return the windows of a dataset: one at every native row that has a whole horizon ahead.
+
+    The first call for a version and a set of channels makes a memory-mapped cache; later ones open it.
+
+    Parameters
+    ----------
+    dataset : Dataset, str or Path
+        Version, or folder of a dataset (its newest version).
+    history : int
+        Rows of the past, the present one included (K + 1).
+    horizon : int
+        Steps of the future (H).
+    rate_hz : float
+        Rate of the steps: every (episode's rate / rate_hz)-th row is taken, a whole number for each episode.
+    stride : int, optional
+        Native rows a step, instead of `rate_hz`.
+    channels : sequence of str, optional
+        Channels to hold; by default those that all episodes hold, without taxels. `point_cloud` demands a cloud
+        of every object.
+    split : str, optional
+        `train`, `val` or `test`; all episodes when omitted.
+    splits : Split or str, optional
+        The split, or the name of a stored one; see `find_split`. The normaliser is fitted on its `train`.
+    pad : str
+        `history`: the past may begin before the episode, the future must be whole (default); `both`: at least
+        one step of the future must be real; `none`: whole windows only.
+    step : int
+        Every how many native rows a window begins.
+    method : str
+        Method of the normaliser: `robust` or `std`.
+    cache : str or Path, optional
+        Folder for caches; see `open_cache`.
+    progress : callable
+        Called with (episodes done, episodes in all) while the cache is made.
+
+    Raises
+    ------
+    UsageError
+        When a number is out of range, or there is no dataset.
+    UnknownNameError
+        When a channel, group, split or padding is not known.
+    DataError
+        When a channel is missing, rates do not divide, the group is empty, or no episode is long enough.
+    SetupError
+        When the cache cannot be written.
+    """
+    opened = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    wanted = None if channels is None else known_channels(channels)
+    found = find_split(opened, splits) if split is not None or splits is not None else None
+    rows = open_cache(opened, wanted, None if cache is None else Path(cache), progress)
+    number = {name: i for i, name in enumerate(rows.file.ids)}
+    training = _numbers(number, group_ids(opened, found, "train") if found else opened.ids)
+    chosen = _numbers(number, group_ids(opened, found, split) if found and split else opened.ids)
+    step_of, rate = strides(rows, np.union1d(training, chosen), rate_hz, stride)
+    present, owner = present_rows(rows, chosen, step_of, history, horizon, step, pad)
+    return Windows(opened, rows, found, history, horizon, rate, step_of, present, owner, training, method)
+
+
+def _numbers(number: dict[str, int], ids: Sequence[str]) -> NDArray[np.int64]:
+    """Return the episodes' positions, ascending."""
+    return np.array(sorted(number[name] for name in ids), np.int64)

@@ -1,0 +1,154 @@
+"""Normaliser: centre and scale of channels and of pose increments, a value that goes with a checkpoint."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import DataError, UnknownNameError
+from candata.loaders.increments import increments
+from candata.schema.channels import CHANNELS, QUATERNION
+from candata.schema.record import Record
+
+Method = Literal["robust", "std"]
+
+#: A standard deviation in MADs of a normal distribution, 1 / Phi^-1(3/4).
+#: Source: F. R. Hampel, "The influence curve and its role in robust estimation", JASA 69 (1974).
+MAD_TO_STD = 1.4826
+
+#: Tails of a channel that lie outside the range below, and half that range in standard deviations of a normal
+#: distribution, Phi^-1(1 - TAIL). A force that is zero most of the time has a MAD of zero; the range still says how
+#: large it gets. Chosen: a spike in a thousand rows does not count, a finger that touches in one of a hundred does.
+TAIL, TAIL_STD = 0.001, 3.0902
+
+#: Least scale of a channel, in SI units (1 cm, 10 mrad, 10 mN): a joint that never moves in the training data must
+#: not explode once it does. Chosen: below what matters to a hand.
+CHANNEL_FLOOR = 0.01
+
+#: Least scale of an increment, dp [m] and omega [rad]: an object that never moves. Chosen: a tenth of the pose noise
+#: that the built-in scenes declare.
+INCREMENT_FLOOR = np.array([1e-4] * 3 + [1e-3] * 3)
+
+#: Rows or windows that are read at most; beyond, every n-th is taken.
+SAMPLE = 200_000
+
+
+class Scale(Record):
+    """Centre and scale of the elements of a step, in the order of `shape` flattened: (x - centre) / scale."""
+
+    shape: tuple[int, ...]
+    centre: tuple[float, ...]
+    scale: tuple[float, ...]
+
+    def arrays(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return centre and scale as `shape` arrays."""
+        centre, scale = (np.array(x, np.float32).reshape(self.shape) for x in (self.centre, self.scale))
+        return centre, scale
+
+
+class Normaliser(Record):
+    """Scales fitted on the training episodes only; plain JSON by `model_dump_json`, back by `model_validate_json`.
+
+    `channels` holds the float channels of the windows; quaternions keep centre 0 and scale 1, the three axes of a
+    position share one scale. `increments` is `(H, 6)`, dp [m] and omega [rad] at the model's rate, mean and standard
+    deviation by step; null where the windows have no object pose. `rows` and `windows` say how many were read.
+    """
+
+    method: Method
+    dataset: str
+    digest: str
+    episodes: int
+    rows: int
+    windows: int
+    rate_hz: float
+    horizon: int
+    channels: dict[str, Scale]
+    increments: Scale | None
+
+    def channel(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return centre and scale of a channel, in its shape without the time axis.
+
+        Raises
+        ------
+        UnknownNameError
+            When the channel was not fitted; lists those that were.
+        """
+        if name not in self.channels:
+            raise UnknownNameError("channel of the normaliser", name, self.channels)
+        return self.channels[name].arrays()
+
+
+def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scale:
+    """Return centre and scale of one channel.
+
+    Parameters
+    ----------
+    name : str
+        Name of the channel; decides what is treated as position and quaternion.
+    values : (n, ...) float
+        Valid values.
+    method : str
+        `robust`: median, and the larger of 1.4826 MAD and the range of all but the outer 0.1 % on each side, in
+        standard deviations; `std`: mean and standard deviation.
+
+    Raises
+    ------
+    DataError
+        When there is no value.
+    UnknownNameError
+        When the method is unknown.
+    """
+    if not len(values):
+        raise DataError(f"no valid value of {name} to fit a normaliser on", fix="train on episodes that hold it")
+    flat = np.asarray(values, np.float64).reshape(len(values), -1)
+    centre, scale = _centre_and_scale(flat, method)
+    if name in QUATERNION:
+        scale[:3] = scale[:3].max()
+        centre[QUATERNION[name]], scale[QUATERNION[name]] = 0, 1
+    return Scale(shape=values.shape[1:], centre=tuple(centre.tolist()), scale=tuple(scale.tolist()))
+
+
+def _centre_and_scale(values: NDArray, method: Method) -> tuple[NDArray, NDArray]:
+    """Return both `(n,)` for `(rows, n)` values."""
+    if method == "std":
+        return values.mean(0), np.maximum(values.std(0), CHANNEL_FLOOR)
+    if method != "robust":
+        raise UnknownNameError("method of a normaliser", method, ("robust", "std"))
+    centre = np.median(values, 0)
+    low, high = np.quantile(values, [TAIL, 1 - TAIL], axis=0)
+    scale = np.maximum(MAD_TO_STD * np.median(np.abs(values - centre), 0), (high - low) / (2 * TAIL_STD))
+    return centre, np.maximum(scale, CHANNEL_FLOOR)
+
+
+def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
+    """Return mean and standard deviation of the increments by step, `(H, 6)`.
+
+    A step that no episode reaches takes those of all steps together.
+
+    Parameters
+    ----------
+    poses : (n, H + 1, 7)
+        Pose of the present row and of the horizon.
+    good : (n, H) bool
+        Steps whose two poses are both real.
+
+    Raises
+    ------
+    DataError
+        When there is no real increment at all.
+    """
+    if not good.any():
+        raise DataError("no real pose increment to fit a normaliser on", fix="train on episodes that hold the pose")
+    steps = increments(poses)
+    taken = [steps[good[:, k], k] if good[:, k].any() else steps[good] for k in range(good.shape[1])]
+    centre = np.stack([step.mean(0) for step in taken])
+    spread = np.stack([step.std(0) for step in taken])
+    scale = np.maximum(spread, INCREMENT_FLOOR)
+    return Scale(shape=centre.shape, centre=tuple(centre.ravel().tolist()), scale=tuple(scale.ravel().tolist()))
+
+
+def float_channels(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the channels that are normalised: those of floats."""
+    return tuple(name for name in names if CHANNELS[name].dtype == "float32")

@@ -1,0 +1,178 @@
+"""Configurations of the models: checked values, no torch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from candata.errors import UsageError
+from candata.models._contract import Sizes
+from candata.schema.record import Record
+
+
+class HistoryConfig(Record):
+    """What every model reads.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the first weights.
+    planned_actions : bool
+        Whether the actions a(t..t+H-1) that will be taken are read too. Without them the forecast must guess what
+        the policy will do, as the paper's does.
+    world_position : bool
+        Whether the object's position in the world is read, beside its path relative to the present. It says where
+        the hand is when the wrist's joints are in the world, and how high the table. Without it the forecast is the
+        same wherever the episode happens.
+    contact_history : bool
+        Whether the past of the hand contact is read.
+    fingertip_contact : bool
+        Whether the past contact of each fingertip is read too.
+    """
+
+    seed: int = 0
+    planned_actions: bool = True
+    world_position: bool = True
+    contact_history: bool = False
+    fingertip_contact: bool = False
+
+
+class MlpConfig(HistoryConfig):
+    """Configuration of `mlp`: width and number of hidden layers."""
+
+    width: int = Field(default=512, ge=1)
+    layers: int = Field(default=3, ge=1)
+
+
+class DiffusionConfig(HistoryConfig):
+    """Configuration of `diffusion_unet`.
+
+    Attributes
+    ----------
+    latent : int
+        Size of the fused state z.
+    temporal_width : int
+        Channels of the encoder over the history.
+    point_widths : tuple of int
+        The shared MLP of the cloud's encoder.
+    cloud : str
+        `object`: the cloud is encoded in the object's frame, once for each distinct cloud of a batch, and its pose
+        enters the fusion. `world`: each window's cloud is turned with the present pose first, as in the paper.
+        `none`: no cloud.
+    cloud_points : int or None
+        Read only so many of the cloud's points; None is all.
+    widths, kernel, groups, time_features : U-Net
+        Channels of its levels, kernel over the horizon, groups of the norms, features of the diffusion time.
+    train_steps : int
+        Steps of the squared-cosine noise schedule.
+    target : str
+        What the network predicts: the clean increments (`x0`), or the noise (`epsilon`).
+    epsilon_range : float
+        For `epsilon` so many standard deviations are scaled to [-1, 1], and forecasts are clipped there.
+    sampler : str
+        `ddim` or `ddpm`.
+    sampling_steps : int
+        Steps a forecast takes unless told otherwise.
+    """
+
+    latent: int = Field(default=512, ge=1)
+    temporal_width: int = Field(default=128, ge=1)
+    point_widths: tuple[int, ...] = Field(default=(64, 128, 1024), min_length=1)
+    cloud: Literal["object", "world", "none"] = "object"
+    cloud_points: int | None = Field(default=None, ge=1)
+    widths: tuple[int, ...] = Field(default=(128, 256, 512), min_length=1)
+    kernel: int = Field(default=5, ge=1)
+    groups: int = Field(default=8, ge=1)
+    time_features: int = Field(default=256, ge=2)
+    train_steps: int = Field(default=100, ge=1)
+    target: Literal["x0", "epsilon"] = "x0"
+    epsilon_range: float = Field(default=8.0, gt=0)
+    sampler: Literal["ddim", "ddpm"] = "ddim"
+    sampling_steps: int = Field(default=10, ge=1)
+
+    @field_validator("widths", "point_widths")
+    @classmethod
+    def _positive(cls, value: tuple[int, ...]) -> tuple[int, ...]:
+        """Return the widths; all must be at least 1."""
+        if min(value) < 1:
+            raise ValueError("every width must be at least 1")
+        return value
+
+    @field_validator("kernel")
+    @classmethod
+    def _odd(cls, value: int) -> int:
+        """Return the kernel; an even one would shift the sequence."""
+        if value % 2 == 0:
+            raise ValueError("the kernel must be odd")
+        return value
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        """Return the configuration; groups must divide widths, a forecast cannot take more steps than trained."""
+        if any(width % self.groups for width in (*self.widths, self.temporal_width)):
+            raise ValueError(f"groups {self.groups} must divide every one of widths and temporal_width")
+        if self.sampling_steps > self.train_steps:
+            raise ValueError("sampling_steps must not exceed train_steps")
+        return self
+
+
+class ContactConfig(DiffusionConfig):
+    """Configuration of `contact_diffusion`.
+
+    Attributes
+    ----------
+    contact_features : int
+        Size of the contact feature f_c.
+    contact_grad : str
+        `full`: the diffusion loss trains the contact head too; `stop`: only the contact loss does.
+    contact_input : str
+        Which contact the denoiser is trained on: `predicted`, the recorded (`true`), or `mixed`: for each window one
+        of the two by chance. A forecast always uses the predicted one.
+    diffusion_weight : float
+        Lambda in L = L_contact + lambda L_diffusion.
+    """
+
+    contact_history: bool = True
+    contact_features: int = Field(default=64, ge=1)
+    contact_grad: Literal["full", "stop"] = "full"
+    contact_input: Literal["predicted", "true", "mixed"] = "predicted"
+    diffusion_weight: float = Field(default=1.0, ge=0)
+
+
+#: Fields that differ from the defaults, by preset. `small` trains usefully in minutes on two cores; `paper` reads only
+#: past actions and turns the cloud with the pose, as arXiv 2601.12796 says.
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "small": {
+        "latent": 128, "temporal_width": 64, "point_widths": (32, 64, 128), "cloud_points": 128,
+        "widths": (32, 64, 128), "time_features": 64,
+    },
+    "base": {},
+    "paper": {"widths": (256, 512, 1024), "planned_actions": False, "cloud": "world"},
+}  # fmt: skip
+
+
+def parser(kind: type[Record]) -> Callable[[Mapping[str, Any]], Record]:
+    """Return the function that makes a configuration of `kind` from plain values, or raises UsageError."""
+    return lambda values: kind.parse(dict(values), "model configuration")
+
+
+def check_sizes(config: HistoryConfig, sizes: Sizes) -> None:
+    """Return nothing when a model of this configuration can be built for such data.
+
+    Raises
+    ------
+    UsageError
+        When a size is impossible, or the data hold no clouds and the configuration reads them.
+    """
+    if sizes.history < 1 or sizes.horizon < 1:
+        raise UsageError(
+            "windows too short", expected="history and horizon of at least 1",
+            found=f"history {sizes.history}, horizon {sizes.horizon}",
+        )  # fmt: skip
+    if isinstance(config, DiffusionConfig) and config.cloud != "none" and sizes.points < 1:
+        raise UsageError(
+            "the data hold no point clouds", expected="a cloud for each object", found="0 points",
+            fix="add clouds to the dataset, or set the model's `cloud` to `none`",
+        )  # fmt: skip

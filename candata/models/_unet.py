@@ -1,0 +1,136 @@
+"""The denoiser: a 1D U-Net over the horizon, each of its blocks scaled and shifted by the condition (FiLM).
+
+Sources: E. Perez et al., "FiLM", arXiv 1709.07871, eq. 1; the layout (two residual blocks a level, kernel 5, group
+norm, Mish) is that of C. Chi et al., "Diffusion Policy", arXiv 2303.04137, section III and its 1D CNN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+
+def convolution(inputs: int, outputs: int, kernel: int, groups: int) -> nn.Sequential:
+    """Return convolution over time, group norm, Mish: `(B, inputs, L)` to `(B, outputs, L)`."""
+    return nn.Sequential(
+        nn.Conv1d(inputs, outputs, kernel, padding=kernel // 2), nn.GroupNorm(groups, outputs), nn.Mish()
+    )
+
+
+class Residual(nn.Module):
+    """Two convolutions with a scale and shift between them, added to the input."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, groups: int) -> None:
+        super().__init__()
+        self.first = convolution(inputs, outputs, kernel, groups)
+        self.second = convolution(outputs, outputs, kernel, groups)
+        self.skip = nn.Conv1d(inputs, outputs, 1) if inputs != outputs else nn.Identity()
+
+    def forward(self, x: Tensor, film: Tensor) -> Tensor:
+        """Return `(B, outputs, L)`; `film (B, 2 outputs)` holds scales less one, then shifts."""
+        scale, shift = film[..., None].chunk(2, dim=1)
+        found: Tensor = self.second(torch.addcmul(shift, self.first(x), 1 + scale)) + self.skip(x)
+        return found
+
+
+class Level(nn.Module):
+    """Two residual blocks at one length."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, groups: int) -> None:
+        super().__init__()
+        self.first = Residual(inputs, outputs, kernel, groups)
+        self.second = Residual(outputs, outputs, kernel, groups)
+
+    def forward(self, x: Tensor, film: Tensor) -> Tensor:
+        """Return `(B, outputs, L)`; `film (B, 4 outputs)` is for the first block, then the second."""
+        first, second = film.chunk(2, dim=1)
+        found: Tensor = self.second(self.first(x, first), second)
+        return found
+
+
+class TimeEmbedding(nn.Module):
+    """Sines and cosines of the diffusion time, then a small MLP. Source: arXiv 1706.03762, section 3.5."""
+
+    frequencies: Tensor
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        half = features // 2
+        powers = torch.arange(half) / max(half - 1, 1)
+        self.register_buffer("frequencies", torch.exp(-math.log(10_000) * powers), persistent=False)
+        self.layers = nn.Sequential(
+            nn.Linear(2 * half, 4 * features), nn.Mish(), nn.Linear(4 * features, features), nn.Mish()
+        )
+
+    def forward(self, time: Tensor) -> Tensor:
+        """Return features `(S, features)` of times `(S)`."""
+        angle = time[:, None] * self.frequencies
+        found: Tensor = self.layers(torch.cat([angle.sin(), angle.cos()], dim=-1))
+        return found
+
+
+class UNet(nn.Module):
+    """Denoises a sequence; the condition enters by FiLM at every block.
+
+    The scales and shifts are linear in [time features; condition], so they are the sum of a part by window and a
+    part by time. Sampling computes the first once and the second for all its steps at once.
+    """
+
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        condition: int,
+        time_features: int,
+        widths: Sequence[int],
+        kernel: int,
+        groups: int,
+    ) -> None:
+        super().__init__()
+
+        pairs = list(zip([inputs, *widths[:-1]], widths, strict=True))
+        back = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
+        self.down = nn.ModuleList(Level(a, b, kernel, groups) for a, b in pairs)
+        self.shrink = nn.ModuleList(nn.Conv1d(w, w, 3, stride=2, padding=1) for w in widths[:-1])
+        self.middle = Level(widths[-1], widths[-1], kernel, groups)
+        self.up = nn.ModuleList(Level(2 * a, b, kernel, groups) for a, b in back)
+        self.grow = nn.ModuleList(nn.ConvTranspose1d(b, b, 4, stride=2, padding=1) for _, b in back)
+        last = nn.Conv1d(widths[0], outputs, 1)
+        for parameter in last.parameters():
+            nn.init.zeros_(parameter)  # the first forecast is the mean of the data
+        self.last = nn.Sequential(convolution(widths[0], widths[0], kernel, groups), last)
+        self.film_sizes = [4 * width for width in [*widths, widths[-1], *(b for _, b in back)]]
+        self.by_window = nn.Linear(condition, sum(self.film_sizes))
+        self.by_time = nn.Linear(time_features, sum(self.film_sizes), bias=False)
+        self.embed = TimeEmbedding(time_features)
+
+    def window_film(self, condition: Tensor) -> Tensor:
+        """Return the part of all scales and shifts `(B, S)` that the condition `(B, C)` gives."""
+        found: Tensor = self.by_window(nn.functional.mish(condition))
+        return found
+
+    def time_film(self, time: Tensor) -> Tensor:
+        """Return the part of all scales and shifts `(T, S)` that the diffusion times `(T)` give."""
+        found: Tensor = self.by_time(self.embed(time))
+        return found
+
+    def forward(self, x: Tensor, film: Tensor) -> Tensor:
+        """Return the output `(B, outputs, H)` for `x (B, inputs, H)` and `film (B, S)`."""
+        films = iter(film.split(self.film_sizes, dim=1))
+        kept, lengths = [], []
+        for number, level in enumerate(self.down):
+            lengths.append(x.shape[-1])
+            x = level(x, next(films))
+            kept.append(x)
+            if number < len(self.shrink):
+                x = self.shrink[number](x)
+        x = self.middle(x, next(films))
+        for level, grow in zip(self.up, self.grow, strict=True):
+            x = level(torch.cat([x, kept.pop()], dim=1), next(films))
+            lengths.pop()
+            x = grow(x)[..., : lengths[-1]]
+        found: Tensor = self.last(x)
+        return found

@@ -1,0 +1,259 @@
+"""The stand-in for a hand: plays a script on a pseudo-terminal at the pace of the wire."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.record.devices._wire import wire_time_ns
+from candata.record.emulate_faults import NO_FAULTS, Faults, damaged
+from candata.record.emulate_line import Line
+from candata.record.emulate_script import Script
+
+#: Between a reader opening the port and the first frame: programs set the port up and empty it first.
+SETTLE_S = 0.2
+#: Longest wait at the end for the reader to take the last bytes, which go with the port.
+DRAIN_S = 1.0
+#: Longest sleep, so that a stop is heard soon.
+_NAP_NS = 50_000_000
+
+
+@dataclass(frozen=True)
+class Sent:
+    """What an emulation sent, a row for each request and reply.
+
+    Attributes
+    ----------
+    script : Script
+        What was played.
+    index : (n,) int64
+        Row of the script.
+    command_time_ns, state_time_ns : (n,) int64
+        When the first byte of the request and of the reply was on the wire [ns since 1970].
+    command_whole, state_whole : (n,) bool
+        The frame went out whole and without damage; false too where nothing was sent.
+    counts : dict
+        `whole_commands`, `whole_states`, `dropped_frames`, `dropped_bytes`, `received_bytes` (what the reader
+        wrote), `faults` by name.
+    late_s : float
+        The most by which a frame was behind its time.
+    """
+
+    script: Script
+    index: NDArray[np.int64]
+    command_time_ns: NDArray[np.int64]
+    state_time_ns: NDArray[np.int64]
+    command_whole: NDArray[np.bool_]
+    state_whole: NDArray[np.bool_]
+    counts: dict[str, Any]
+    late_s: float
+
+    def report(self) -> dict[str, Any]:
+        """Return the counts, with what the device's range clipped, as plain values."""
+        played = len(self.index)
+        return {
+            "rows": played,
+            "rate_hz": self.script.rate_hz,
+            "seconds": round((self.state_time_ns[-1] - self.command_time_ns[0]) * 1e-9, 3) if played else 0.0,
+            **self.counts,
+            "clipped": {
+                "force_counts": int(self.script.force_clipped[self.index].sum()),
+                "taxel_counts": int(self.script.taxels_clipped[self.index].sum()),
+            },
+            "late_s": round(self.late_s, 6),
+        }
+
+
+@dataclass
+class _Tally:
+    """What has been sent so far."""
+
+    index: list[int] = field(default_factory=list)
+    times: list[tuple[int, int]] = field(default_factory=list)
+    whole: list[tuple[bool, bool]] = field(default_factory=list)
+    late_ns: int = 0
+    dropped_frames: int = 0
+    dropped_bytes: int = 0
+    received_bytes: int = 0
+    faults: Counter[str] = field(default_factory=Counter)
+
+
+class _Wire:
+    """The line with its faults; None in its place while it is unplugged or silent."""
+
+    def __init__(self, line: Line, script: Script, faults: Faults, rng: np.random.Generator) -> None:
+        self.line: Line | None = line
+        self._link, self._script, self._faults, self._rng = line.link, script, faults, rng
+        self.tally = _Tally()
+
+    def follow(self, at_s: float, on_port: Callable[[str], None]) -> bool:
+        """Unplug or plug in as the faults say for second `at_s`; return False once it is unplugged for good."""
+        if self._faults.unplug is None:
+            return True
+        begin, length = self._faults.unplug
+        away = begin <= at_s and (length is None or at_s < begin + length)
+        if away and self.line is not None:
+            self.close()
+        elif not away and self.line is None:
+            self.line = Line(self._link)
+            on_port(self.line.port)
+        return not away or length is not None
+
+    def close(self) -> None:
+        """Close the line."""
+        if self.line is not None:
+            self.line.has_reader()
+            self.tally.received_bytes += self.line.received_bytes
+            self.line.close()
+            self.line = None
+
+    def silent(self, at_s: float) -> bool:
+        """Tell whether nothing is sent in second `at_s`."""
+        return self.line is None or any(t <= at_s < t + length for t, length in self._faults.stalls)
+
+    def send(self, frame: bytes, silent: bool) -> bool:
+        """Send a frame; return whether it went out whole and undamaged."""
+        if silent or self.line is None:
+            return False
+        data, fault = damaged(frame, self._faults, self._script.encoder.with_heads, self._rng)
+        if fault:
+            self.tally.faults[fault] += 1
+        lost = len(data) - self.line.write(data)
+        self.tally.dropped_bytes += lost
+        self.tally.dropped_frames += lost > 0
+        return not lost and fault in (None, "head")
+
+
+def wait_for_reader(line: Line, stop: Callable[[], bool]) -> bool:
+    """Return once a program has opened the port and had `SETTLE_S` to set it up; False when stopped before."""
+    while not line.has_reader():
+        if stop():
+            return False
+        time.sleep(0.02)
+    time.sleep(SETTLE_S)
+    return True
+
+
+def play(
+    script: Script,
+    line: Line,
+    rng: np.random.Generator,
+    *,
+    faults: Faults = NO_FAULTS,
+    passes: int = 1,
+    hold: bool = False,
+    stop: Callable[[], bool] = lambda: False,
+    on_port: Callable[[str], None] = lambda _port: None,
+) -> Sent:
+    """Return what was sent, once the script has been played, the port unplugged for good, or a stop asked for.
+
+    Each row is sent at its own absolute time, so that no delay adds up; one that is late is followed as fast as the
+    wire allows. A frame is written when its last byte would be on the wire: request, then reply, 8.38 ms a row.
+
+    Parameters
+    ----------
+    script : Script
+        What to play.
+    line : Line
+        Where to; closed at the end.
+    rng : numpy.random.Generator
+        Draws the faults.
+    faults : Faults
+        What goes wrong.
+    passes : int
+        How often the script is played, its still stretch included; 0 plays it until stopped.
+    hold : bool
+        Go on sending the last row until stopped.
+    stop : callable
+        Tells whether to end.
+    on_port : callable
+        Told the name of the new port after an unplug.
+    """
+    wire = _Wire(line, script, faults, rng)
+    wall_ns = time.time_ns() - time.monotonic_ns()
+    period_ns = 1e9 / script.rate_hz
+    begin = free = time.monotonic_ns()
+    try:
+        for k, index in enumerate(_rows(len(script), passes, hold)):
+            due = begin + round(k * period_ns)
+            at_s = (due - begin) * 1e-9
+            if not wire.follow(at_s, on_port):
+                break
+            done = _send_row(wire, script, index, max(due, free), wire.silent(at_s), stop)
+            if done is None:
+                break
+            free, times = done
+            wire.tally.index.append(index)
+            wire.tally.times.append((times[0] + wall_ns, times[1] + wall_ns))
+            wire.tally.late_ns = max(wire.tally.late_ns, times[0] - due)
+        if wire.line is not None:
+            wire.line.drain(DRAIN_S)
+    finally:
+        wire.close()
+    return _sent(script, wire.tally)
+
+
+def _rows(count: int, passes: int, hold: bool) -> Iterator[int]:
+    """Yield rows of the script in the order in which they are sent."""
+    done = 0
+    while passes == 0 or done < passes:
+        yield from range(count)
+        done += 1
+    while hold:
+        yield count - 1
+
+
+def _send_row(
+    wire: _Wire, script: Script, index: int, start_ns: int, silent: bool, stop: Callable[[], bool]
+) -> tuple[int, tuple[int, int]] | None:
+    """Send request and reply; return when the wire is free and when each began, or None when stopped before."""
+    begun: list[int] = []
+    whole: list[bool] = []
+    free_ns = start_ns
+    for frame in (script.commands[index], script.states[index]):
+        length_ns = wire_time_ns(len(frame), script.device.baud)
+        # A request that went out is answered: a stop ends between rows.
+        now = _wait(free_ns + length_ns, (lambda: False) if whole else stop)
+        if now is None:
+            return None
+        whole.append(wire.send(frame, silent))
+        begun.append(now - length_ns)
+        free_ns = now
+    wire.tally.whole.append((whole[0], whole[1]))
+    return free_ns, (begun[0], begun[1])
+
+
+def _wait(until_ns: int, stop: Callable[[], bool]) -> int | None:
+    """Sleep until a moment of the monotonic clock; return the moment it is then, or None when stopped."""
+    while True:
+        if stop():
+            return None
+        left = until_ns - (now := time.monotonic_ns())
+        if left <= 0:
+            return now
+        time.sleep(min(left, _NAP_NS) * 1e-9)
+
+
+def _sent(script: Script, tally: _Tally) -> Sent:
+    """Return the value of a tally."""
+    count = len(tally.index)
+    times = np.array(tally.times, np.int64).reshape(count, 2)
+    whole = np.array(tally.whole, bool).reshape(count, 2)
+    counts = {
+        "whole_commands": int(whole[:, 0].sum()),
+        "whole_states": int(whole[:, 1].sum()),
+        "dropped_frames": tally.dropped_frames,
+        "dropped_bytes": tally.dropped_bytes,
+        "received_bytes": tally.received_bytes,
+        "faults": dict(sorted(tally.faults.items())),
+    }
+    return Sent(
+        script, np.array(tally.index, np.int64), times[:, 0], times[:, 1], whole[:, 0], whole[:, 1], counts,
+        tally.late_ns * 1e-9,
+    )  # fmt: skip

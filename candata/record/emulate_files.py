@@ -1,0 +1,126 @@
+"""Files of an emulation: the table of what the wire does not carry, its map, and the truth for tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import yaml
+
+from candata.errors import SetupError, UsageError, Where
+from candata.record.emulate import Sent
+from candata.record.emulate_script import Script
+from candata.schema.scene import TableMap
+
+MAP = "map.yaml"
+#: Key of the table's metadata that holds the episode's meta as JSON.
+META_KEY = b"candata.episode"
+_POSE = ("px", "py", "pz", "qw", "qx", "qy", "qz")
+
+
+def check_table(path: Path, script: Script) -> None:
+    """Refuse a place for the table before anything is sent.
+
+    Raises
+    ------
+    UsageError
+        When it is no Parquet file, it or the map beside it stands, or the wire carries all there is.
+    SetupError
+        When its folder cannot be made.
+    """
+    if path.suffix != ".parquet":
+        raise UsageError("the table is a Parquet file", expected="a name that ends in .parquet", found=path.name)
+    if not {"joint_position", "object_pose"} & set(script.unwired):
+        raise UsageError("the wire carries all of this episode", fix="leave out --with-table")
+    prepare(path)
+    prepare(path.with_name(MAP))
+
+
+def prepare(path: Path) -> None:
+    """Refuse a file that stands, and make its folder.
+
+    Raises
+    ------
+    UsageError
+        When it does.
+    SetupError
+        When the folder cannot be made.
+    """
+    if path.exists():
+        raise UsageError("the output exists already", where=Where(path=str(path)), fix="choose another place")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _unwritten(path, error) from None
+
+
+def write_table(path: Path, sent: Sent) -> None:
+    """Write the table, a row for each reply with its time, and `map.yaml` beside it for `candata import table`.
+
+    Raises
+    ------
+    SetupError
+        When a file cannot be written.
+    """
+    script = sent.script
+    named = _columns(script)
+    table = {"t": sent.state_time_ns * 1e-9}
+    for channel, columns in named.items():
+        block = script.unwired[channel][sent.index]
+        table |= {column: block[:, k] for k, column in enumerate(columns)}
+    meta = script.meta
+    mapping = TableMap(
+        file=path.name, source=meta.source, time_s="t", rate_hz=script.rate_hz, scene=meta.scene, object=meta.object,
+        task=meta.task, channels=dict(named), force=meta.force,
+    )  # fmt: skip
+    text = yaml.safe_dump(mapping.model_dump(mode="json", exclude_none=True, exclude={"units"}), sort_keys=False)
+    try:
+        columns = pa.table(table).replace_schema_metadata({META_KEY: meta.model_dump_json().encode()})
+        pq.write_table(columns, path)
+        path.with_name(MAP).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise _unwritten(path, error) from None
+
+
+def _columns(script: Script) -> dict[str, tuple[str, ...]]:
+    """Return the columns of each channel that the wire does not carry."""
+    named = {
+        "object_pose": _POSE,
+        "joint_position": tuple(f"q_{name}" for name in script.unwired_joints),
+        "action": tuple(f"a_{name}" for name in script.unwired_actuators),
+    }
+    return {channel: columns for channel, columns in named.items() if channel in script.unwired}
+
+
+def write_truth(path: Path, sent: Sent) -> None:
+    """Write the values sent as npz: `command_time_ns`, `state_time_ns`, `*_whole`, joints, targets, forces, counts.
+
+    Raises
+    ------
+    SetupError
+        When the file cannot be written.
+    """
+    script, index = sent.script, sent.index
+    arrays = {
+        "row": script.row[index], "still": index < script.still,
+        "command_time_ns": sent.command_time_ns, "state_time_ns": sent.state_time_ns,
+        "command_whole": sent.command_whole, "state_whole": sent.state_whole,
+        "joint_position": script.joint_position[index], "joint_target": script.joint_target[index],
+        "force": script.force[index], "force_counts": script.force_counts[index],
+        "taxel_counts": script.taxel_counts[index], "newton_per_count": np.array(script.newton_per_count),
+        "joint_names": np.array(script.device.joint_names), "fingertip_names": np.array(script.device.fingertip_names),
+        "meta": np.array(script.meta.model_dump_json()),
+    }  # fmt: skip
+    arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired.items()}
+    try:
+        with path.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+    except OSError as error:
+        raise _unwritten(path, error) from None
+
+
+def _unwritten(path: Path, error: OSError) -> SetupError:
+    """Return the error of a file that cannot be written."""
+    return SetupError("the file cannot be written", found=error.strerror, where=Where(path=str(path)))

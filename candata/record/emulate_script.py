@@ -1,0 +1,243 @@
+"""What an emulated hand says: the rows of an episode as the counts and frames of a device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import DataError, UsageError, Where
+from candata.plugins import load
+from candata.record.devices import PACKAGE, Device
+from candata.record.devices._wire import Encoder, wire_time_ns
+from candata.schema.channels import VALID_SUFFIX
+from candata.schema.episode import Episode, EpisodeMeta
+
+#: The taxels lie in rows of ten; a press spreads over them as a Gaussian of this width [taxels] about the middle.
+#: The taxels' places are not published: a fixed pattern that reaches many of them is all that a test needs.
+ROW_OF_TAXELS, SPREAD = 10, 1.5
+#: Its frames are made before the first is sent.
+STILL_MAX_S = 600.0
+
+
+@dataclass(frozen=True)
+class Script:
+    """Rows to be sent, a still stretch first.
+
+    Attributes
+    ----------
+    meta : EpisodeMeta
+        Of the episode that is played.
+    device : Device
+        Whose frames these are.
+    encoder : Encoder
+        What wrote them.
+    rate_hz : float
+        Rows a second.
+    newton_per_count : float
+        Scale of the counts.
+    still : int
+        Rows of the still stretch.
+    row : (n,) int64
+        Row of the episode.
+    joint_position, joint_target : (n, J) float32 [rad]
+        Of the device's joints, as sent.
+    force : (n, F, 3) float64 [N]
+        Before it is counted.
+    force_counts, taxel_counts : (n, F, 3), (n, F, taxels, 3) int16
+        As sent.
+    force_clipped, taxels_clipped : (n,) int64
+        Numbers of counts that were out of the device's range.
+    unwired : dict of str to (n, k) float64
+        `joint_position`, `action`, `object_pose`: what the wire does not carry.
+    unwired_joints, unwired_actuators : tuple of str
+        Names of those joints and actuators.
+    commands, states : tuple of bytes
+        The frames.
+    """
+
+    meta: EpisodeMeta
+    device: Device
+    encoder: Encoder
+    rate_hz: float
+    newton_per_count: float
+    still: int
+    row: NDArray[np.int64]
+    joint_position: NDArray[np.float32]
+    joint_target: NDArray[np.float32]
+    force: NDArray[np.float64]
+    force_counts: NDArray[np.int16]
+    taxel_counts: NDArray[np.int16]
+    force_clipped: NDArray[np.int64]
+    taxels_clipped: NDArray[np.int64]
+    unwired: dict[str, NDArray[np.float64]]
+    unwired_joints: tuple[str, ...]
+    unwired_actuators: tuple[str, ...]
+    commands: tuple[bytes, ...]
+    states: tuple[bytes, ...]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return len(self.row)
+
+
+def tip_pattern(taxels: int) -> NDArray[np.float64]:
+    """Return `(taxels,) float64`: the share of a fingertip's force that each taxel feels; they sum to 1.
+
+    Taxel i lies at row i // 10, column i % 10; its share is a Gaussian of 1.5 taxels about the middle of the rows.
+    """
+    row, column = np.divmod(np.arange(taxels), ROW_OF_TAXELS)
+    square = (row - row.max() / 2) ** 2 + (column - column.max() / 2) ** 2
+    share = np.exp(-square / (2 * SPREAD**2))
+    return share / share.sum()
+
+
+def counted(force: NDArray, device: Device, newton_per_count: float) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
+    """Return forces as the device counts them, and how many counts of each row its range clipped.
+
+    Parameters
+    ----------
+    force : ndarray
+        `(n, ..., 3) float [N]`.
+    device : Device
+        Gives the range of a count.
+    newton_per_count : float
+        Scale.
+    """
+    # To a millionth first: the noise of float32 must not decide halves, nor make a half below zero a clipped count.
+    whole = np.rint(np.round(force / newton_per_count, 6))
+    kept = np.clip(whole, device.count_low, device.count_high)
+    clipped = (kept != whole).reshape(len(force), -1).sum(axis=1)
+    return kept.astype(np.int16), clipped.astype(np.int64)
+
+
+def write_script(
+    episode: Episode,
+    device_name: str,
+    device: Device,
+    *,
+    rate_hz: float | None = None,
+    still_s: float = 3.5,
+    newton_per_count: float | None = None,
+) -> Script:
+    """Return what an emulated device sends to play `episode`.
+
+    Parameters
+    ----------
+    episode : Episode
+        With the device's joints, actuators and fingertips among its own, by name.
+    device_name, device : str, Device
+        The device and its registered name.
+    rate_hz : float, optional
+        Rows a second; the episode's own by default.
+    still_s : float
+        Time for which the first row is held before, untouched.
+    newton_per_count : float, optional
+        Scale of the forces; the device's default by default.
+
+    Raises
+    ------
+    UsageError
+        When the device cannot be emulated, the episode lacks one of its parts, or a number makes no sense.
+    DataError
+        When the episode lacks a channel or has gaps in one.
+    """
+    encoder = encoder_of(device_name)
+    rate = episode.meta.rate_hz if rate_hz is None else rate_hz
+    scale = device.newton_per_count if newton_per_count is None else newton_per_count
+    joints = _places("joints", device.joint_names, episode.meta.joint_names, episode)
+    actuators = _places("actuators", device.joint_names, episode.meta.actuator_names, episode)
+    tips = _places("fingertips", device.fingertip_names, episode.meta.fingertip_names, episode)
+    _check_numbers(rate, still_s, scale, encoder, device)
+    still = round(still_s * rate)
+    row = np.concatenate([np.zeros(still, np.int64), np.arange(len(episode))])
+    position, action = _whole(episode, "joint_position"), _next(_whole(episode, "action"), episode.meta)
+    force = _whole(episode, "fingertip_force")[row][:, tips].astype(np.float64)
+    force[:still] = 0
+    force_counts, force_clipped = counted(force, device, scale)
+    shares = tip_pattern(device.taxels)[:, None]
+    taxel_counts, taxels_clipped = counted(force[:, :, None] * shares, device, scale)
+    wired = position[row][:, joints], action[row][:, actuators]
+    others = [k for k in range(position.shape[1]) if k not in joints]
+    driven = [k for k in range(action.shape[1]) if k not in actuators]
+    unwired = {"joint_position": position[row][:, others], "action": action[row][:, driven]}
+    if "object_pose" in episode:
+        unwired["object_pose"] = _whole(episode, "object_pose")[row]
+    return Script(
+        meta=episode.meta, device=device, encoder=encoder, rate_hz=rate, newton_per_count=scale, still=still, row=row,
+        joint_position=wired[0].astype(np.float32), joint_target=wired[1].astype(np.float32), force=force,
+        force_counts=force_counts, taxel_counts=taxel_counts,
+        force_clipped=force_clipped, taxels_clipped=taxels_clipped,
+        unwired={name: block.astype(np.float64) for name, block in unwired.items() if block.shape[1]},
+        unwired_joints=tuple(episode.meta.joint_names[k] for k in others),
+        unwired_actuators=tuple(episode.meta.actuator_names[k] for k in driven),
+        commands=tuple(encoder.command_frames(wired[1])),
+        states=tuple(encoder.state_frames(wired[0], force_counts, taxel_counts)),
+    )  # fmt: skip
+
+
+def encoder_of(name: str) -> Encoder:
+    """Return what writes the frames of the device called `name`.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such device.
+    UsageError
+        When its file exports no `ENCODER`.
+    """
+    try:
+        found: Encoder = load(PACKAGE, "ENCODER", name)
+    except AttributeError:
+        raise UsageError(f"{name} cannot be emulated", expected="a device whose file exports ENCODER") from None
+    return found
+
+
+def ceiling_hz(encoder: Encoder, device: Device) -> float:
+    """Return the rate at which requests and replies fill the wire [Hz]."""
+    joints, tips = len(device.joint_names), len(device.fingertip_names)
+    zeros = np.zeros((1, joints)), np.zeros((1, tips, 3), int), np.zeros((1, tips, device.taxels, 3), int)
+    size = len(encoder.command_frames(zeros[0])[0]) + len(encoder.state_frames(*zeros)[0])
+    return 1e9 / wire_time_ns(size, device.baud)
+
+
+def _check_numbers(rate_hz: float, still_s: float, scale: float, encoder: Encoder, device: Device) -> None:
+    """Refuse a rate, a still stretch or a scale that makes no sense."""
+    ceiling = ceiling_hz(encoder, device)
+    if not 0 < rate_hz <= ceiling:
+        raise UsageError("the wire cannot carry this rate", expected=f"above 0, at most {ceiling:.0f} Hz",
+                         found=f"{rate_hz:g} Hz", fix="give a --rate that request and reply fit in")  # fmt: skip
+    if not 0 <= still_s <= STILL_MAX_S:
+        raise UsageError("the still stretch has a wrong length", expected=f"0 to {STILL_MAX_S:g} s",
+                         found=f"{still_s:g} s")  # fmt: skip
+    if not 0 < scale < np.inf:
+        raise UsageError("the scale of the forces is wrong", expected="more than 0 N a count", found=f"{scale:g}")
+
+
+def _places(kind: str, wanted: tuple[str, ...], known: tuple[str, ...], episode: Episode) -> list[int]:
+    """Return where the device's parts are among the episode's."""
+    missing = [name for name in wanted if name not in known]
+    if missing:
+        raise UsageError(
+            f"the episode lacks {kind} of the device", expected=", ".join(missing),
+            found=", ".join(known) or "no names", where=Where(episode=episode.meta.id),
+            fix="take an episode of a scene with this hand, such as xhand_tabletop",
+        )  # fmt: skip
+    return [known.index(name) for name in wanted]
+
+
+def _whole(episode: Episode, channel: str) -> NDArray:
+    """Return a channel that has no gaps."""
+    invalid = int((~episode.valid(channel)).sum())
+    if invalid:
+        raise DataError(
+            f"{channel} has gaps, and a hand cannot send them", found=f"{invalid} invalid rows",
+            where=Where(episode=episode.meta.id, channel=channel + VALID_SUFFIX), fix="take an episode without gaps",
+        )  # fmt: skip
+    return episode[channel]
+
+
+def _next(action: NDArray, meta: EpisodeMeta) -> NDArray:
+    """Return the actions such that row k is held from row k on; the last is held where the episode says no more."""
+    return action if meta.action == "next" else np.concatenate([action[1:], action[-1:]])

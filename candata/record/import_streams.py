@@ -1,0 +1,153 @@
+"""Streams of an import: what the wire carries, what its companions add, and the order of joints and fingertips."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import DataError, Where
+from candata.record.companions import Companion, Stream
+from candata.record.logs import Log
+from candata.schema.scene import SceneFile
+
+WIRE = "the wire"
+
+
+def wire_streams(log: Log, newton_per_count: float) -> list[Stream]:
+    """Return what the wire carries: joints, targets, calibrated forces [N] and raw taxels."""
+    meta, bias = log.meta, 0.0 if log.calibration is None else log.calibration.force_bias_counts
+    found = [Stream("joint_position", meta.joint_names, log.state_time_ns, log.joint_position, WIRE)]
+    if len(log.command_time_ns):
+        found.append(Stream("action", meta.joint_names, log.command_time_ns, log.joint_target, WIRE))
+    if meta.fingertip_names:
+        force = (log.force_counts - bias) * newton_per_count
+        found.append(Stream("fingertip_force", meta.fingertip_names, log.state_time_ns, force, WIRE))
+    if log.taxel_counts is not None and log.taxel_counts.size:
+        found.append(Stream("taxels", meta.fingertip_names, log.state_time_ns, log.taxel_counts, WIRE))
+    return found
+
+
+def merged(wire: Sequence[Stream], companions: Sequence[Companion]) -> tuple[list[Stream], list[str]]:
+    """Return the streams of an import, a joint from one place only, and what was not taken, as lines for people.
+
+    The wire comes before its companions, these in the order given.
+
+    Raises
+    ------
+    DataError
+        When two companions hold the same pose.
+    """
+    streams, notes = list(wire), []
+    for companion in companions:
+        if companion.left_out:
+            notes.append(f"{companion.name}: {', '.join(companion.left_out)} not taken; forces come from the wire")
+        for stream in companion.streams:
+            kept, note = _new_columns(stream, [s for s in streams if s.channel == stream.channel])
+            streams += [kept] if kept else []
+            notes += [note] if note else []
+    return streams, notes
+
+
+def _new_columns(stream: Stream, standing: Sequence[Stream]) -> tuple[Stream | None, str]:
+    """Return the columns that no standing stream has, and a line about the others."""
+    if not standing:
+        return stream, ""
+    if not stream.names:
+        raise DataError(
+            f"two files hold {stream.channel}",
+            expected="one",
+            found=f"{standing[0].origin} and {stream.origin}",
+            fix="import with one of them",
+        )
+    known = {name for s in standing for name in s.names}
+    twice = [name for name in stream.names if name in known]
+    fresh = [k for k, name in enumerate(stream.names) if name not in known]
+    note = f"{stream.origin}: {stream.channel} of {', '.join(twice)} not taken; {WIRE} carries it" if twice else ""
+    if not fresh:
+        return None, note
+    names = tuple(stream.names[k] for k in fresh)
+    return Stream(stream.channel, names, stream.time_ns, stream.values[:, fresh], stream.origin), note
+
+
+def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[NDArray[np.intp] | None, tuple[str, ...]]:
+    """Return the order of the joined columns of one channel and their names; None where they stand in order.
+
+    The scene's order where there is a scene, what it does not name behind; else companions first, then the wire.
+
+    Raises
+    ------
+    DataError
+        When joints or actuators of the scene are in none of the streams.
+    """
+    names = [name for s in streams for name in s.names]
+    if not names:
+        return None, ()
+    channel = streams[0].channel
+    wanted = _scene_order(channel, roles)
+    missing = [name for name in wanted if name not in names]
+    if missing and channel in ("joint_position", "action"):
+        raise DataError(
+            f"{channel} lacks joints of the scene",
+            expected=", ".join(wanted),
+            found=", ".join(names),
+            where=Where(channel=channel),
+            fix=f"bring {', '.join(missing)} by --with TABLE, or import without --scene",
+        )
+    if missing or not wanted:
+        wanted = () if missing else tuple(name for s in streams if s.origin != WIRE for name in s.names)
+    order = [names.index(name) for name in wanted] + [k for k, name in enumerate(names) if name not in wanted]
+    in_place = order == list(range(len(names)))
+    return None if in_place else np.array(order, np.intp), tuple(names[k] for k in order)
+
+
+def _scene_order(channel: str, roles: SceneFile | None) -> tuple[str, ...]:
+    """Return the scene's names of a channel's columns."""
+    if roles is None:
+        return ()
+    tips = roles.fingertips
+    by_channel = {
+        "joint_position": roles.joints,
+        "action": roles.actuator_names,
+        "fingertip_force": tips,
+        "taxels": tips,
+    }
+    return by_channel.get(channel, ())
+
+
+def require_overlap(path: str, streams: Sequence[Stream]) -> None:
+    """Refuse a stream that ends before the wire's states begin, or begins after they end.
+
+    Raises
+    ------
+    DataError
+        Names both spans.
+    """
+    states = streams[0].time_ns
+    for stream in streams[1:]:
+        time_ns = stream.time_ns
+        if not len(time_ns) or time_ns[-1] < states[0] or time_ns[0] > states[-1]:
+            raise DataError(
+                f"{stream.channel} of {stream.origin} was not recorded while the log was",
+                expected=f"stamps within {span(states)}",
+                found=span(time_ns),
+                where=Where(path=path, channel=stream.channel),
+                fix="give its stamps in seconds of unix time, of the machine that wrote the log",
+            )
+
+
+def span(time_ns: NDArray[np.int64]) -> str:
+    """Return first and last time of a stream, in UTC and in unix seconds."""
+    if not len(time_ns):
+        return "no stamps"
+    return " to ".join(f"{utc(int(t))} ({t * 1e-9:.3f} s)" for t in (time_ns[0], time_ns[-1]))
+
+
+def utc(time_ns: int) -> str:
+    """Return a time in UTC to the millisecond, `no date` for a number that is none."""
+    try:
+        return datetime.fromtimestamp(time_ns * 1e-9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    except (ValueError, OverflowError, OSError):
+        return "no date"

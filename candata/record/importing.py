@@ -1,0 +1,366 @@
+"""From a log to an episode: streams put on one grid, forces calibrated, gaps marked.
+
+The grid has the scene's rate. It begins when all streams have begun and the calibration window is over, on the beat
+of the states (a command takes effect once its frame is whole, which is when the reply begins), and ends with the
+first stream that ends. `action[k]` is what was commanded in the middle of the step that it is held over, and a
+reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
+Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
+have not, commands and forces move by half a period at most, neither always early nor always late. Motor current
+stays in the log: it is no joint effort, as no torque constant of the motors is published.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata import align
+from candata.errors import DataError, Where
+from candata.record.companions import Companion, Stream
+from candata.record.import_streams import column_order, merged, require_overlap, span, utc, wire_streams
+from candata.record.logs import Log
+from candata.schema.channels import QUATERNION, VALID_SUFFIX
+from candata.schema.contact import fingertip_contact
+from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
+from candata.schema.record import Record
+from candata.schema.scene import Positive, SceneFile
+
+Arrays = dict[str, NDArray]
+
+#: States whose median beat the grid begins on: one late stamp must not shift it.
+BEAT_ROWS = 81
+#: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
+SCALES = (0.5, 1.0, 2.0)
+_ROLES: dict[str, align.Role] = {"action": "command", "fingertip_force": "measurement", "taxels": "sample"}
+
+
+class Recipe(Record):
+    """Every setting of an import; null takes the log's, or the scene's, own.
+
+    Attributes
+    ----------
+    episode : str
+        Id of the episode.
+    rate_hz : float, optional
+        Rate of the grid where no scene is given; the device's by default.
+    newton_per_count : float, optional
+        Scale of the forces.
+    threshold_n : float
+        Contact is |Fx| + |Fy| + |Fz| above it.
+    max_gap_periods : float
+        Neighbours further apart, in periods of their stream, are the ends of a gap.
+    uncalibrated : bool
+        Take a log without calibration: nothing is subtracted from its forces.
+    scene : str, optional
+        Name of the scene; `roles` is what its file says.
+    object, task : str, optional
+        Of the episode; else what the companions say, or the scene.
+    """
+
+    episode: str
+    rate_hz: Positive | None = None
+    newton_per_count: Positive | None = None
+    threshold_n: Positive = 0.3
+    max_gap_periods: Positive = align.MAX_GAP_PERIODS
+    uncalibrated: bool = False
+    scene: str | None = None
+    roles: SceneFile | None = None
+    object: str | None = None
+    task: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """What a log became.
+
+    Attributes
+    ----------
+    episode : Episode
+        The whole session.
+    digest : str
+        sha256 over the recipe, the log and its companions.
+    details : dict
+        Plain data for the lineage: sources, recipe, calibration, what was clipped, left out and marked.
+    notes : tuple of str
+        What a person should know, a line each.
+    """
+
+    episode: Episode
+    digest: str
+    details: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[Companion] = ()) -> Imported:
+    """Return the episode in a log and the files recorded beside it.
+
+    Parameters
+    ----------
+    path : str or Path
+        File of the log, for messages and the lineage.
+    log : Log
+        As read.
+    recipe : Recipe
+        All settings.
+    companions : sequence of Companion
+        Poses, joints and commands that the wire does not carry.
+
+    Raises
+    ------
+    DataError
+        When the log holds no states or no calibration, a companion's stamps do not meet it, or joints of the scene
+        are in none of the files.
+    """
+    path = Path(path)
+    _refuse(path, log, recipe)
+    scale = recipe.newton_per_count or log.meta.newton_per_count
+    streams, notes = merged(wire_streams(log, scale), companions)
+    require_overlap(str(path), streams)
+    rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
+    grid_ns = _grid(path, log, streams, rate_hz)
+    arrays, names = _aligned(streams, grid_ns, recipe)
+    _add_contact(arrays, recipe.threshold_n)
+    arrays = _from_first_command(arrays)
+    flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
+    invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
+    kept = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
+    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
+    details = _details(path, log, recipe, companions, episode, scale)
+    return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
+
+
+def _meta(
+    log: Log,
+    recipe: Recipe,
+    companions: Sequence[Companion],
+    names: dict[str, tuple[str, ...]],
+    rate_hz: float,
+    invalid: dict[str, int],
+) -> EpisodeMeta:
+    """Return who, what, when."""
+    scale = recipe.newton_per_count or log.meta.newton_per_count
+    forces = "fingertip_force" in names
+    return EpisodeMeta(
+        id=recipe.episode,
+        source="real",
+        rate_hz=rate_hz,
+        scene=recipe.scene or _first(c.scene for c in companions),
+        object=recipe.object
+        or _first([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
+        task=recipe.task or _first(c.task for c in companions),
+        joint_names=names.get("joint_position", ()),
+        actuator_names=names.get("action", ()),
+        fingertip_names=names.get("fingertip_force", ()),
+        contact_rule=ContactRule(threshold_n=recipe.threshold_n, newton_per_count=scale) if forces else None,
+        newton_per_count=scale if "taxels" in names else None,
+        alignment=_clock(log, recipe),
+        invalid_counts=invalid,
+    )
+
+
+def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
+    """Refuse a log without states, and one without calibration unless it is asked for."""
+    where = Where(path=str(path))
+    if not len(log.state_time_ns):
+        raise DataError(
+            "the log holds no states",
+            expected=f"state frames of {log.meta.device}",
+            found=f"{len(log.command_time_ns)} commands, no states",
+            where=where,
+            fix="check port, baud rate and power of the hand, and record again",
+        )
+    if log.calibration is None and log.meta.fingertip_names and not recipe.uncalibrated:
+        raise DataError(
+            "the log has no calibration",
+            expected="what the fingertips read at rest",
+            where=where,
+            fix="record with calibration; or import with --uncalibrated: forces then keep their offset, "
+            "and contact may be wrong",
+        )
+
+
+def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> NDArray[np.int64]:
+    """Return the times that all streams cover, after the calibration."""
+    states = log.state_time_ns
+    settled = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
+    earliest = max(settled, *(int(s.time_ns[0]) for s in streams))
+    last = min(int(s.time_ns[-1]) for s in streams)
+    row = int(np.searchsorted(states, earliest))
+    period = align.period_ns(states)
+    found = np.zeros(0, np.int64)
+    if row < len(states) and np.isfinite(period):
+        found = align.grid(_on_beat(states[row : row + BEAT_ROWS], period, earliest), last, rate_hz)
+    if len(found) < 2:
+        spans = "; ".join(f"{s.channel} of {s.origin} {span(s.time_ns)}" for s in streams)
+        raise DataError(
+            "too little is left of the log: all streams together cover less than two rows",
+            expected=f"time that all streams cover after {utc(settled)}, when the calibration ended",
+            found=spans,
+            where=Where(path=str(path)),
+            fix="record longer",
+        )
+    return found
+
+
+def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> int:
+    """Return the first time from `earliest_ns` on that lies on the median beat of `states`."""
+    # From the first state on: unix nanoseconds are more than a float holds.
+    late = (states - states[0] + period_ns / 2) % period_ns - period_ns / 2
+    beat, least = float(np.median(late)), int(earliest_ns - states[0])
+    return int(states[0]) + round(beat + period_ns * np.ceil((least - beat - 1) / period_ns))
+
+
+def _aligned(
+    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe
+) -> tuple[Arrays, dict[str, tuple[str, ...]]]:
+    """Return every channel with its flags on the grid, and the names of their columns."""
+    arrays: Arrays = {"time_ns": grid_ns}
+    names: dict[str, tuple[str, ...]] = {}
+    for channel in dict.fromkeys(s.channel for s in streams):
+        same = [s for s in streams if s.channel == channel]
+        order, names[channel] = column_order(same, recipe.roles)
+        found = [_on_grid(s, grid_ns, recipe.max_gap_periods) for s in same]
+        values = np.concatenate([f.values for f in found], axis=1) if len(found) > 1 else found[0].values
+        arrays[channel] = values if order is None else values[:, order]
+        arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in found])
+    return arrays, names
+
+
+def _on_grid(stream: Stream, grid_ns: NDArray[np.int64], max_gap_periods: float) -> align.Resampled:
+    """Return a stream on the grid; a command in the middle of the step, a reading of force as of its middle."""
+    role, period = _ROLES.get(stream.channel, "state"), align.period_ns(stream.time_ns)
+    shift = {"state": 0.0, "command": float(grid_ns[1] - grid_ns[0])}.get(role, period) / 2
+    quaternion = QUATERNION.get(stream.channel)
+    return align.resample(
+        stream.time_ns,
+        stream.values,
+        grid_ns + round(shift),
+        role,
+        max_gap_ns=max_gap_periods * period,
+        quaternion=quaternion,
+    )
+
+
+def _add_contact(arrays: Arrays, threshold_n: float) -> None:
+    """Add contact by the forces, valid where they are."""
+    if "fingertip_force" not in arrays:
+        return
+    arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], threshold_n)
+    arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
+    for name in ("fingertip_contact", "contact"):
+        arrays[name + VALID_SUFFIX] = arrays["fingertip_force" + VALID_SUFFIX]
+
+
+def _from_first_command(arrays: Arrays) -> Arrays:
+    """Return the rows from the first whose command is known: nothing can be replayed before."""
+    valid = arrays.get("action" + VALID_SUFFIX)
+    first = 0 if valid is None or not valid.any() else int(np.argmax(valid))
+    return {name: values[first:] for name, values in arrays.items()} if first else arrays
+
+
+def _clock(log: Log, recipe: Recipe) -> Alignment:
+    """Return how the streams were aligned, with the wall clock against the log's over the recording."""
+    method = (
+        f"own stamps; states linear, commands held, forces the mean of the step, none over gaps of more than "
+        f"{recipe.max_gap_periods:g} periods; offset and drift: the wall clock against the log's, not applied"
+    )
+    pairs = [s["clock"] for s in log.statistics if {"monotonic_ns", "wall_ns"} <= set(s.get("clock", ()))]
+    reference = np.array([p["monotonic_ns"] for p in pairs], np.int64) + log.meta.wall_offset_ns
+    return align.clock_fit(reference, np.array([p["wall_ns"] for p in pairs], np.int64), method)
+
+
+def _first(found: Iterable[str | None]) -> str | None:
+    """Return the first that is stated, None if none is."""
+    return next((value for value in found if value is not None), None)
+
+
+def _digest(log: Log, recipe: Recipe, companions: Sequence[Companion]) -> str:
+    """Return the sha256 over everything that determines the episode."""
+    text = "\n".join([recipe.model_dump_json(), log.sha256, *(c.digest for c in companions)])
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _details(
+    path: Path, log: Log, recipe: Recipe, companions: Sequence[Companion], episode: Episode, scale: float
+) -> dict[str, Any]:
+    """Return what the lineage keeps, as plain data."""
+    time_ns, states = episode["time_ns"], log.state_time_ns
+    rows = slice(*np.searchsorted(states, [time_ns[0], time_ns[-1]], side="right").tolist())
+    calibration = log.calibration and {
+        "rows": log.calibration.rows,
+        "duration_s": log.calibration.duration_s,
+        "force_bias_counts": log.calibration.force_bias_counts.tolist(),
+    }
+    return {
+        "log": path.name,
+        "log_sha256": log.sha256,
+        "device": log.meta.device,
+        "with": [{"file": c.name, "sha256": c.digest} for c in companions],
+        "recipe": recipe.model_dump(mode="json"),
+        "calibration": calibration,
+        "newton_per_count": scale,
+        "saturated": {
+            "state_frames": rows.stop - rows.start,
+            "force": _saturated(log, log.force_counts[rows]),
+            "taxels": {} if log.taxel_counts is None else _saturated(log, log.taxel_counts[rows]),
+        },
+        "invalid": dict(episode.meta.invalid_counts),
+        "left_out_s": {
+            "before": (int(time_ns[0]) - int(states[0])) * 1e-9,
+            "after": max(0.0, (int(states[-1]) - int(time_ns[-1])) * 1e-9),
+        },
+        "contact_share_by_newton_per_count": _contact_shares(episode, recipe.threshold_n, scale),
+        "torn": log.torn,
+        "damaged_chunks": log.damaged_chunks,
+    }
+
+
+def _saturated(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
+    """Return, for each fingertip, the readings of which an axis stands at an end of its range.
+
+    An axis that cannot be negative rests at its lower end: nothing can be said of it there.
+    """
+    at_end = np.zeros(counts.shape[:-1], bool)
+    for axis, (low, high) in enumerate(zip(log.meta.count_low, log.meta.count_high, strict=True)):
+        at_end |= counts[..., axis] >= high
+        if low < 0:
+            at_end |= counts[..., axis] <= low
+    return {name: int(at_end[:, k].sum()) for k, name in enumerate(log.meta.fingertip_names)}
+
+
+def _contact_shares(episode: Episode, threshold_n: float, scale: float) -> dict[str, float]:
+    """Return the share of rows in contact if a count were worth half, as much, and twice as much."""
+    if "fingertip_force" not in episode:
+        return {}
+    force = episode["fingertip_force"][episode.valid("fingertip_force")]
+    shares = {f"{k * scale:g}": fingertip_contact(k * force, threshold_n).any(axis=1) for k in SCALES}
+    return {label: float(flags.mean()) if len(force) else 0.0 for label, flags in shares.items()}
+
+
+def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:
+    """Return what a person should know of the import."""
+    left_out, saturated = details["left_out_s"], details["saturated"]
+    notes = [
+        f"{details['log']}: {len(episode)} rows at {episode.meta.rate_hz:g} Hz; left out {left_out['before']:.2f} s "
+        f"before (calibration, streams that had not begun) and {left_out['after']:.2f} s after",
+        f"saturated readings: {sum(saturated['force'].values())} of fingertips, "
+        f"{sum(saturated['taxels'].values())} of taxels, in {saturated['state_frames']} states",
+    ]
+    if episode.meta.invalid_counts:
+        marked = ", ".join(f"{name} {count}" for name, count in episode.meta.invalid_counts.items())
+        notes.append(f"rows marked invalid by gaps: {marked}")
+    if log.calibration is None and log.meta.fingertip_names:
+        notes.append("not calibrated: forces keep their offset, and contact may be wrong")
+    if log.torn or log.damaged_chunks:
+        notes.append(f"the log is torn or damaged ({log.damaged_chunks} chunks lost): what could be read was imported")
+    fit = episode.meta.alignment
+    moved_s = abs(fit.drift_ppm) * 1e-6 * float(episode.time_s[-1]) + abs(fit.offset_s) if fit else 0.0
+    if details["with"] and moved_s * episode.meta.rate_hz > 0.5:
+        notes.append(f"the wall clock moved against the log's by up to {moved_s:.3f} s: files with wall stamps may lag")
+    return notes

@@ -1,0 +1,375 @@
+"""The log of a recording: an MCAP file of profile `candata`, written as it comes and read back as arrays.
+
+Times in a log are unix nanoseconds: the monotonic stamp of the reader plus one offset taken at the start, so that
+intervals are those of the monotonic clock. `/wire` holds every byte as it was read; the other topics say the same
+decoded, one message a frame, and messages of one state frame bear one sequence number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import DataError, Where
+from candata.record.calibration import Calibration, from_metadata, to_metadata
+from candata.record.devices._contract import Commands, Device, States
+from candata.record.messages import descriptors, message
+from candata.record.scan import Scan
+from candata.record.sink import Sink
+from candata.schema.record import Record
+
+PROFILE = "candata"
+META, CALIBRATION = "candata.log", "candata.calibration"
+WIRE, JOINTS, TARGETS = "/wire", "/hand/joint_states", "/hand/joint_targets"
+FORCES, TAXELS, MOTORS, STATISTICS = "/hand/fingertip_forces", "/hand/taxels", "/hand/motor_states", "/statistics"
+_MESSAGES = {
+    WIRE: "candata.WireBytes",
+    JOINTS: "foxglove.JointStates",
+    TARGETS: "foxglove.JointStates",
+    FORCES: "candata.FingertipForces",
+    TAXELS: "candata.TactileFrame",
+    MOTORS: "candata.MotorState",
+}
+_CHUNK_BYTES = 64 * 1024
+
+
+class LogMeta(Record):
+    """What a log says of itself, in its metadata record `candata.log`.
+
+    `wall_offset_ns` is unix time minus monotonic time at the start; `port` and `baud` say where the bytes came from.
+    """
+
+    device: str
+    joint_names: tuple[str, ...]
+    fingertip_names: tuple[str, ...]
+    taxels: int
+    newton_per_count: float
+    count_low: tuple[int, int, int]
+    count_high: tuple[int, int, int]
+    rate_hz: float
+    baud: int = 0
+    port: str = ""
+    wall_offset_ns: int = 0
+    version: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """A whole log in memory; times are unix nanoseconds, rows are state frames.
+
+    Attributes
+    ----------
+    meta : LogMeta
+        Device, names and scales.
+    calibration : Calibration or None
+        What the resting hand read; None where it was not calibrated.
+    state_time_ns : (n,) int64 [ns]
+        When each state frame began on the wire.
+    joint_position : (n, J) float64 [rad]
+        Joint positions.
+    motor_current : (n, J) float64 [A]
+        Motor currents.
+    force_counts : (n, F, 3) int16
+        Total force of each fingertip in counts, nothing subtracted.
+    taxel_counts : (n, F, N, 3) int16 or None
+        Force of each taxel in counts, nothing subtracted.
+    command_time_ns : (m,) int64 [ns]
+        When each command frame began on the wire.
+    joint_target : (m, J) float64 [rad]
+        Joint targets.
+    statistics : tuple of dict
+        What the recorder noted each second, oldest first.
+    sha256 : str
+        Hash of the file.
+    torn : bool
+        True where the file has no end (its writer was killed): what stands before the tear was read.
+    damaged_chunks : int
+        Chunks that could not be read and are missing here.
+    """
+
+    meta: LogMeta
+    calibration: Calibration | None
+    state_time_ns: NDArray[np.int64]
+    joint_position: NDArray[np.float64]
+    motor_current: NDArray[np.float64]
+    force_counts: NDArray[np.int16]
+    taxel_counts: NDArray[np.int16] | None
+    command_time_ns: NDArray[np.int64]
+    joint_target: NDArray[np.float64]
+    statistics: tuple[dict[str, Any], ...]
+    sha256: str
+    torn: bool = False
+    damaged_chunks: int = 0
+
+
+def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
+    """Return the metadata of a log of `device`, registered as `name`; `settings` replace the device's own."""
+    from candata import __version__
+
+    fields = (
+        "joint_names",
+        "fingertip_names",
+        "taxels",
+        "newton_per_count",
+        "count_low",
+        "count_high",
+        "rate_hz",
+        "baud",
+    )
+    own = {field: getattr(device, field) for field in fields}
+    return LogMeta.model_validate({"device": name, "version": __version__, **own, **settings})
+
+
+class LogWriter:
+    """Writes a log; every method raises SetupError when the disk takes no more, and then keeps what was flushed.
+
+    Stamps are monotonic nanoseconds; the offset in `meta` makes them unix time.
+    """
+
+    def __init__(self, path: Path, meta: LogMeta) -> None:
+        """Create the file, which must not exist, with its metadata on the disk.
+
+        Raises
+        ------
+        UsageError
+            When the file exists.
+        SetupError
+            When it cannot be written.
+        """
+        from mcap.writer import Writer
+
+        classes = {topic: message(name) for topic, name in _MESSAGES.items()}
+        self.meta, self.path = meta, path
+        self._syncer = ThreadPoolExecutor(1, "log-sync")
+        self._syncing: Future[None] | None = None
+        self._class = classes
+        self._frames = {JOINTS: 0, TARGETS: 0}
+        self._sink = Sink(path)
+        self._writer = Writer(self._sink, chunk_size=_CHUNK_BYTES)  # type: ignore[arg-type]
+        with self._sink.guarded():
+            self._writer.start(PROFILE, library=f"candata {meta.version}")
+            values = {name: json.dumps(value) for name, value in meta.model_dump(mode="json").items()}
+            self._writer.add_metadata(META, values)
+        self._channels = {topic: self._channel(topic, "protobuf", name) for topic, name in _MESSAGES.items()}
+        schema = self._writer.register_schema("candata.Statistics", "jsonschema", b'{"type": "object"}')
+        self._channels[STATISTICS] = self._writer.register_channel(STATISTICS, "json", schema)
+        self.flush()
+        self.sync()
+
+    @property
+    def size(self) -> int:
+        """Bytes written so far."""
+        return self._sink.tell()
+
+    @property
+    def failed(self) -> bool:
+        """Whether the disk took no more: nothing can be written any longer."""
+        return self._sink.failed
+
+    def wire(self, data: bytes, stamp_ns: int) -> None:
+        """Write bytes as they were read at `stamp_ns`."""
+        self._add(WIRE, stamp_ns, self._class[WIRE](data=data))
+
+    def states(self, stamps_ns: Sequence[int], states: States) -> None:
+        """Write n decoded state frames that began at `stamps_ns`."""
+        for i, stamp_ns in enumerate(stamps_ns):
+            self._frames[JOINTS] += 1
+            self._state(stamp_ns, self._frames[JOINTS], states, i)
+
+    def commands(self, stamps_ns: Sequence[int], commands: Commands) -> None:
+        """Write n decoded command frames that began at `stamps_ns`."""
+        for stamp_ns, target in zip(stamps_ns, commands.joint_target, strict=True):
+            self._frames[TARGETS] += 1
+            self._add(TARGETS, stamp_ns, self._joints(TARGETS, stamp_ns, target), self._frames[TARGETS])
+
+    def statistics(self, stamp_ns: int, values: Mapping[str, Any]) -> None:
+        """Write what the recorder counted so far, as JSON."""
+        self._add_bytes(STATISTICS, stamp_ns, json.dumps(values, allow_nan=False).encode(), 0)
+
+    def calibration(self, calibration: Calibration) -> None:
+        """Write the calibration as a metadata record, and flush."""
+        values = {name: json.dumps(value) for name, value in to_metadata(calibration).items()}
+        with self._sink.guarded():
+            self._writer.add_metadata(CALIBRATION, values)
+        self.flush()
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system: a kill of this process loses none of it."""
+        with self._sink.guarded():
+            self._writer.flush()
+        self._sink.commit()
+
+    def sync(self) -> None:
+        """Force what was flushed to the disk: a power cut loses none of it."""
+        with self._sink.guarded():
+            self._sink.sync()
+
+    def sync_behind(self) -> None:
+        """Start a `sync` in a thread, so that a slow disk delays no flush; an error is raised by the next call."""
+        if self._syncing is not None and not self._syncing.done():
+            return
+        with self._sink.guarded():
+            if self._syncing is not None:
+                self._syncing.result()
+            self._syncing = self._syncer.submit(self._sink.sync)
+
+    def close(self) -> None:
+        """Write the end of the file and close it; after an error of the disk, only close it."""
+        self._syncer.shutdown()
+        try:
+            if not self._sink.failed:
+                with self._sink.guarded():
+                    self._writer.finish()
+                    self._sink.sync()
+        finally:
+            self._sink.close()
+
+    def _channel(self, topic: str, encoding: str, name: str) -> int:
+        schema = self._writer.register_schema(name, encoding, descriptors(name))
+        return self._writer.register_channel(topic, encoding, schema)
+
+    def _state(self, stamp_ns: int, number: int, states: States, i: int) -> None:
+        self._add(JOINTS, stamp_ns, self._joints(JOINTS, stamp_ns, states.joint_position[i]), number)
+        motors = self._class[MOTORS](
+            current_ampere=states.motor_current[i].tolist(), temperature_celsius=states.motor_temperature[i].tolist()
+        )
+        self._add(MOTORS, stamp_ns, motors, number)
+        scale = self.meta.newton_per_count
+        forces = self._class[FORCES](counts=states.force_counts[i].ravel().tolist(), newton_per_count=scale)
+        self._add(FORCES, stamp_ns, forces, number)
+        if self.meta.taxels:
+            taxels = np.ascontiguousarray(states.taxel_counts[i], dtype="<i2")
+            frame = self._class[TAXELS](counts=taxels.tobytes(), shape=taxels.shape, newton_per_count=scale)
+            self._add(TAXELS, stamp_ns, frame, number)
+
+    def _joints(self, topic: str, stamp_ns: int, positions: NDArray[np.float64]) -> Any:
+        joints = self._class[topic]()
+        joints.timestamp.FromNanoseconds(stamp_ns + self.meta.wall_offset_ns)
+        for name, position in zip(self.meta.joint_names, positions.tolist(), strict=True):
+            joints.joints.add(name=name, position=position)
+        return joints
+
+    def _add(self, topic: str, stamp_ns: int, value: Any, number: int = 0) -> None:
+        self._add_bytes(topic, stamp_ns, value.SerializeToString(), number)
+
+    def _add_bytes(self, topic: str, stamp_ns: int, data: bytes, number: int) -> None:
+        time_ns = stamp_ns + self.meta.wall_offset_ns
+        with self._sink.guarded():
+            self._writer.add_message(self._channels[topic], time_ns, data, time_ns, number)
+
+
+def read_log(path: str | Path) -> Log:
+    """Return the log at `path`; of a torn one (killed writer) what stands before the tear, with `torn` set.
+
+    Raises
+    ------
+    DataError
+        When there is no such file, it is empty, is no MCAP file or was not written by candata.
+    """
+    path = Path(path)
+    scan = Scan(path)
+    messages, metadata = _collect(scan)
+    where = Where(path=str(path))
+    if META not in metadata:
+        raise DataError(
+            "the file is no log of candata", expected=f"the metadata record {META!r}", found="none", where=where
+        )
+    meta = LogMeta.parse(_unpacked(metadata[META], where), path)
+    try:
+        calibration = from_metadata(_unpacked(metadata[CALIBRATION], where)) if CALIBRATION in metadata else None
+        arrays = {**_states(messages, meta), **_targets(messages, meta)}
+        statistics = tuple(json.loads(data) for _, data in messages[STATISTICS].values())
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError("the log does not hold what its metadata says", found=str(error), where=where) from None
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return Log(
+        meta=meta,
+        calibration=calibration,
+        statistics=statistics,
+        sha256=sha256,
+        torn=not scan.whole,
+        damaged_chunks=scan.damaged_chunks,
+        **arrays,
+    )
+
+
+#: Topic to its messages by number: time [ns] and bytes.
+_Messages = dict[str, dict[int, tuple[int, bytes]]]
+
+
+def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]]]:
+    """Return the messages of the topics that are read back, and the metadata records by name."""
+    from mcap.records import Channel, Message, Metadata
+
+    topics: dict[int, str] = {}
+    messages: _Messages = {topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS)}
+    metadata: dict[str, Mapping[str, str]] = {}
+    for record in scan:
+        if isinstance(record, Message):
+            kept = messages.get(topics.get(record.channel_id, ""))
+            if kept is not None:
+                kept[record.sequence or len(kept)] = (record.log_time, record.data)
+        elif isinstance(record, Channel):
+            topics[record.id] = record.topic
+        elif isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+    return messages, metadata
+
+
+def _unpacked(values: Mapping[str, str], where: Where) -> dict[str, Any]:
+    """Return the values of a metadata record, each of which is JSON."""
+    try:
+        return {name: json.loads(value) for name, value in values.items()}
+    except ValueError as error:
+        raise DataError("a metadata record of the log is not JSON", found=str(error), where=where) from None
+
+
+def _states(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
+    """Return the arrays of the state frames of which every message was read."""
+    topics = [JOINTS, MOTORS, FORCES] + ([TAXELS] if meta.taxels else [])
+    numbers = sorted(set.intersection(*(set(messages[topic]) for topic in topics)))
+    j, f, n = len(meta.joint_names), len(meta.fingertip_names), len(numbers)
+    data = {topic: [messages[topic][number][1] for number in numbers] for topic in topics}
+    currents = [message("candata.MotorState").FromString(d).current_ampere for d in data[MOTORS]]
+    counts = [message("candata.FingertipForces").FromString(d).counts for d in data[FORCES]]
+    taxels = None
+    if meta.taxels:
+        raw = b"".join(message("candata.TactileFrame").FromString(d).counts for d in data[TAXELS])
+        taxels = np.frombuffer(raw, dtype="<i2").astype(np.int16).reshape(n, f, meta.taxels, 3)
+    return {
+        "state_time_ns": _times(messages[JOINTS], numbers),
+        "joint_position": _positions(data[JOINTS], j),
+        "motor_current": np.array(currents, dtype=np.float64).reshape(n, j),
+        "force_counts": np.array(counts, dtype=np.int16).reshape(n, f, 3),
+        "taxel_counts": taxels,
+    }
+
+
+def _targets(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
+    """Return the arrays of the command frames."""
+    numbers = sorted(messages[TARGETS])
+    data = [messages[TARGETS][number][1] for number in numbers]
+    return {
+        "command_time_ns": _times(messages[TARGETS], numbers),
+        "joint_target": _positions(data, len(meta.joint_names)),
+    }
+
+
+def _times(kept: Mapping[int, tuple[int, bytes]], numbers: Sequence[int]) -> NDArray[np.int64]:
+    return np.array([kept[number][0] for number in numbers], dtype=np.int64)
+
+
+def _positions(data: Sequence[bytes], joints: int) -> NDArray[np.float64]:
+    """Return the positions (n, joints) of serialised `foxglove.JointStates`."""
+    read = message("foxglove.JointStates").FromString
+    positions = [[joint.position for joint in read(item).joints] for item in data]
+    return np.array(positions, dtype=np.float64).reshape(len(data), joints)

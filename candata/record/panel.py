@@ -1,0 +1,102 @@
+"""What a running recording looks like: a panel for terminals, a line for everything else."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from candata.record.recorder_values import View
+from candata.schema.contact import fingertip_contact
+
+#: Force at which a bar is full [N].
+_FULL_N = 10.0
+_BAR_CELLS = 20
+_NOTES, _COLUMNS = 3, 3
+_WORDS = {"requests_without_reply": "no reply"}
+_PHASES = {
+    "waiting": ("waiting for frames", "yellow"),
+    "calibrating": ("calibrating: do not touch the hand", "yellow"),
+    "recording": ("recording", "green"),
+    "unplugged": ("unplugged: waiting for the port", "red"),
+}
+
+
+def panel(view: View, title: str, notes: Sequence[str] = ()) -> RenderableType:
+    """Return the panel of a view: rate, losses, a bar and a contact light for each fingertip, the newest notes."""
+    words, colour = _PHASES[view.phase]
+    head = Text.assemble(
+        ("● ", colour),
+        (words, f"bold {colour}"),
+        f"   {_clock(view.elapsed_s)}   {view.frames['state']} states   {view.size_bytes / 1e6:.1f} MB",
+    )
+    parts: list[RenderableType] = [head, _rate(view), Text(), _fingertips(view), Text(), _losses(view)]
+    parts += [Text(), *(Text(note, style="dim") for note in notes[-_NOTES:])] if notes else []
+    return Panel(Group(*parts), title=title, subtitle="Ctrl-C ends it and finishes the file", width=78, padding=(1, 2))
+
+
+def line(view: View) -> str:
+    """Return a view as one line of plain text."""
+    force = " ".join(
+        f"{name}={total:.1f}{'*' if touched else ''}"
+        for name, total, touched in zip(
+            view.fingertip_names, _total_N(view), fingertip_contact(view.force_N), strict=True
+        )
+    )
+    return (
+        f"{_clock(view.elapsed_s)} {view.phase}: {view.rate_hz:.0f} Hz, {view.frames['state']} states, "
+        f"{view.gaps} gaps, {_lost(view)}, {view.size_bytes / 1e6:.1f} MB | N: {force}"
+    )
+
+
+def _rate(view: View) -> Text:
+    good = view.rate_hz >= 0.9 * view.nominal_hz
+    return Text.assemble(
+        "  ",
+        (f"{view.rate_hz:.0f} Hz", "bold green" if good else "bold red"),
+        f" of {view.nominal_hz:.0f}   {view.frames['command']} commands",
+    )
+
+
+def _fingertips(view: View) -> Table:
+    """Return a row for each fingertip: its light, its force as a bar and in newton."""
+    table = Table(box=None, padding=(0, 1), show_header=True, header_style="dim")
+    for column in ("fingertip", "contact", "force", "N", "x", "y", "z"):
+        table.add_column(column, justify="right" if column in "Nxyz" else "left", no_wrap=True)
+    rows = zip(view.fingertip_names, view.force_N, _total_N(view), fingertip_contact(view.force_N), strict=True)
+    for name, force, total, touched in rows:
+        light = Text("● touch", style="bold green") if touched else Text("○", style="dim")
+        filled = min(_BAR_CELLS, round(float(total) / _FULL_N * _BAR_CELLS))
+        bar = Text("█" * filled, style="cyan") + Text("·" * (_BAR_CELLS - filled), style="dim")
+        table.add_row(name, light, bar, f"{total:.1f}", *(f"{axis:+.1f}" for axis in force))
+    return table
+
+
+def _losses(view: View) -> Table:
+    """Return the counts of what went wrong, the ones that happened in colour."""
+    table = Table.grid(padding=(0, 1))
+    lost = {_WORDS.get(kind, kind): count for kind, count in view.losses.items()}
+    counts = {"gaps": view.gaps, **lost, **{f"saturated_{kind}": n for kind, n in view.saturated.items()}}
+    cells = [Text(f"{n:>6} {kind.replace('_', ' ')}", style="bold red" if n else "dim") for kind, n in counts.items()]
+    for at in range(0, len(cells), _COLUMNS):
+        table.add_row(*cells[at : at + _COLUMNS])
+    return table
+
+
+def _lost(view: View) -> str:
+    """Return the losses that happened, in words."""
+    lost = [f"{count} {kind.replace('_', ' ')}" for kind, count in view.losses.items() if count]
+    return ", ".join(lost) or "nothing lost"
+
+
+def _total_N(view: View) -> np.ndarray:
+    return np.abs(view.force_N).sum(axis=-1)
+
+
+def _clock(seconds: float) -> str:
+    whole = int(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

@@ -1,0 +1,339 @@
+"""The recorder: what the reader passes on becomes a log, checked, counted and shown while it grows."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from candata.errors import CandataError, SetupError, UsageError, Where
+from candata.record.calibration import Calibration, calibrate
+from candata.record.devices._contract import Device, Frame, States
+from candata.record.logs import LogMeta, LogWriter, meta_of
+from candata.record.reader_link import Event, ReaderLink, port_error
+from candata.record.recorder_tally import Tally, joined
+from candata.record.recorder_values import Phase, Report, Settings, View
+
+_FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
+
+
+def record(
+    device: Device,
+    port: str,
+    out: Path,
+    *,
+    name: str,
+    settings: Settings | None = None,
+    overrides: dict[str, Any] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    show: Callable[[View], None] = lambda view: None,
+    say: Callable[[str], None] = lambda text: None,
+) -> Report:
+    """Listen to a port until told to stop, and return the report; not one byte is written to the port.
+
+    Parameters
+    ----------
+    device : Device
+        What the bytes mean.
+    port : str
+        Serial port.
+    out : Path
+        Log to write; must not exist.
+    name : str
+        Registered name of the device.
+    settings : Settings, optional
+        How to record.
+    overrides : dict, optional
+        Values of the log's metadata that replace the device's own, such as `newton_per_count`.
+    stop : callable
+        Asked several times a second; True ends the recording in good order.
+    show, say : callable
+        Given what can be seen, five times a second, and notes for people.
+
+    Raises
+    ------
+    UsageError
+        When `out` exists.
+    SetupError
+        When the port cannot be opened, the disk is full, or pyserial is missing. Later failures are in the report.
+    """
+    settings = settings or Settings()
+    if out.exists():
+        raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
+    check_space(out, settings.reserve_bytes)
+    offset_ns = time.time_ns() - time.monotonic_ns()
+    meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
+    with ReaderLink(port, meta.baud, settings.reconnect_s) as link:
+        opened = link.opened()
+        if opened.facts.get("note"):
+            say(opened.facts["note"])
+        session = _Session(device, meta, LogWriter(out, meta), settings, opened.stamp_ns, say)
+        failure: CandataError | None = None
+        try:
+            session.run(link, stop, show)
+        except CandataError as error:
+            failure = error
+        finally:
+            unwritten = session.close()
+    failure = failure or unwritten
+    return Report(session.facts(port, out, failure), failure)
+
+
+def check_space(out: Path, reserve_bytes: int) -> None:
+    """Refuse a disk with less free space than the reserve.
+
+    Raises
+    ------
+    SetupError
+        When the disk is too full.
+    """
+    folder = next(parent for parent in out.absolute().parents if parent.is_dir())
+    free = shutil.disk_usage(folder).free
+    if free < reserve_bytes:
+        raise SetupError(
+            "the disk is nearly full",
+            expected=f"{reserve_bytes / 1e6:.0f} MB free",
+            found=f"{free / 1e6:.0f} MB",
+            where=Where(path=str(out)),
+            fix="make room, choose another --out, or lower --reserve-mb",
+        )
+
+
+class _Session:
+    """A recording under way."""
+
+    def __init__(
+        self,
+        device: Device,
+        meta: LogMeta,
+        writer: LogWriter,
+        settings: Settings,
+        opened_ns: int,
+        say: Callable[[str], None],
+    ) -> None:
+        self._device, self._meta, self._writer, self._settings = device, meta, writer, settings
+        self._say, self._opened_ns = say, opened_ns
+        self._tally = Tally(meta)
+        self._framer = device.framer()
+        self._tally.use(self._framer)
+        self._calibration: Calibration | None = None
+        self._window: list[States] | None = [] if settings.calibrate_s > 0 else None
+        self._window_start_ns: int | None = None
+        self._newest = np.zeros((len(meta.fingertip_names), 3))
+        self._unplugged = False
+        self._heard_ns, self._first_byte_ns, self._silent = opened_ns, 0, False
+        self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
+        self.ended = "failed"
+
+    def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[View], None]) -> None:
+        """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
+        end_ns = self._end_ns()
+        while True:
+            now_ns = time.monotonic_ns()
+            if stop() or now_ns >= end_ns:
+                self.ended = "stopped" if now_ns < end_ns else "duration"
+                self._last(link, now_ns)
+                return
+            self._take(link.receive(0.05))
+            self._tick(show)
+            if link.ended:
+                raise SetupError(
+                    "the reader process died",
+                    where=Where(path=link.port),
+                    fix="the log is whole up to here; start again",
+                )
+
+    def close(self) -> CandataError | None:
+        """Write the last statistics and the end of the file; return the error of the disk, if there was one."""
+        try:
+            if not self._writer.failed:
+                self._writer.statistics(time.monotonic_ns(), self._tally.statistics(time.monotonic_ns()))
+            self._writer.close()
+        except SetupError as error:
+            return error
+        return None
+
+    def facts(self, port: str, out: Path, failure: CandataError | None) -> dict[str, Any]:
+        """Return the report as plain data."""
+        tally = self._tally
+        with out.open("rb") as file:
+            sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+        return {
+            "log": str(out),
+            "device": self._meta.device,
+            "port": port,
+            "ended": "failed" if failure else self.ended,
+            "problem": failure.problem if failure else None,
+            "rows": tally.frames["state"],
+            "commands": tally.frames["command"],
+            "other_frames": tally.frames["other"],
+            "duration_s": round(tally.duration_s, 6),
+            "rate_hz": round(tally.rate_hz, 3),
+            "gaps": tally.gaps,
+            "longest_gap_s": round(tally.longest_gap_s, 6),
+            "losses": tally.losses(),
+            "saturated": tally.saturated(),
+            "unplugs": tally.unplugs,
+            "calibrated": self._calibration is not None,
+            "bytes": out.stat().st_size,
+            "sha256": sha256,
+        }
+
+    def _end_ns(self) -> float:
+        if self._settings.duration_s is None:
+            return float("inf")
+        return self._opened_ns + 1e9 * (self._settings.duration_s + self._settings.calibrate_s)
+
+    def _last(self, link: ReaderLink, end_ns: int) -> None:
+        """Take what the reader had read by `end_ns`."""
+        while events := link.receive(0.05):
+            self._take([event for event in events if event.stamp_ns <= end_ns])
+            if events[-1].stamp_ns > end_ns:
+                break
+        self._frames(self._framer.finish())
+        if not self._tally.frames["state"]:
+            raise self._no_state()
+
+    def _take(self, events: Sequence[Event]) -> None:
+        for event in events:
+            if event.kind == "data":
+                self._bytes(event)
+            elif event.kind == "lost":
+                self._unplugged = True
+                self._frames(self._framer.finish())
+                self._tally.lost(event.stamp_ns)
+                self._say(f"the port is gone; waiting {self._settings.reconnect_s:g} s for it to come back")
+            elif event.kind == "back":
+                self._replugged(event)
+            elif event.kind == "failed":
+                raise port_error(self._meta.port, event.facts)
+
+    def _replugged(self, event: Event) -> None:
+        self._unplugged = False
+        self._tally.back(event.stamp_ns)
+        self._framer = self._device.framer()
+        self._tally.use(self._framer)
+        self._heard_ns = event.stamp_ns
+        if self._window is not None:
+            self._window, self._window_start_ns = [], None
+        self._say("the port is back; the recording goes on in the same log")
+
+    def _bytes(self, event: Event) -> None:
+        self._writer.wire(event.data, event.stamp_ns)
+        self._tally.bytes += len(event.data)
+        self._first_byte_ns = self._first_byte_ns or event.stamp_ns
+        self._heard_ns, self._silent = event.stamp_ns, False
+        self._frames(self._framer.feed(event.data, event.stamp_ns))
+
+    def _frames(self, frames: Sequence[Frame]) -> None:
+        for frame in frames:
+            self._tally.frame(frame)
+        commands = [frame for frame in frames if frame.kind == "command"]
+        if commands:
+            decoded = self._device.decode_commands([frame.data for frame in commands])
+            self._writer.commands([frame.stamp_ns for frame in commands], decoded)
+        states = [frame for frame in frames if frame.kind == "state"]
+        if states:
+            self._states([frame.stamp_ns for frame in states], [frame.data for frame in states])
+
+    def _states(self, stamps_ns: list[int], data: list[bytes]) -> None:
+        states = self._device.decode_states(data)
+        self._writer.states(stamps_ns, states)
+        self._tally.states(states)
+        bias = self._calibration.force_bias_counts if self._calibration else 0.0
+        self._newest = (states.force_counts[-1] - bias) * self._meta.newton_per_count
+        if self._window is None:
+            return
+        self._window_start_ns = self._window_start_ns or stamps_ns[0]
+        self._window.append(states)
+        if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
+            self._calibrate(joined(self._window))
+
+    def _calibrate(self, states: States) -> None:
+        meta = self._meta
+        self._calibration = calibrate(
+            states,
+            self._settings.calibrate_s,
+            joint_names=meta.joint_names,
+            fingertip_names=meta.fingertip_names,
+            newton_per_count=meta.newton_per_count,
+            rate_hz=meta.rate_hz,
+            limits=self._settings.limits,
+        )
+        self._window = None
+        self._writer.calibration(self._calibration)
+        self._say(f"calibrated over {self._calibration.rows} states")
+
+    def _tick(self, show: Callable[[View], None]) -> None:
+        """Do what is due: flush, statistics with fsync, the view, the checks."""
+        now_ns = time.monotonic_ns()
+        if self._is_due("flush", now_ns, _FLUSH_S):
+            self._writer.flush()
+        if self._is_due("statistics", now_ns, _STATISTICS_S):
+            self._writer.statistics(now_ns, self._tally.statistics(now_ns))
+            self._writer.sync_behind()
+        if self._is_due("space", now_ns, _SPACE_S):
+            check_space(self._writer.path, self._settings.reserve_bytes)
+            self._check_link(now_ns)
+        if self._is_due("show", now_ns, _SHOW_S):
+            show(self._view(now_ns))
+
+    def _is_due(self, task: str, now_ns: int, period_s: float) -> bool:
+        if now_ns < self._due[task]:
+            return False
+        self._due[task] = now_ns + int(1e9 * period_s)
+        return True
+
+    def _check_link(self, now_ns: int) -> None:
+        """Say when the port is silent; raises SetupError when it never gave a good frame."""
+        patience_s = self._settings.patience_s
+        if self._unplugged:
+            return
+        never_good = self._tally.bytes and not sum(self._tally.frames.values())
+        if never_good and now_ns - self._first_byte_ns > 1e9 * patience_s:
+            raise self._no_state()
+        if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
+            self._silent = True
+            self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
+
+    def _no_state(self) -> SetupError:
+        where = Where(path=self._meta.port)
+        if not self._tally.bytes:
+            return SetupError(
+                "the port gave no byte", where=where, fix="switch the hand on, start the program that drives it"
+            )
+        return SetupError(
+            "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
+            expected=f"frames of {self._meta.device} at {self._meta.baud} baud",
+            found=f"{self._tally.bytes} bytes without one",
+            where=where,
+            fix="check --baud, --device and the wiring",
+        )
+
+    def _view(self, now_ns: int) -> View:
+        tally = self._tally
+        phase: Phase = "recording"
+        if self._unplugged:
+            phase = "unplugged"
+        elif not tally.frames["state"]:
+            phase = "waiting"
+        elif self._window is not None:
+            phase = "calibrating"
+        return View(
+            phase=phase,
+            elapsed_s=(now_ns - self._opened_ns) / 1e9,
+            rate_hz=tally.recent_rate_hz(now_ns),
+            nominal_hz=self._meta.rate_hz,
+            force_N=self._newest,
+            fingertip_names=self._meta.fingertip_names,
+            frames=dict(tally.frames),
+            losses=tally.losses(),
+            saturated=tally.saturated(),
+            gaps=tally.gaps,
+            size_bytes=self._writer.size,
+        )

@@ -1,0 +1,85 @@
+"""What goes into a recorder and what comes out: settings, the view of a running one, the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import CandataError
+from candata.record.calibration import Limits
+
+Phase = Literal["waiting", "calibrating", "recording", "unplugged"]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to record.
+
+    Attributes
+    ----------
+    duration_s : float or None
+        How long to record after the calibration [s]; None: until told to stop.
+    calibrate_s : float
+        Window of the calibration [s]; 0: none.
+    limits : Limits
+        What counts as a resting, untouched hand.
+    reconnect_s : float
+        How long to wait for a port that was unplugged [s].
+    reserve_bytes : int
+        Free space on the disk at which the recording ends.
+    patience_s : float
+        How long a port may be silent, or give bytes without one good frame, before it is said [s].
+    """
+
+    duration_s: float | None = None
+    calibrate_s: float = 3.0
+    limits: Limits = field(default_factory=Limits)
+    reconnect_s: float = 10.0
+    reserve_bytes: int = 200_000_000
+    patience_s: float = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What can be seen of a recording while it runs.
+
+    Attributes
+    ----------
+    phase : str
+        `waiting` (no good frame yet), `calibrating`, `recording` or `unplugged`.
+    elapsed_s : float
+        Since the port was opened [s].
+    rate_hz, nominal_hz : float
+        States in the last second, and what the device gives when all is well.
+    force_N : (F, 3) float64 [N]
+        Newest force of each fingertip, less the bias where calibrated.
+    fingertip_names : tuple of str
+        In the order of `force_N`.
+    frames, losses, saturated : dict
+        Counts so far, by kind.
+    gaps, size_bytes : int
+        Intervals of more than 1.5 periods; size of the log.
+    """
+
+    phase: Phase
+    elapsed_s: float
+    rate_hz: float
+    nominal_hz: float
+    force_N: NDArray[np.float64]
+    fingertip_names: tuple[str, ...]
+    frames: dict[str, int]
+    losses: dict[str, int]
+    saturated: dict[str, int]
+    gaps: int
+    size_bytes: int
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a recording came to; `failure` is the error that ended it, if one did."""
+
+    facts: dict[str, Any]
+    failure: CandataError | None

@@ -1,0 +1,204 @@
+"""Checkpoints: one safetensors file each, whole or absent, whose header names the run as JSON. Never a pickle."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from candata.datasets.durable import sync
+from candata.errors import DataError, UsageError, Where
+from candata.training.settings import Progress, Run
+
+SUFFIX = ".safetensors"
+LAST, BEST = f"last{SUFFIX}", f"best{SUFFIX}"
+#: Groups of tensors, as the first part of their names.
+WEIGHTS, AVERAGE, OPTIMISER = "weights", "ema", "optimiser"
+#: First bytes of what `torch.save` and `pickle` write: a zip archive, or a pickle of protocol 2 to 5.
+_PICKLES = (b"PK\x03\x04", *(bytes([0x80, protocol]) for protocol in range(2, 6)))
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A checkpoint as read.
+
+    Attributes
+    ----------
+    path : Path
+        File.
+    run : Run
+        What its weights mean.
+    progress : Progress
+        How far the run had come.
+    """
+
+    path: Path
+    run: Run
+    progress: Progress
+
+    def tensors(self, group: str, device: str = "cpu") -> dict[str, torch.Tensor]:
+        """Return the tensors of a group (`weights`, `ema` or `optimiser`) by name.
+
+        Raises
+        ------
+        DataError
+            When the file is damaged; names it.
+        """
+        try:
+            with safe_open(self.path, "pt", device=device) as file:
+                names = [name for name in file.keys() if name.startswith(f"{group}/")]  # noqa: SIM118
+                return {name.removeprefix(f"{group}/"): file.get_tensor(name) for name in names}
+        except (SafetensorError, OSError) as error:
+            raise _unreadable(self.path, str(error)) from None
+
+
+def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
+    """Write a checkpoint whole or not at all: staged, synced, renamed.
+
+    Raises
+    ------
+    OSError
+        When the disk is full or cannot be written; what stood at `path` is unharmed.
+    """
+    tensors: dict[str, torch.Tensor] = {}
+    for group, named in groups.items():
+        tensors |= {f"{group}/{name}": value for name, value in _apart(named).items()}
+    header = {"run": run.model_dump_json(), "progress": progress.model_dump_json()}
+    staged = path.with_name(f".{path.name}.part")
+    try:
+        staged.touch()
+        mode = staged.stat().st_mode
+        save_file(tensors, staged, header)
+        staged.chmod(mode)  # safetensors gives a file to its owner alone
+        sync(staged)
+        os.replace(staged, path)
+        sync(path.parent)
+    finally:
+        staged.unlink(missing_ok=True)
+
+
+def _apart(named: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the tensors on the CPU, none sharing memory with another: a module may stand in two places."""
+    found: dict[str, torch.Tensor] = {}
+    taken: set[int] = set()
+    for name, value in named.items():
+        whole = value.detach().contiguous().cpu()
+        place = whole.untyped_storage().data_ptr()
+        found[name] = whole.clone() if place in taken else whole
+        taken.add(place)
+    return found
+
+
+def copy(source: Path, target: Path) -> None:
+    """Give the checkpoint `source` a second name; checkpoints are replaced, never changed."""
+    staged = target.with_name(f".{target.name}.part")
+    staged.unlink(missing_ok=True)
+    try:
+        os.link(source, staged)
+    except OSError:  # a file system without hard links
+        staged.write_bytes(source.read_bytes())
+        sync(staged)
+    os.replace(staged, target)
+    sync(target.parent)
+
+
+def read(path: Path) -> Checkpoint:
+    """Return the checkpoint in the file `path`, or in the run folder `path`: the best one, else the last.
+
+    Raises
+    ------
+    UsageError
+        When there is none, it is a pickle (never opened), or no checkpoint of candata.
+    DataError
+        When the file is damaged.
+    """
+    path = _file(path)
+    with path.open("rb") as file:
+        head = file.read(9)
+    if head.startswith(_PICKLES):
+        raise UsageError(
+            "the checkpoint is a pickle, which can run any code when opened: refused",
+            expected=f"a {SUFFIX} file that candata train wrote", found="a file of torch.save or pickle",
+            where=Where(path=str(path)), fix="train with candata train, or name its run folder",
+        )  # fmt: skip
+    try:
+        with safe_open(path, "pt") as file:
+            header = file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise _unreadable(path, str(error)) from None
+    if not {"run", "progress"} <= set(header):
+        raise UsageError(
+            "not a checkpoint of candata", expected="a safetensors file whose header holds `run` and `progress`",
+            found=f"a header with {', '.join(sorted(header)) or 'nothing'}", where=Where(path=str(path)),
+        )  # fmt: skip
+    try:
+        parsed = json.loads(header["run"]), json.loads(header["progress"])
+    except ValueError as error:
+        raise _unreadable(path, str(error)) from None
+    return Checkpoint(path, Run.parse(parsed[0], path), Progress.parse(parsed[1], path))
+
+
+def check_fits(run: Run, other: Mapping[str, object], where: Path) -> None:
+    """Refuse data, or another run, whose joints or sizes are not those the weights were made for.
+
+    Parameters
+    ----------
+    run : Run
+        Of the checkpoint.
+    other : mapping
+        Fields of `Run` to compare: `sizes`, `joint_names`, ...
+    where : Path
+        The checkpoint.
+
+    Raises
+    ------
+    UsageError
+        Names both.
+    """
+    for name, found in other.items():
+        expected = getattr(run, name)
+        if found != expected:
+            raise UsageError(
+                f"the checkpoint was made for other {name.replace('_', ' ')}",
+                expected=_text(expected), found=_text(found), where=Where(path=str(where)),
+                fix="use data of the same hand and windows, or train a new model",
+            )  # fmt: skip
+
+
+def _text(value: object) -> str:
+    """Return names or sizes on one line."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {size}" for name, size in value.items())
+    if isinstance(value, tuple):
+        return f"{len(value)}: {', '.join(value)}"
+    return str(value)
+
+
+def _file(path: Path) -> Path:
+    """Return the file of a checkpoint, or of the best one of a run folder."""
+    if path.is_dir():
+        for name in (BEST, LAST):
+            if (path / name).is_file():
+                return path / name
+        raise UsageError(
+            "the folder holds no checkpoint", expected=f"{BEST} or {LAST}",
+            found=", ".join(sorted(p.name for p in path.iterdir())[:8]) or "nothing",
+            where=Where(path=str(path)), fix="name a folder that candata train wrote",
+        )  # fmt: skip
+    if not path.is_file():
+        raise UsageError("no such checkpoint", where=Where(path=str(path)), fix="name a run folder or its file")
+    return path
+
+
+def _unreadable(path: Path, found: str) -> DataError:
+    """Return the error for a file that is no whole safetensors file."""
+    return DataError(
+        "damaged checkpoint", expected="a whole safetensors file", found=found.splitlines()[0],
+        where=Where(path=str(path)), fix="use the other checkpoint of the run, or train again",
+    )  # fmt: skip

@@ -1,0 +1,137 @@
+"""Who forecasts: the plain baselines, and a trained model; all answer the same question."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.loaders.increments import increments
+
+if TYPE_CHECKING:
+    import torch
+
+Batch = Mapping[str, NDArray]
+
+#: Windows that a model forecasts at once.
+_AT_ONCE = 256
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Forecasts of B windows.
+
+    Attributes
+    ----------
+    increments : (M, B, H, 6) float [m, rad]
+        Pose increments as in `candata.models.Forecast`.
+    contact : (B, H) float or None
+        Probability of hand contact.
+    """
+
+    increments: NDArray
+    contact: NDArray | None
+
+
+class Forecaster(Protocol):
+    """Forecasts the pose increments of windows."""
+
+    @property
+    def summary(self) -> str:
+        """What people call it."""
+
+    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
+        """Return the forecasts of a batch of `candata.loaders`; `seed` fixes the noise."""
+
+
+@dataclass(frozen=True)
+class Stays:
+    """The object stays where it is, and so does the hand's contact."""
+
+    summary: str = "the object stays"
+
+    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
+        """Return increments of zero."""
+        return Answer(np.zeros((1, *batch["future_pad"].shape, 6)), _present_contact(batch))
+
+
+@dataclass(frozen=True)
+class KeepsVelocity:
+    """The object repeats the step it has just made; none where the row before is not there."""
+
+    summary: str = "the object keeps its velocity"
+
+    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
+        """Return the last increment, at every step."""
+        horizon, poses = batch["future_pad"].shape[1], batch["history/object_pose"]
+        if poses.shape[1] < 2:
+            return Stays().forecast(batch)
+        last = increments(poses[:, -2:])
+        absent = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
+        last = np.where(absent[:, None, None], 0.0, last)
+        return Answer(np.repeat(last, horizon, axis=1)[None], _present_contact(batch))
+
+
+def _present_contact(batch: Batch) -> NDArray | None:
+    """Return the present contact, at every step; None without contact."""
+    contact = batch.get("history/contact")
+    if contact is None:
+        return None
+    return np.repeat(contact[:, -1:].astype(float), batch["future_pad"].shape[1], axis=1)
+
+
+#: What every model is compared with, by name.
+BASELINES: dict[str, Forecaster] = {"stays": Stays(), "keeps_velocity": KeepsVelocity()}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained model.
+
+    Attributes
+    ----------
+    module : torch.nn.Module
+        With its weights, on `device`.
+    clouds : (C, N, 3) Tensor
+        Point clouds, on `device`.
+    samples, steps : int
+        Samples of each forecast, and steps of the sampler.
+    device : str
+        `cpu` or `cuda`.
+    summary : str
+        Name for people.
+    """
+
+    module: torch.nn.Module
+    clouds: torch.Tensor
+    samples: int
+    steps: int
+    device: str = "cpu"
+    summary: str = "the model"
+
+    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
+        """Return the model's forecasts, a few hundred windows at a time."""
+        count = len(batch["history_pad"])
+        parts = [self._part(batch, slice(i, i + _AT_ONCE), (*seed, i)) for i in range(0, count, _AT_ONCE)]
+        contacts = [part.contact for part in parts if part.contact is not None]
+        return Answer(
+            np.concatenate([part.increments for part in parts], axis=1),
+            np.concatenate(contacts) if contacts else None,
+        )
+
+    def _part(self, batch: Batch, part: slice, seed: tuple[int, ...]) -> Answer:
+        """Return the forecasts of some windows."""
+        import torch
+
+        from candata.training.feed import tensors
+        from candata.training.state import generator
+
+        given = tensors({name: values[part] for name, values in batch.items()}, self.clouds, self.device)
+        module: Any = self.module
+        with torch.no_grad():
+            found = module.forecast(given, self.samples, self.steps, generator(self.device, *seed))
+        contact = None if found.contact is None else found.contact.double().cpu().numpy()
+        return Answer(found.increments.double().cpu().numpy(), contact)

@@ -1,0 +1,234 @@
+"""From a dataset and the name of a model to a job, and from a checkpoint back to a model."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from candata import __version__
+from candata.datasets import Dataset
+from candata.errors import SetupError, UnknownNameError, UsageError, Where
+from candata.loaders import Normaliser, Split, Windows, find_split, split_digest, windows
+from candata.loaders.splits import DEFAULT
+from candata.models import Model, Sizes
+from candata.models import model as find_model
+from candata.schema.channels import CHANNELS
+from candata.schema.record import Record
+from candata.training import checkpoint, feed
+from candata.training.checkpoint import Checkpoint
+from candata.training.loop import Job
+from candata.training.settings import Run, Settings
+
+#: Batches of the validation loss.
+HELD_OUT_BATCHES = 8
+
+
+@dataclass(frozen=True)
+class Ask:
+    """What to train.
+
+    Attributes
+    ----------
+    model : str or None
+        Name of a model; None takes that of `init`.
+    preset : str or None
+        One of its presets; `small` when neither this nor `init` is given.
+    config : mapping
+        Fields of the model's configuration that differ from the preset.
+    history, horizon : int or None
+        Rows of the past, the present one included, and steps of the future; 8 and 16, or those of `init`.
+    rate_hz : float or None
+        Rate of the model's steps; 10, or that of `init`.
+    split : str or None
+        Name of a stored split; the default one when None.
+    init : Path or None
+        Checkpoint to begin with.
+    """
+
+    model: str | None = None
+    preset: str | None = None
+    config: Mapping[str, Any] | None = None
+    history: int | None = None
+    horizon: int | None = None
+    rate_hz: float | None = None
+    split: str | None = None
+    init: Path | None = None
+
+
+def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu") -> Job:
+    """Return the job.
+
+    Raises
+    ------
+    UsageError
+        When a setting means nothing, or the checkpoint of `init` is of another model, hand or window.
+    DataError
+        When the dataset lacks a channel, the split's `train` is empty, or no episode is as long as the horizon.
+    SetupError
+        When the device is not there.
+    """
+    check_device(device)
+    begin = None if ask.init is None else checkpoint.read(ask.init)
+    name, config = _configured(ask, begin, settings)
+    model = find_model(name)
+    split = find_split(dataset, ask.split)
+    shape = {
+        "history": ask.history or (begin.run.sizes["history"] if begin else 8),
+        "horizon": ask.horizon or (begin.run.sizes["horizon"] if begin else 16),
+        "rate_hz": ask.rate_hz or (begin.run.rate_hz if begin else 10.0),
+    }
+    train = _windows(dataset, split, model.reads(config), "train", shape)
+    run = _run(dataset, ask, settings, name, config, split, train, begin)
+    module = build(run, device)
+    if begin is not None:
+        module.load_state_dict(begin.tensors(checkpoint.AVERAGE, device))
+    held_out = _windows(dataset, split, model.reads(config), "val", shape) if split.val else None
+    batches = () if held_out is None else feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
+    draw = feed.drawing(train, settings.seed, settings.batch, device)
+    return Job(run, module, draw, batches, device, split)
+
+
+def build(run: Run, device: str = "cpu") -> torch.nn.Module:
+    """Return the module of a run with its first weights, on the device."""
+    model = find_model(run.model)
+    normaliser = Normaliser.parse(run.normaliser, "normaliser of the checkpoint")
+    module: torch.nn.Module = model.build(model.parse(run.config), Sizes(**run.sizes), normaliser)
+    return module.to(device)
+
+
+def trained(kept: Checkpoint, device: str = "cpu") -> torch.nn.Module:
+    """Return the module of a checkpoint with its averaged weights, ready to forecast."""
+    module = build(kept.run, device)
+    module.load_state_dict(kept.tensors(checkpoint.AVERAGE, device))
+    return module.eval()
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that is not known or not there.
+
+    Raises
+    ------
+    UnknownNameError
+        When it is neither `cpu` nor `cuda`.
+    SetupError
+        When there is no GPU.
+    """
+    if device not in ("cpu", "cuda"):
+        raise UnknownNameError("device", device, ("cpu", "cuda"))
+    if device == "cuda" and not torch.cuda.is_available():
+        raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
+
+
+def check_data(kept: Checkpoint, found: Windows) -> None:
+    """Refuse windows of another hand or shape than a checkpoint was made for; the number of points may differ.
+
+    Raises
+    ------
+    UsageError
+        Names both.
+    """
+    facts = _facts(found)
+    facts["sizes"] |= {"points": kept.run.sizes["points"]} if found.clouds.shape[1] else {}
+    checkpoint.check_fits(kept.run, facts, kept.path)
+
+
+def _facts(found: Windows) -> dict[str, Any]:
+    """Return the fields of a Run that the windows decide."""
+    return {
+        "joint_names": found.joint_names,
+        "actuator_names": found.actuator_names,
+        "fingertip_names": found.fingertip_names,
+        "rate_hz": found.rate_hz,
+        "sizes": found.sizes(),
+    }
+
+
+def _configured(ask: Ask, begin: Checkpoint | None, settings: Settings) -> tuple[str, Any]:
+    """Return the model's name and its configuration."""
+    name = ask.model or (begin.run.model if begin else None)
+    if name is None:
+        raise UsageError("no model", expected="--model NAME, or --init CHECKPOINT", fix="see candata train --help")
+    model = find_model(name)
+    if begin is None:
+        return name, _fresh_config(model, ask, settings)
+    if name != begin.run.model or ask.preset not in (None, begin.run.preset) or ask.config:
+        raise UsageError(
+            "fine-tuning keeps the model and its configuration",
+            expected=f"--model {begin.run.model} --preset {begin.run.preset}, or neither",
+            found=f"--model {name} --preset {ask.preset or begin.run.preset}" + (" --config" if ask.config else ""),
+            where=Where(path=str(begin.path)), fix="leave --model, --preset and --config out",
+        )  # fmt: skip
+    return name, model.parse(begin.run.config)
+
+
+def _fresh_config(model: Model, ask: Ask, settings: Settings) -> Record:
+    """Return the configuration of a new model: the preset, then what differs; the seed is the run's."""
+    preset = ask.preset or "small"
+    if preset not in model.presets:
+        raise UnknownNameError("preset", preset, model.presets)
+    values = model.presets[preset].model_dump()
+    return model.parse(values | {"seed": settings.seed} | dict(ask.config or {}))
+
+
+def _windows(
+    dataset: Dataset, split: Split, channels: tuple[str, ...], group: str, shape: Mapping[str, Any]
+) -> Windows:
+    """Return the windows of a group: presents up to the end of the episode, where the future is partly there."""
+    given = {"channels": channels_for(dataset, channels), "splits": split, "split": group, **shape}
+    if group == "train":
+        windows(dataset, **given)  # refuses a horizon that no episode holds
+    return windows(dataset, pad="both", **given)
+
+
+def channels_for(dataset: Dataset, channels: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the channels to ask windows for: those the model reads, and clouds where all have one."""
+    has_clouds = all(json.loads(text).get("point_cloud") for text in dataset.catalog()["meta"].to_pylist())
+    return (*channels, "point_cloud") if has_clouds else channels
+
+
+def _run(
+    dataset: Dataset,
+    ask: Ask,
+    settings: Settings,
+    name: str,
+    config: Record,
+    split: Split,
+    train: Windows,
+    begin: Checkpoint | None,
+) -> Run:
+    """Return all that decides what the weights will mean."""
+    facts = _facts(train)
+    if begin is not None:
+        check_data(begin, train)
+    units = {name: str(CHANNELS[name].unit) for name in train.channels}
+    return Run(
+        model=name,
+        preset=begin.run.preset if begin else ask.preset or "small",
+        config=config.model_dump(mode="json"),
+        **facts,
+        dataset=dataset.name,
+        digest=dataset.digest,
+        version=dataset.version,
+        split=ask.split or DEFAULT,
+        split_digest=split_digest(split),
+        channels=train.channels,
+        units=units | {"increments": "m, rad"},
+        # The weights of a fine-tuned model were made for the scales of its first run.
+        normaliser=begin.run.normaliser if begin else train.normaliser.model_dump(mode="json"),
+        settings=settings,
+        init=_origin(begin),
+        revision=__version__,
+    )
+
+
+def _origin(begin: Checkpoint | None) -> dict[str, Any] | None:
+    """Return where the first weights came from."""
+    if begin is None:
+        return None
+    run = begin.run
+    return {"dataset": run.dataset, "digest": run.digest, "step": begin.progress.step, "init": run.init}

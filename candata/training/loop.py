@@ -1,0 +1,244 @@
+"""The training loop: one step after another, guarded against NaN, saved so that a killed run goes on bit for bit."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from candata.errors import DataError, Where
+from candata.models import Batch
+from candata.schema.record import Record
+from candata.training import checkpoint, ema, runs
+from candata.training.settings import Progress, Run, Settings
+from candata.training.state import State, fresh, generator
+from candata.training.steplog import StepLog
+
+#: Second part of the key of a noise stream: each use has its own.
+_NOISE, _HELD_OUT = 1, 2
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to train on what.
+
+    Attributes
+    ----------
+    run : Run
+        Settings and facts.
+    module : torch.nn.Module
+        The model with its first weights, on its device.
+    draw : callable
+        Step to batch, on the device; the same step gives the same batch.
+    held_out : sequence of Batch
+        Batches of the validation loss; empty for none.
+    device : str
+        `cpu` or `cuda`.
+    split : Record or None
+        Who trains, kept in the run's folder.
+    """
+
+    run: Run
+    module: Any  # a torch.nn.Module with `losses`; mypy knows no intersection
+    draw: Callable[[int], Batch]
+    held_out: Sequence[Batch] = ()
+    device: str = "cpu"
+    split: Record | None = None
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the loop tells after a few steps.
+
+    Attributes
+    ----------
+    step : int
+        Steps done.
+    share : float
+        Share of the run that is done.
+    losses : dict of str to float
+        Means since the last report.
+    windows_per_s : float
+        Windows trained on each second since then.
+    wait_share : float
+        Share of that time spent on getting batches.
+    """
+
+    step: int
+    share: float
+    losses: dict[str, float]
+    windows_per_s: float
+    wait_share: float
+
+
+@dataclass
+class _Tally:
+    """Sums since the last line of the log."""
+
+    losses: dict[str, float] = field(default_factory=dict)
+    norm: float = 0.0
+    good: int = 0
+    steps: int = 0
+    wait_s: float = 0.0
+    since_s: float = field(default_factory=time.perf_counter)
+
+    def add(self, losses: dict[str, float], norm: float) -> None:
+        """Add a good step."""
+        for name, value in losses.items():
+            self.losses[name] = self.losses.get(name, 0.0) + value
+        self.norm += norm
+        self.good += 1
+
+    def means(self) -> dict[str, float]:
+        """Return the mean losses; empty when no step was good."""
+        return {name: value / self.good for name, value in self.losses.items()}
+
+
+def train(
+    job: Job,
+    folder: Path,
+    tell: Callable[[Report], None] = lambda _report: None,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Progress:
+    """Train to the end of the run, going on from its last checkpoint, and return how far it has come.
+
+    Parameters
+    ----------
+    job : Job
+        What to train on what.
+    folder : Path
+        The run's folder; made when missing.
+    tell : callable
+        Called with a Report after a few steps.
+    stopped : callable
+        Asked before each step; True saves and returns early.
+
+    Raises
+    ------
+    UsageError
+        When the folder holds another run.
+    DataError
+        When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
+    """
+    runs.begin(folder, job.run, job.split)
+    state = fresh(job.module, job.run.settings)
+    if (folder / checkpoint.LAST).is_file():
+        state.restore(checkpoint.read(folder / checkpoint.LAST))
+    settings, saved_step = job.run.settings, state.progress.step
+    with StepLog(folder, saved_step) as log:
+        tally, saved_s = _Tally(), time.perf_counter()
+        while not stopped() and settings.share(state.progress.step, state.progress.elapsed_s) < 1:
+            _step(job, state, tally, folder)
+            step = state.progress.step
+            if step % settings.log_every == 0:
+                tell(_report(job, state, tally, log))
+                tally = _Tally()
+            at_end = settings.share(step, state.progress.elapsed_s) >= 1
+            if at_end or step % settings.validate_every == 0:
+                _validate(job, state, folder, log)
+            elif time.perf_counter() - saved_s < settings.save_every_s:
+                continue
+            saved_step, saved_s = step, time.perf_counter()
+            _save(job, state, folder)
+        if saved_step < state.progress.step:
+            _save(job, state, folder)
+    return state.progress
+
+
+def _step(job: Job, state: State, tally: _Tally, folder: Path) -> None:
+    """Take one step; one without a finite loss and gradient changes nothing but the counts."""
+    settings, done, began = job.run.settings, state.progress, time.perf_counter()
+    batch = job.draw(done.step)
+    tally.wait_s += time.perf_counter() - began
+    job.module.train()
+    losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, done.step))
+    state.optimiser.zero_grad(set_to_none=True)
+    losses["loss"].backward()
+    norm = torch.nn.utils.clip_grad_norm_(job.module.parameters(), settings.clip_norm)
+    good = bool(torch.isfinite(losses["loss"]) & torch.isfinite(norm))
+    if good:
+        for group in state.optimiser.param_groups:
+            group["lr"] = settings.rate(done.step, done.elapsed_s)
+        state.optimiser.step()
+        updates = done.step - done.skipped
+        ema.update(state.average, job.module.state_dict(), updates, settings.ema_power)
+        tally.add({name: float(value.detach()) for name, value in losses.items()}, float(norm))
+    tally.steps += 1
+    state.advance(
+        step=done.step + 1,
+        elapsed_s=done.elapsed_s + time.perf_counter() - began,
+        skipped=done.skipped + (not good),
+        bad_in_row=0 if good else done.bad_in_row + 1,
+    )
+    if state.progress.bad_in_row >= settings.bad_limit:
+        raise _diverged(state.progress, settings, folder)
+
+
+def _report(job: Job, state: State, tally: _Tally, log: StepLog) -> Report:
+    """Return what to tell, and write the line of the log."""
+    settings, done = job.run.settings, state.progress
+    spent_s = max(time.perf_counter() - tally.since_s, 1e-9)
+    report = Report(
+        done.step,
+        settings.share(done.step, done.elapsed_s),
+        tally.means(),
+        tally.steps * settings.batch / spent_s,
+        tally.wait_s / spent_s,
+    )
+    log.write(
+        step=done.step,
+        **report.losses,
+        learning_rate=settings.rate(done.step - 1, done.elapsed_s),
+        gradient_norm=tally.norm / tally.good if tally.good else None,
+        windows_per_s=report.windows_per_s,
+        wait_share=report.wait_share,
+        elapsed_s=done.elapsed_s,
+        skipped=done.skipped,
+    )
+    return report
+
+
+@torch.no_grad()
+def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
+    """Score the averaged weights on the held-out batches; the best so far is kept."""
+    if not job.held_out:
+        return
+    began, module = time.perf_counter(), job.module.eval()
+    own = ema.averaged(module.state_dict())
+    module.load_state_dict(state.average)
+    sums: dict[str, float] = {}
+    for number, batch in enumerate(job.held_out):
+        # The same noise each time, so that two validations differ by the weights alone.
+        noise = generator(job.device, job.run.settings.seed, _HELD_OUT, number)
+        for name, value in module.losses(batch, noise).items():
+            sums[name] = sums.get(name, 0.0) + float(value)
+    module.load_state_dict(own)
+    means = {name: value / len(job.held_out) for name, value in sums.items()}
+    state.advance(elapsed_s=state.progress.elapsed_s + time.perf_counter() - began)
+    log.write(step=state.progress.step, **{f"held_out_{name}": value for name, value in means.items()})
+    best = state.progress.best_loss
+    if means["loss"] < (float("inf") if best is None else best):
+        state.advance(best_loss=means["loss"], best_step=state.progress.step)
+
+
+def _save(job: Job, state: State, folder: Path) -> None:
+    """Write the last checkpoint, and give it the name of the best one when it is that."""
+    checkpoint.save(folder / checkpoint.LAST, job.run, state.progress, state.groups())
+    if state.progress.best_step == state.progress.step:
+        checkpoint.copy(folder / checkpoint.LAST, folder / checkpoint.BEST)
+
+
+def _diverged(progress: Progress, settings: Settings, folder: Path) -> DataError:
+    """Return the error for a run that finds no finite loss any more."""
+    return DataError(
+        "training has diverged",
+        expected="finite losses and gradients",
+        found=f"{progress.bad_in_row} steps in a row without, up to step {progress.step}",
+        where=Where(path=str(folder)),
+        fix=f"lower --learning-rate (now {settings.learning_rate:g}) or look at the data with candata validate; "
+        "the last good checkpoint stands",
+    )

@@ -1,0 +1,107 @@
+"""A run's folder: `run.json`, its checkpoints and log; the same run goes on, another is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from candata.datasets.durable import encode_record, ensure_folder, sync
+from candata.errors import UsageError, Where
+from candata.schema.record import Record
+from candata.training.settings import Run
+
+FILE = "run.json"
+#: Who trains, validates and tests, beside it.
+SPLIT = "split.json"
+
+
+def begin(folder: Path, run: Run, split: Record | None = None) -> None:
+    """Make the run's folder, or see that the one that stands holds this very run.
+
+    Parameters
+    ----------
+    folder : Path
+        Where.
+    run : Run
+        The run.
+    split : Record, optional
+        Who trains, kept beside it.
+
+    Raises
+    ------
+    UsageError
+        When the folder holds something else, or a run with other settings; names what differs.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
+    path = folder / FILE
+    if path.is_file():
+        _refuse_other(read_run(folder), run, path)
+        return
+    if folder.is_dir() and any(p.name not in (SPLIT, f".{SPLIT}.part", f".{FILE}.part") for p in folder.iterdir()):
+        raise UsageError(
+            "the output folder holds something that is no run", expected=f"a new folder, or one with {FILE}",
+            found=", ".join(sorted(p.name for p in folder.iterdir())[:8]), where=Where(path=str(folder)),
+            fix="choose another --out",
+        )  # fmt: skip
+    ensure_folder(folder)
+    if split is not None:
+        _write(folder / SPLIT, split)
+    _write(path, run)  # last: with it the run stands
+
+
+def _write(path: Path, record: Record) -> None:
+    """Write a record whole or not at all."""
+    staged = path.with_name(f".{path.name}.part")
+    staged.write_bytes(encode_record(record))
+    sync(staged)
+    os.replace(staged, path)
+    sync(path.parent)
+
+
+def read_run(folder: Path) -> Run:
+    """Return the run that a folder holds.
+
+    Raises
+    ------
+    UsageError
+        When it holds none, or the file is not valid; names it.
+    """
+    path = folder / FILE
+    try:
+        value = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise UsageError(
+            "no run", expected=f"a folder with {FILE}", found=str(getattr(error, "strerror", None) or error),
+            where=Where(path=str(path)), fix="name a folder that candata train wrote",
+        ) from None  # fmt: skip
+    return Run.parse(value, path)
+
+
+def _refuse_other(standing: Run, asked: Run, path: Path) -> None:
+    """Refuse to go on with a run that differs; names every field that does."""
+    there, here = _flat(standing.model_dump(mode="json")), _flat(asked.model_dump(mode="json"))
+    names = [name for name in sorted(there.keys() | here.keys()) if there.get(name) != here.get(name)]
+    if not names:
+        return
+    raise UsageError(
+        "the folder holds a run with other settings", expected=_shown(there, names), found=_shown(here, names),
+        where=Where(path=str(path)),
+        fix="give the settings of that run to go on with it, or choose another --out",
+    )  # fmt: skip
+
+
+def _flat(value: dict[str, Any], head: str = "") -> dict[str, Any]:
+    """Return nested values under dotted names."""
+    flat: dict[str, Any] = {}
+    for key, inner in value.items():
+        flat |= _flat(inner, f"{head}{key}.") if isinstance(inner, dict) else {f"{head}{key}": inner}
+    return flat
+
+
+def _shown(values: dict[str, Any], names: list[str], most: int = 6) -> str:
+    """Return `name value, name value`."""
+    shown = [f"{name} {str(values.get(name, 'not given'))[:40]}" for name in names[:most]]
+    return ", ".join(shown) + (f" and {len(names) - most} more" if len(names) > most else "")

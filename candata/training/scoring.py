@@ -1,0 +1,237 @@
+"""Evaluation: per window and in closed loop, a model beside the baselines through the same code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from candata.loaders import Windows
+from candata.loaders.increments import integrate
+from candata.training import metrics
+from candata.training.forecasters import Forecaster
+from candata.training.poses import mean_pose, position_error, rotation_error
+from candata.training.results import (
+    ClosedLoopScores,
+    Contact,
+    EpisodeScores,
+    Gain,
+    Success,
+    Track,
+    WindowScores,
+)
+from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop, course, shown
+
+#: Resamples of the episodes for the interval of a gain.
+RESAMPLES = 2000
+#: Windows that are forecast at most; of more, as many are taken, evenly spread.
+MOST_WINDOWS = 4096
+#: Episodes whose courses the page draws.
+TRACKS = 4
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What `score` found, by forecaster; the first one is the model.
+
+    Attributes
+    ----------
+    windows : dict of str to WindowScores
+        Open loop.
+    closed_loop : dict of str to ClosedLoopScores
+        Closed loop.
+    gain : dict of str to Gain
+        By baseline.
+    by_episode : tuple of EpisodeScores
+        One an episode.
+    tracks : tuple of Track
+        A few episodes for the figures.
+    rows : int
+        Rows scored in closed loop.
+    """
+
+    windows: dict[str, WindowScores]
+    closed_loop: dict[str, ClosedLoopScores]
+    gain: dict[str, Gain]
+    by_episode: tuple[EpisodeScores, ...]
+    tracks: tuple[Track, ...]
+    rows: int
+
+
+@dataclass(frozen=True)
+class _Errors:
+    """Errors of a closed loop, `(E, N)`; ADD-S is None without point clouds."""
+
+    position: NDArray
+    rotation: NDArray
+    adds: NDArray | None
+    loop: Loop = field(repr=False)
+
+
+def score(
+    windows: Windows,
+    forecasters: Mapping[str, Forecaster],
+    execute: int,
+    seed: int,
+    stage: Callable[[str], None] = lambda _name: None,
+) -> Findings:
+    """Return the scores of all forecasters on the same windows and the same episodes.
+
+    Parameters
+    ----------
+    windows : Windows
+        Held-out windows.
+    forecasters : mapping of str to Forecaster
+        The model first, then what it is compared with.
+    execute : int
+        Steps executed before the next forecast in closed loop.
+    seed : int
+        Seed of the noise and of the resampling.
+    stage : callable
+        Called with what is being done.
+    """
+    trees = metrics.cloud_trees(windows.clouds)
+    opened = {}
+    for name, one in forecasters.items():
+        stage(f"{name}: {len(chosen_windows(windows))} windows")
+        opened[name] = window_scores(windows, one, trees, seed)
+    road = course(windows)
+    errors = {}
+    for name, one in forecasters.items():
+        stage(f"{name}: {len(road.episodes)} episodes in closed loop")
+        errors[name] = _errors(road, close_loop(road, one, execute, seed), trees)
+    model, *others = forecasters
+    return Findings(
+        windows=opened,
+        closed_loop={name: _closed(road, found) for name, found in errors.items()},
+        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if trees},
+        by_episode=tuple(_by_episode(road, errors, e) for e in range(len(road.episodes))),
+        tracks=_tracks(road, errors, model),
+        rows=int(road.valid.sum()),
+    )
+
+
+def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree], seed: int) -> WindowScores:
+    """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
+    batch = windows.batch(chosen_windows(windows))
+    truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
+    found = forecaster.forecast(batch, (seed,))
+    samples = integrate(batch["history/object_pose"][:, -1], found.increments)
+    mean = mean_pose(samples)
+    distance, angle = position_error(mean, truth), rotation_error(mean, truth)
+    energy = metrics.energy_score(samples[..., :3], truth[..., :3])
+    adds = metrics.adds_of(trees, batch["cloud"], mean, truth) if trees else None
+    return WindowScores(
+        position_error_m=_by_step(distance, valid),
+        rotation_error_rad=_by_step(angle, valid),
+        position_mse_m2=_by_step(distance**2, valid),
+        rotation_mse_rad2=_by_step(angle**2, valid),
+        position_energy_m=_by_step(energy, valid),
+        adds_m=_by_step(adds, valid) if adds is not None else (None,) * valid.shape[1],
+        adds_auc=metrics.auc(adds[valid]) if adds is not None else None,
+        contact=_contact(found.contact, batch.get("future/contact"), valid),
+    )
+
+
+def chosen_windows(windows: Windows) -> NDArray[np.int64]:
+    """Return the numbers of the windows that are forecast."""
+    count = min(len(windows), MOST_WINDOWS)
+    return np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+
+
+def _by_step(values: NDArray, valid: NDArray[np.bool_]) -> tuple[float | None, ...]:
+    """Return the means over the windows, by step; None where no window has the step."""
+    columns = zip(values.T, valid.T, strict=True)
+    return tuple(float(value[good].mean()) if good.any() else None for value, good in columns)
+
+
+def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.bool_]) -> Contact | None:
+    """Return how well contact was forecast; None where it was not, or is not recorded."""
+    if forecast is None or truth is None:
+        return None
+    return Contact.model_validate(metrics.f1(forecast[valid] >= CONTACT_THRESHOLD, truth[valid]))
+
+
+def _errors(road: Course, loop: Loop, trees: list[KDTree]) -> _Errors:
+    """Return the errors of a loop at each row."""
+    adds = metrics.adds_of(trees, road.cloud, loop.poses, road.truth) if trees else None
+    return _Errors(position_error(loop.poses, road.truth), rotation_error(loop.poses, road.truth), adds, loop)
+
+
+def _closed(road: Course, found: _Errors) -> ClosedLoopScores:
+    """Return the closed-loop scores of a forecaster."""
+    good, final = road.valid, _final(road, found.position)
+    truth = None if road.contact is None else road.contact[:, road.observed.shape[1] :]
+    count, total = int((final <= metrics.SUCCESS_M).sum()), len(final)
+    low, high = metrics.wilson(count, total)
+    return ClosedLoopScores(
+        adds_auc=metrics.auc(found.adds[good]) if found.adds is not None else None,
+        adds_m=float(found.adds[good].mean()) if found.adds is not None else None,
+        position_error_m=float(found.position[good].mean()),
+        rotation_error_rad=float(found.rotation[good].mean()),
+        final_position_error_m=float(final.mean()),
+        success=Success(count=count, total=total, share=count / total, low=low, high=high),
+        contact=_contact(found.loop.contact, truth, good),
+    )
+
+
+def _final(road: Course, position: NDArray) -> NDArray:
+    """Return the error `(E,) [m]` at each episode's last row that counts."""
+    last = road.valid.shape[1] - 1 - np.argmax(road.valid[:, ::-1], axis=1)
+    return position[np.arange(len(last)), last]
+
+
+def _gain(road: Course, model: _Errors, other: _Errors, seed: int) -> Gain:
+    """Return by how much the model's AUC exceeds another's; the interval resamples whole episodes, in pairs."""
+    sums = np.array([_area(road, found).sum(1) for found in (model, other)])
+    counts = road.valid.sum(1)
+    drawn = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
+    gains = (sums[0] - sums[1])[drawn].sum(1) / counts[drawn].sum(1)
+    low, high = np.quantile(gains, (0.025, 0.975))
+    return Gain(value=float((sums[0] - sums[1]).sum() / counts.sum()), low=float(low), high=float(high))
+
+
+def _area(road: Course, found: _Errors) -> NDArray:
+    """Return each row's part `(E, N)` of the area under the curve; 0 for rows that do not count."""
+    adds = np.zeros(road.valid.shape) if found.adds is None else found.adds
+    return np.where(road.valid, np.maximum(0.0, 1 - adds / metrics.ADDS_LIMIT_M), 0.0)
+
+
+def _by_episode(road: Course, errors: Mapping[str, _Errors], number: int) -> EpisodeScores:
+    """Return the scores of one episode."""
+    good = road.valid[number]
+    moved = position_error(road.truth[number], road.observed[number, -1])
+    return EpisodeScores(
+        id=road.windows.episode_ids[road.episodes[number]],
+        moved_m=float(moved[good].max(initial=0.0)),
+        adds_auc={n: metrics.auc(f.adds[number][good]) for n, f in errors.items() if f.adds is not None},
+        final_position_error_m={n: float(_final(road, f.position)[number]) for n, f in errors.items()},
+    )
+
+
+def _tracks(road: Course, errors: Mapping[str, _Errors], model: str) -> tuple[Track, ...]:
+    """Return a few episodes, spread evenly from the model's worst to its best."""
+    mean = np.where(road.valid, errors[model].position, 0).sum(1) / np.maximum(road.valid.sum(1), 1)
+    return tuple(_track(road, errors, model, number) for number in shown(-mean, TRACKS))
+
+
+def _track(road: Course, errors: Mapping[str, _Errors], model: str, number: int) -> Track:
+    """Return one episode, the row it begins with first."""
+    count, past = int(road.steps[number]), road.observed.shape[1]
+    rows = slice(0, count)
+    begin = road.observed[number, -1:]
+    forecast = errors[model].loop.contact
+    first = (road.windows.present[number] - road.windows.cache.begin[road.episodes[number]]) // road.windows.stride[
+        road.episodes[number]
+    ]
+    return Track(
+        id=road.windows.episode_ids[road.episodes[number]],
+        time_s=(first + np.arange(count + 1)) / road.windows.rate_hz,
+        truth=np.concatenate([begin, road.truth[number, rows]]),
+        poses={name: np.concatenate([begin, found.loop.poses[number, rows]]) for name, found in errors.items()},
+        contact=None if road.contact is None else road.contact[number, past - 1 : past + count],
+        forecast_contact=None if forecast is None else np.concatenate([[np.nan], forecast[number, rows]]),
+    )

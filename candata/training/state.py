@@ -1,0 +1,77 @@
+"""All that changes in a run: weights, their average, the optimiser's moments, progress."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from candata.training import checkpoint, ema
+from candata.training.settings import Progress, Settings
+
+
+@dataclass
+class State:
+    """What a checkpoint keeps.
+
+    Attributes
+    ----------
+    module : torch.nn.Module
+        The model.
+    average : dict of str to Tensor
+        Moving average of its weights, which is what is evaluated.
+    optimiser : torch.optim.AdamW
+        With its moments.
+    progress : Progress
+        How far the run has come.
+    """
+
+    module: torch.nn.Module
+    average: dict[str, torch.Tensor]
+    optimiser: torch.optim.AdamW
+    progress: Progress
+
+    def advance(self, **changes: object) -> None:
+        """Change fields of the progress."""
+        self.progress = self.progress.model_copy(update=changes)
+
+    def groups(self) -> dict[str, dict[str, torch.Tensor]]:
+        """Return the tensors that a checkpoint keeps."""
+        moments = {
+            f"{index}/{name}": value
+            for index, entry in self.optimiser.state_dict()["state"].items()
+            for name, value in entry.items()
+        }
+        return {
+            checkpoint.WEIGHTS: dict(self.module.state_dict()),
+            checkpoint.AVERAGE: self.average,
+            checkpoint.OPTIMISER: moments,
+        }
+
+    def restore(self, kept: checkpoint.Checkpoint) -> None:
+        """Take everything from a checkpoint of the same run."""
+        self.module.load_state_dict(kept.tensors(checkpoint.WEIGHTS))
+        for name, value in kept.tensors(checkpoint.AVERAGE).items():
+            self.average[name].copy_(value)
+        moments: dict[int, dict[str, torch.Tensor]] = {}
+        for name, value in kept.tensors(checkpoint.OPTIMISER).items():
+            index, key = name.split("/")
+            moments.setdefault(int(index), {})[key] = value
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
+        self.progress = kept.progress
+
+
+def fresh(module: torch.nn.Module, settings: Settings) -> State:
+    """Return the state at step 0 of a run that begins with the weights of `module`."""
+    optimiser = torch.optim.AdamW(
+        module.parameters(), lr=settings.learning_rate, betas=settings.betas, weight_decay=settings.weight_decay
+    )
+    return State(module, ema.averaged(module.state_dict()), optimiser, Progress())
+
+
+def generator(device: str, *key: int) -> torch.Generator:
+    """Return a generator whose stream the key (seed, step, ...) fixes."""
+    word = int(np.random.SeedSequence(key).generate_state(1, np.uint64)[0])
+    return torch.Generator(device).manual_seed(word >> 1)

@@ -1,0 +1,210 @@
+"""The command that stands in for a hand: emulate."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.record.emulate import Sent
+    from candata.record.emulate_faults import Faults
+    from candata.record.emulate_script import Script
+    from candata.schema.episode import Episode
+
+_EXAMPLE = """\b
+An example, in two terminals:
+  candata emulate xhand --link /tmp/hand --with-table poses/poses.parquet
+  candata record-real --port /tmp/hand --out hand.mcap
+"""
+
+DeviceName = Annotated[str, typer.Argument(metavar="DEVICE", help="Device to stand in for, such as xhand.")]
+SceneName = Annotated[str, typer.Option("--scene", metavar="SCENE", help="Scene in which an episode is simulated.")]
+PolicyName = Annotated[
+    str | None, typer.Option("--policy", metavar="NAME", help="Its motion; the scene's first by default.")
+]
+Seed = Annotated[int, typer.Option("--seed", metavar="K", help="Seed of the episode and of the faults.")]
+Duration = Annotated[float, typer.Option("--duration-s", metavar="S", help="Length of the episode.")]
+DatasetPath = Annotated[
+    Path | None, typer.Option("--dataset", metavar="DATASET", help="Play an episode of it instead.")
+]
+EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="Which, where it has several.")]
+Rate = Annotated[
+    float | None, typer.Option("--rate", metavar="HZ", help="Rows a second; the episode's own by default.")
+]
+Still = Annotated[
+    float, typer.Option("--still", metavar="S", help="First row held before, untouched: for calibration.")
+]
+Scale = Annotated[float | None, typer.Option("--newton-per-count", metavar="N", help="Scale; the device's by default.")]
+Link = Annotated[Path | None, typer.Option("--link", metavar="PATH", help="Symbolic link to the port: a fixed name.")]
+Wait = Annotated[bool, typer.Option("--wait/--no-wait", help="Begin when a program opens the port, or at once.")]
+Loop = Annotated[int, typer.Option("--loop", metavar="N", help="Play it N times; 0: until stopped.")]
+Hold = Annotated[bool, typer.Option("--hold", help="Go on sending the last row until stopped.")]
+Table = Annotated[
+    Path | None,
+    typer.Option("--with-table", metavar="PARQUET", help="Write what the wire lacks, and map.yaml beside it."),
+]
+Truth = Annotated[Path | None, typer.Option("--truth", metavar="NPZ", help="Write the values sent.")]
+FaultList = Annotated[
+    str,
+    typer.Option(
+        "--faults",
+        metavar="LIST",
+        help="bitflip:P, truncate:P, head:P, garbage:P (shares of the frames), stall:S@T, unplug[:S]@T.",
+    ),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Two lines of JSON: the port, then the report.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command("emulate", epilog=_EXAMPLE)(emulate)
+
+
+def emulate(
+    device_name: DeviceName,
+    scene: SceneName = "xhand_tabletop",
+    policy: PolicyName = None,
+    seed: Seed = 1,
+    duration_s: Duration = 3.2,
+    dataset: DatasetPath = None,
+    episode: EpisodeId = None,
+    rate: Rate = None,
+    still: Still = 3.5,
+    newton_per_count: Scale = None,
+    link: Link = None,
+    wait: Wait = True,
+    loop: Loop = 1,
+    hold: Hold = False,
+    with_table: Table = None,
+    truth: Truth = None,
+    faults: FaultList = "",
+    as_json: AsJson = False,
+) -> None:
+    """Stand in for a hand: send an episode's frames on a pseudo-terminal, whose path is printed first.
+
+    Requests and replies come as a listener on the pair of wires sees them. Bytes that the reader does not take in
+    time are lost, as on a real port. Ctrl-C ends it with a report.
+    """
+    from candata.errors import UsageError
+    from candata.record import emulate_files as files
+    from candata.record.devices import device
+    from candata.record.emulate_faults import parse_faults
+    from candata.record.emulate_script import encoder_of, write_script
+
+    model, wrong = device(device_name), parse_faults(faults)
+    encoder_of(device_name)
+    _check(loop, seed, wrong, link)
+    if episode is not None and dataset is None:
+        raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
+    played = _stored(dataset, episode) if dataset else _simulated(scene, policy, seed, duration_s)
+    script = write_script(
+        played, device_name, model, rate_hz=rate, still_s=still, newton_per_count=newton_per_count
+    )  # fmt: skip
+    if with_table:
+        files.check_table(with_table, script)
+    if truth:
+        files.prepare(truth)
+    sent = _play(script, link, wait, as_json, seed=seed, faults=wrong, passes=loop, hold=hold)
+    if with_table:
+        files.write_table(with_table, sent)
+    if truth:
+        files.write_truth(truth, sent)
+    _say_report(sent.report(), as_json)
+
+
+def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
+    """Refuse options that mean nothing."""
+    from candata.errors import UsageError
+
+    if loop < 0 or seed < 0:
+        raise UsageError("--loop and --seed count from 0", found=f"--loop {loop}, --seed {seed}")
+    if faults.unplug and faults.unplug[1] is not None and link is None:
+        raise UsageError("a port that comes back has another name", fix="give a --link: it will lead to the new one")
+
+
+def _stored(dataset: Path, name: str | None) -> Episode:
+    """Return the episode `name` of a dataset, or its only one."""
+    from candata.datasets import open_dataset
+    from candata.errors import UsageError, Where
+
+    opened = open_dataset(dataset)
+    if name is None and len(opened) != 1:
+        raise UsageError(
+            "which episode?", expected="--episode ID", found=f"{len(opened)}: {', '.join(opened.ids[:5])}, ...",
+            where=Where(path=str(dataset)),
+        )  # fmt: skip
+    return opened.episode(name or opened.ids[0])
+
+
+def _simulated(scene_name: str, policy: str | None, seed: int, duration_s: float) -> Episode:
+    """Return a simulated episode with the scene's sensor noise."""
+    from candata.scenes import load_scene
+    from candata.simulate.episodes import make_episodes
+    from candata.simulate.jobs import Recipe, check, job, possible_policies
+
+    scene = load_scene(scene_name)
+    policies = (policy,) if policy else possible_policies(scene)[:1]
+    recipe = Recipe(scene=scene_name, seed=seed, policies=policies, duration_s=duration_s, noise=True)
+    check(recipe, scene)
+    return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
+
+
+def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Sent:
+    """Return what was sent on a fresh port, which is printed first."""
+    import numpy as np
+
+    from candata.record.emulate import play, wait_for_reader
+    from candata.record.emulate_line import Line
+
+    with _stopping() as stop, Line(link) as line:
+        head = {"port": line.port, "link": str(link) if link else None, "rate_hz": script.rate_hz, "rows": len(script)}
+        console.out(json.dumps(head) if as_json else line.port)
+        if wait:
+            console.note(
+                f"{len(script)} rows at {script.rate_hz:g} Hz; waiting for a program to open {link or line.port}"
+            )
+            wait_for_reader(line, stop)
+        again = "plugged in again: {}".format
+        # Of the seed's streams 0 and 1 made the episode.
+        rng = np.random.default_rng([seed, 0, 2])
+        return play(script, line, rng, stop=stop, on_port=lambda port: console.note(again(port)), **how)
+
+
+@contextmanager
+def _stopping() -> Iterator[Callable[[], bool]]:
+    """Yield what tells whether SIGINT or SIGTERM came; a shell's background job ignores SIGINT unless asked."""
+    came: list[int] = []
+    standing = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in standing:
+        signal.signal(number, lambda came_now, _frame: came.append(came_now))
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in standing.items():
+            signal.signal(number, handler)
+
+
+def _say_report(report: dict[str, Any], as_json: bool) -> None:
+    """Print the report: a line of JSON, or lines for people."""
+    if as_json:
+        console.out(json.dumps(report, allow_nan=False))
+        return
+    faults = ", ".join(f"{name} {count}" for name, count in report["faults"].items()) or "none"
+    clipped = report["clipped"]
+    console.out(
+        f"{report['rows']} rows in {report['seconds']:g} s: {report['whole_commands']} requests and "
+        f"{report['whole_states']} replies whole\n"
+        f"dropped   {report['dropped_frames']} frames, {report['dropped_bytes']} bytes not taken in time\n"
+        f"clipped   {clipped['force_counts']} force counts, {clipped['taxel_counts']} taxel counts out of range\n"
+        f"faults    {faults}\n"
+        f"received  {report['received_bytes']} bytes from the reader\n"
+        f"late      {report['late_s'] * 1e3:.1f} ms at most"
+    )

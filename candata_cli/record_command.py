@@ -1,0 +1,196 @@
+"""Commands around real hardware: `record-real` writes a log, `recover` salvages a torn one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.record.recorder_values import View
+
+_SHOW_S = 1.0
+
+_RECORD_EXAMPLE = """\b
+Example:
+  candata record-real --port /dev/ttyUSB0 --out session.mcap
+"""
+_RECOVER_EXAMPLE = """\b
+Example:
+  candata recover session.mcap
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add `record-real` and `recover`."""
+    app.command("record-real", epilog=_RECORD_EXAMPLE)(record_real)
+    app.command("recover", epilog=_RECOVER_EXAMPLE)(recover)
+
+
+def record_real(
+    port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
+    out: Annotated[Path, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")],
+    device: Annotated[str, typer.Option("--device", metavar="NAME", help="What is on the port.")] = "xhand",
+    duration: Annotated[
+        float | None,
+        typer.Option("--duration", metavar="S", help="Seconds after the calibration; else until Ctrl-C."),
+    ] = None,
+    no_calibrate: Annotated[bool, typer.Option("--no-calibrate", help="Do not measure a resting hand first.")] = False,
+    calibrate_s: Annotated[
+        float, typer.Option("--calibrate-s", metavar="S", min=0.5, help="Length of the calibration.")
+    ] = 3.0,
+    newton_per_count: Annotated[
+        float | None, typer.Option("--newton-per-count", metavar="X", help="Scale of the forces; else the device's.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option("--rate", metavar="HZ", help="Nominal rate, to find gaps; else the device's.")
+    ] = None,
+    baud: Annotated[int | None, typer.Option("--baud", min=1, help="Baud rate; else the device's.")] = None,
+    reconnect: Annotated[
+        float, typer.Option("--reconnect", metavar="S", min=0.0, help="How long to wait for an unplugged port.")
+    ] = 10.0,
+    reserve_mb: Annotated[
+        int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
+    ] = 200,
+    plain: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
+) -> None:
+    """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
+    from candata.record.devices import device as device_named
+    from candata.record.recorder import record
+    from candata.record.recorder_values import Settings
+
+    if duration is not None:
+        _positive("duration", duration)
+    given = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
+    overrides = {name: _positive(name, value) for name, value in given.items() if value is not None}
+    settings = Settings(
+        duration_s=duration,
+        calibrate_s=0.0 if no_calibrate else calibrate_s,
+        reconnect_s=reconnect,
+        reserve_bytes=reserve_mb * 1_000_000,
+    )
+    chosen = device_named(device)
+    with _until_signal() as stop, _shown(f"candata record-real {port}", plain, as_json) as (show, say):
+        report = record(
+            chosen, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
+        )
+    if as_json:
+        console.out_json(report.facts)
+    else:
+        _print_report(report.facts)
+    if report.failure is not None:
+        raise report.failure
+
+
+def recover(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log without an end, such as that of a killed recorder.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="New file; else NAME.recovered.mcap beside the log.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print what was saved as JSON.")] = False,
+) -> None:
+    """Write what can be read of a torn log as a whole new file; the original is left as it is."""
+    from candata.record.recover import recover as salvage
+
+    saved = salvage(log, out)
+    if as_json:
+        console.out_json(vars(saved))
+        return
+    state = "torn" if saved.torn else "whole"
+    damaged = f", {saved.damaged_chunks} damaged chunks left out" if saved.damaged_chunks else ""
+    console.out(f"{saved.log} is {state}: {saved.read_bytes} of {saved.total_bytes} bytes read{damaged}")
+    console.out(f"{saved.out}: {sum(saved.messages.values())} messages over {saved.duration_s:.2f} s")
+    console.out_table(("topic", "messages"), sorted(saved.messages.items()))
+
+
+def _positive(name: str, value: float) -> float:
+    """Return a setting that must be above zero."""
+    from candata.errors import UsageError
+
+    if not 0 < value < float("inf"):
+        raise UsageError(f"--{name.removesuffix('_hz').replace('_', '-')} must be above zero", found=str(value))
+    return value
+
+
+@contextmanager
+def _until_signal() -> Iterator[Callable[[], bool]]:
+    """Yield `stop()`, true once SIGINT, SIGTERM or SIGHUP came; a second one ends the program as ever."""
+    import signal
+
+    came: list[int] = []
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {int(number): signal.getsignal(number) for number in numbers}
+
+    def note(number: int, _frame: Any) -> None:
+        came.append(number)
+        signal.signal(number, before[number])
+
+    for number in numbers:
+        signal.signal(number, note)
+    try:
+        yield lambda: bool(came)
+    finally:
+        for signal_number, handler in before.items():
+            signal.signal(signal_number, handler)
+
+
+@contextmanager
+def _shown(title: str, plain: bool, quiet: bool) -> Iterator[tuple[Callable[[View], None], Callable[[str], None]]]:
+    """Yield `show(view)` and `say(text)`: a panel on a terminal, a line a second elsewhere; only notes when quiet."""
+    import sys
+
+    if quiet:
+        yield (lambda view: None), console.note
+    elif plain or not sys.stderr.isatty():
+        yield _each_second(), console.note
+    else:
+        from rich.console import Console
+        from rich.live import Live
+
+        from candata.record.panel import panel
+
+        notes: list[str] = []
+        with Live(console=Console(stderr=True), auto_refresh=False) as live:
+            yield (lambda view: live.update(panel(view, title, notes), refresh=True)), notes.append
+        for text in notes:
+            console.note(text)
+
+
+def _each_second() -> Callable[[View], None]:
+    """Return a `show` that prints a line a second to stderr."""
+    from candata.record.panel import line
+
+    due = [_SHOW_S]
+
+    def show(view: View) -> None:
+        if view.elapsed_s >= due[0]:
+            due[0] = view.elapsed_s // _SHOW_S * _SHOW_S + _SHOW_S
+            console.note(line(view))
+
+    return show
+
+
+def _print_report(facts: dict[str, Any]) -> None:
+    """Print the report for people."""
+    losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
+    saturated = facts["saturated"]
+    rows = (
+        ("log", f"{facts['log']} ({facts['bytes'] / 1e6:.2f} MB)"),
+        ("states", f"{facts['rows']} in {facts['duration_s']:.2f} s, {facts['rate_hz']:.2f} Hz"),
+        ("commands", facts["commands"]),
+        ("gaps", f"{facts['gaps']}, the longest {facts['longest_gap_s'] * 1e3:.0f} ms"),
+        ("lost", losses or "nothing"),
+        ("unplugged", f"{len(facts['unplugs'])} times"),
+        ("saturated", f"{saturated['forces']} forces, {saturated['taxels']} taxels"),
+        ("calibrated", "yes" if facts["calibrated"] else "no"),
+        ("ended", facts["problem"] or facts["ended"]),
+        ("sha256", facts["sha256"]),
+    )
+    for name, value in rows:
+        console.out(f"{name:<11}{value}")

@@ -1,0 +1,232 @@
+"""The commands of the dynamics model: train, evaluate."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.training import Job, Progress, Report, Settings
+
+#: Shortest time between two lines of progress [s].
+_EVERY_S = {True: 0.5, False: 10.0}
+
+Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
+Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add `train` and `evaluate`."""
+    app.command(epilog="Example: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first")(
+        train
+    )
+    app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
+
+
+def train(
+    data: Annotated[Path, typer.Option("--data", metavar="DATASET", help="Dataset to train on.")],
+    out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the run; one that stands goes on.")],
+    model: Annotated[str | None, typer.Option("--model", help="contact_diffusion, diffusion_unet or mlp.")] = None,
+    preset: Annotated[str | None, typer.Option("--preset", help="small (default), base or paper.")] = None,
+    config: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="YAML: fields that differ.")] = None,
+    steps: Annotated[int | None, typer.Option("--steps", min=1, help="Length; 20000 without --minutes.")] = None,
+    minutes: Annotated[float | None, typer.Option("--minutes", min=0.01, help="Length in time instead.")] = None,
+    split: Annotated[str | None, typer.Option("--split", metavar="NAME", help="Stored split to train by.")] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and noise.")] = 0,
+    batch: Annotated[int, typer.Option("--batch", min=1, help="Windows a step.")] = 64,
+    learning_rate: Annotated[
+        float | None, typer.Option("--learning-rate", help="1e-4 by default, a tenth of it with --init.")
+    ] = None,
+    history: Annotated[int | None, typer.Option("--history", min=1, help="Rows of the past, default 8.")] = None,
+    horizon: Annotated[int | None, typer.Option("--horizon", min=1, help="Steps to forecast, default 16.")] = None,
+    rate_hz: Annotated[float | None, typer.Option("--rate-hz", help="Rate of the model's steps, default 10.")] = None,
+    init: Annotated[
+        Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
+    ] = None,
+    device: Device = "cpu",
+    threads: Threads = None,
+    version: Version = None,
+    json: Json = False,
+) -> None:
+    """Train a dynamics model; the same command goes on after a stop, to the bit on one CPU with --steps.
+
+    Joints, actions, contact and object poses of the dataset's `train` episodes become windows at 10 Hz; the model
+    learns to forecast the object's motion. Ctrl-C saves.
+    """
+    _need_torch()
+    from candata.training import Ask, prepare
+    from candata.training import train as run
+
+    _set_threads(threads)
+    settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None)
+    ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init)
+    with console.stages() as stage:
+        stage("reading the dataset")
+        job = prepare(_open(data, version), ask, settings, device)
+        if init is not None:
+            stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
+        with _stop_on_interrupt() as stopped:
+            progress = run(job, out, _teller(stage), stopped)
+    if settings.share(progress.step, progress.elapsed_s) < 1:
+        console.note(f"stopped and saved at step {progress.step}; the same command goes on from there")
+        raise typer.Exit(1)
+    _print_trained(job, progress, out, data, json)
+
+
+def evaluate(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
+    data: Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset to evaluate on.")],
+    split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
+    samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
+    steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
+    execute: Annotated[
+        int | None, typer.Option("--execute", min=1, help="Steps before the next forecast: 8, or the horizon.")
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the noise.")] = 0,
+    out: Annotated[Path | None, typer.Option("--out", help="Folder for the page; RUN/evaluation by default.")] = None,
+    device: Device = "cpu",
+    threads: Threads = None,
+    version: Version = None,
+    json: Json = False,
+) -> None:
+    """Score a model on held-out episodes beside `the object stays` and `keeps its velocity`.
+
+    Forecasts from each window, and closed loops over whole episodes in which the model sees its own poses; joints
+    and actions are replayed. Writes evaluation.json and evaluation.html.
+    """
+    _need_torch()
+    from candata.errors import UsageError
+    from candata.reports.evaluation import summary, write_evaluation
+    from candata.training import Manner
+    from candata.training import evaluate as judge
+
+    _set_threads(threads)
+    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
+    with console.stages() as stage:
+        manner = Manner(split, samples, steps, execute, seed, device)
+        found, tracks = judge(run, _open(data, version), manner, stage)
+        stage("writing the page")
+        page = write_evaluation(found, tracks, folder)
+    console.out(found.model_dump_json(indent=2) if json else summary(found))
+    console.note(f"page: {page}")
+
+
+def _need_torch() -> None:
+    """Refuse to begin without the packages that training needs."""
+    from importlib.util import find_spec
+
+    from candata.errors import MissingExtraError
+
+    for package in ("torch", "safetensors"):
+        if find_spec(package) is None:
+            raise MissingExtraError(package, "train")
+
+
+def _open(path: Path, version: str | None) -> Any:
+    """Return the dataset."""
+    from candata.datasets import open_dataset
+
+    return open_dataset(path, int(version) if version and version.isdigit() else version)
+
+
+def _set_threads(threads: int | None) -> None:
+    """Tell torch how many threads to use."""
+    import torch
+
+    if threads is not None:
+        torch.set_num_threads(threads)
+
+
+def _settings(
+    steps: int | None, minutes: float | None, seed: int, batch: int, learning_rate: float | None, tuned: bool
+) -> Settings:
+    """Return the settings of the run."""
+    from candata.errors import UsageError
+    from candata.training import Settings
+    from candata.training.settings import FINE_TUNE_SHARE
+
+    usual = Settings()
+    if learning_rate is None:
+        learning_rate = usual.learning_rate * (FINE_TUNE_SHARE if tuned else 1)
+    if not 0 < learning_rate < 1:
+        raise UsageError("--learning-rate is out of range", expected="between 0 and 1", found=f"{learning_rate:g}")
+    length = steps if steps or minutes else usual.steps
+    return Settings(seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate)
+
+
+def _yaml(path: Path | None) -> dict[str, Any] | None:
+    """Return the fields of a model's configuration that a file gives."""
+    if path is None:
+        return None
+    import yaml
+
+    from candata.errors import UsageError, Where
+
+    try:
+        found = yaml.safe_load(path.read_text())
+    except (OSError, yaml.YAMLError) as error:
+        raise UsageError(f"--config cannot be read: {error}", where=Where(path=str(path))) from None
+    if not isinstance(found, dict):
+        raise UsageError("--config holds no fields", expected="name: value", where=Where(path=str(path)))
+    return found
+
+
+@contextmanager
+def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Yield a function that tells whether Ctrl-C was pressed; a second press stops at once."""
+    pressed: list[int] = []
+
+    def first(number: int, _frame: object) -> None:
+        pressed.append(number)
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, first)
+    try:
+        yield lambda: bool(pressed)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
+    """Return what turns reports into lines, not more of them than can be read."""
+    import sys
+    import time
+
+    told_s = -1e9
+
+    def tell(report: Report) -> None:
+        nonlocal told_s
+        if time.monotonic() - told_s < _EVERY_S[sys.stderr.isatty()]:
+            return
+        told_s = time.monotonic()
+        losses = ", ".join(f"{name} {value:.4f}" for name, value in report.losses.items())
+        stage(
+            f"{100 * report.share:.0f} %, step {report.step}: {losses or 'no finite loss'}; "
+            f"{report.windows_per_s:,.0f} windows/s, {100 * report.wait_share:.1f} % waiting for data"
+        )
+
+    return tell
+
+
+def _print_trained(job: Job, progress: Progress, out: Path, data: Path, json: bool) -> None:
+    """Print what stands now."""
+    if json:
+        console.out_json({"run": str(out), "model": job.run.model, **progress.model_dump(mode="json")})
+        return
+    best = "no held-out episodes" if progress.best_loss is None else (
+        f"least held-out loss {progress.best_loss:.4f} at step {progress.best_step}"
+    )  # fmt: skip
+    skipped = f", {progress.skipped} steps skipped: not finite" if progress.skipped else ""
+    console.out(f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best}{skipped}")
+    console.note(f"next: candata evaluate {out} {data}")

@@ -1,0 +1,190 @@
+"""`candata train` and `candata evaluate`: what they write and print, how they go on, and what they refuse."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import time
+from importlib import util
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from candata.training.results import Evaluation
+from candata_cli import main as entry
+
+ROOT = Path(__file__).resolve().parents[2]
+#: A net of a few thousand weights: what is tested is the way, not the forecast.
+CONFIG = "{width: 16, layers: 1}"
+
+
+def run(*arguments: object) -> SimpleNamespace:
+    """Run a command in this process; return exit code, stdout and stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
+        entry.main([str(a) for a in arguments])
+    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory) -> Path:
+    """Ten simulated episodes of the hand."""
+    folder = tmp_path_factory.mktemp("data") / "sim"
+    words = ("--scene", "xhand_tabletop", "--episodes", 10, "--duration-s", 2.4, "--jobs", 1, "--out", folder)
+    assert run("generate-sim", *words).code == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tosses(tmp_path_factory) -> Path:
+    """Tosses: an object, and no hand."""
+    folder = tmp_path_factory.mktemp("data") / "tosses"
+    words = ("--scene", "cube_toss", "--episodes", 4, "--duration-s", 0.5, "--jobs", 1, "--out", folder)
+    assert run("generate-sim", *words).code == 0
+    return folder
+
+
+def words(data: Path, out: Path, *more: object, steps: int = 6) -> tuple[object, ...]:
+    config = out.parent / "config.yaml"
+    config.write_text(CONFIG)
+    fixed = ("--model", "mlp", "--config", config, "--batch", 8, "--threads", 1)
+    return ("train", "--data", data, "--out", out, *fixed, "--steps", steps, *more)
+
+
+@pytest.fixture(scope="module")
+def trained(data, tmp_path_factory) -> SimpleNamespace:
+    """A short run, and what its command printed."""
+    out = tmp_path_factory.mktemp("train") / "run"
+    done = run(*words(data, out))
+    assert done.code == 0
+    return SimpleNamespace(out=out, data=data, printed=done)
+
+
+def test_train_says_what_stands_and_what_comes_next(trained):
+    assert trained.printed.out.startswith(f"{trained.out}: mlp, 6 steps in ")
+    assert "least held-out loss" in trained.printed.out
+    assert trained.printed.err.endswith(f"next: candata evaluate {trained.out} {trained.data}\n")
+
+
+def test_the_same_command_again_trains_no_more(trained):
+    before = (trained.out / "last.safetensors").read_bytes()
+    again = run(*words(trained.data, trained.out))
+    assert again.code == 0
+    assert again.out == trained.printed.out
+    assert (trained.out / "last.safetensors").read_bytes() == before
+
+
+def test_other_settings_are_refused(trained):
+    done = run(*words(trained.data, trained.out, "--seed", 3))
+    assert done.code == 2
+    assert "the folder holds a run with other settings" in done.err
+    assert "settings.seed 0" in done.err
+    assert "settings.seed 3" in done.err
+
+
+def test_train_prints_json(trained):
+    done = run(*words(trained.data, trained.out, "--json"))
+    assert json.loads(done.out)["step"] == 6
+
+
+def test_evaluate_prints_a_row_each_and_writes_both_files(trained, tmp_path):
+    done = run("evaluate", trained.out, trained.data, "--out", tmp_path / "page")
+    assert done.code == 0
+    rows = [line.split()[0] for line in done.out.splitlines() if line and line[0] != " "]
+    assert {"mlp", "stays", "keeps_velocity"} <= set(rows)
+    assert sorted(p.name for p in (tmp_path / "page").iterdir()) == ["evaluation.html", "evaluation.json"]
+    assert done.err.endswith(f"page: {tmp_path / 'page' / 'evaluation.html'}\n")
+    found = Evaluation.model_validate_json((tmp_path / "page" / "evaluation.json").read_text())
+    assert (found.model, found.group, found.episodes, found.samples, found.execute) == ("mlp", "test", 1, 16, 8)
+
+
+def test_evaluate_prints_json(trained, tmp_path):
+    done = run("evaluate", trained.out, trained.data, "--split", "val", "--out", tmp_path, "--json")
+    assert Evaluation.model_validate_json(done.out).group == "val"
+
+
+def test_ctrl_c_saves_and_the_same_command_goes_on(data, tmp_path):
+    out = tmp_path / "run"
+    command = [str(a) for a in words(data, out, steps=100_000)]
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen([sys.executable, "-m", "candata_cli.main", *command], env=env, stderr=subprocess.PIPE) as one:
+        deadline, log = time.monotonic() + 60, out / "log.jsonl"
+        while not (log.is_file() and log.read_text().count("\n") > 2):
+            assert one.poll() is None, one.stderr.read().decode()
+            assert time.monotonic() < deadline, "the command does not train"
+            time.sleep(0.02)
+        one.send_signal(signal.SIGINT)
+        said = one.stderr.read().decode()
+    assert one.returncode == 1
+    assert "stopped and saved at step " in said
+    assert "the same command goes on from there" in said
+    assert (out / "last.safetensors").is_file()
+
+
+def test_fine_tuning_says_its_rate(trained, tmp_path):
+    done = run("train", "--data", trained.data, "--init", trained.out, "--out", tmp_path / "tuned", "--steps", 2)
+    assert done.code == 0
+    assert f"fine-tuning {trained.out} at a rate of 1e-05" in done.err
+    assert json.loads((tmp_path / "tuned" / "run.json").read_text())["init"]["step"] == 6
+
+
+def test_data_without_a_hand_is_refused_in_one_message(tosses, tmp_path):
+    done = run("train", "--data", tosses, "--model", "contact_diffusion", "--out", tmp_path / "run", "--steps", 2)
+    assert done.code == 2
+    assert "the dataset lacks the channel joint_position" in done.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_pickle_is_refused(data, tmp_path):
+    (tmp_path / "model.pt").write_bytes(pickle.dumps({"weights": [1]}))
+    done = run("evaluate", tmp_path / "model.pt", data)
+    assert done.code == 2
+    assert "the checkpoint is a pickle, which can run any code when opened: refused" in done.err
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--horizon", 60), "no episode is long enough for a window"),
+        (("--split", "mine"), "unknown split 'mine'"),
+        (("--rate-hz", 30), "no whole multiple"),
+        (("--device", "tpu"), "one of cpu, cuda"),
+        (("--learning-rate", 0), "--learning-rate is out of range"),
+        (("--preset", "huge"), "one of base, paper, small"),
+    ],
+)
+def test_a_wrong_word_is_named(data, tmp_path, more, said):
+    done = run(*words(data, tmp_path / "run", *more))
+    assert (done.code, said in done.err) == (2, True), done.err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_config_that_is_none(data, tmp_path):
+    (tmp_path / "bad.yaml").write_text("[1, 2]")
+    done = run("train", "--data", data, "--model", "mlp", "--config", tmp_path / "bad.yaml", "--out", tmp_path / "run")
+    assert (done.code, "--config holds no fields" in done.err) == (2, True)
+
+
+@pytest.mark.parametrize("package", ["torch", "safetensors"])
+def test_a_missing_package_is_an_install_hint(package, data, tmp_path, monkeypatch):
+    real = util.find_spec
+    monkeypatch.setattr(util, "find_spec", lambda name, *rest: None if name == package else real(name, *rest))
+    for command in (words(data, tmp_path / "run"), ("evaluate", tmp_path, data)):
+        done = run(*command)
+        assert done.code == 3
+        assert done.err == f'{package} is not installed\n  do: pip install "candata[train]"\n'
+
+
+def test_the_room_needs_no_torch_for_its_metrics():
+    code = (
+        "import sys; sys.modules['torch'] = None; import candata.training; import candata.training.metrics, "
+        "candata.training.poses, candata.training.results, candata.training.scoring, candata.reports.evaluation"
+    )
+    subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)

@@ -1,0 +1,100 @@
+"""A hand on a pseudo-terminal, for the recorder's tests: it sends requests and replies and never reads."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from candata.record.devices import _xhand_frames as wire
+
+ROWS = 40
+
+
+class HandOnPty:
+    """Sends frames at 83 Hz from a thread, waiting for a full buffer, or dropping what it does not take."""
+
+    def __init__(self, link: str, frames: list[bytes], drops: bool):
+        self.port, self.frames, self._drops = link, frames, drops
+        self.wrote, self.dropped, self._next = bytearray(), 0, 0
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.plug()
+
+    def plug(self) -> None:
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        os.symlink(os.ttyname(self._slave), self.port)
+        self._stop.clear()
+        self._thread = threading.Thread(target=self._send, daemon=True)
+        self._thread.start()
+
+    def unplug(self) -> None:
+        if self._thread is None:
+            return
+        self.hush()
+        self._thread = None
+        os.unlink(self.port)
+        os.close(self.master)
+        os.close(self._slave)
+
+    def hush(self) -> None:
+        self._stop.set()
+        self._thread.join()
+
+    def heard(self) -> bytes:
+        """What the other side wrote."""
+        try:
+            return os.read(self.master, 1000)
+        except BlockingIOError:
+            return b""
+
+    def _send(self) -> None:
+        due = time.monotonic()
+        while not self._stop.is_set():
+            self._write(self.frames[self._next % len(self.frames)])
+            self._next += 1
+            due += 1 / 83
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _write(self, frame: bytes) -> None:
+        while frame and not self._stop.is_set():
+            try:
+                count = os.write(self.master, frame)
+            except BlockingIOError:
+                count = 0
+            self.wrote += frame[:count]
+            frame = frame[count:]
+            if self._drops:
+                self.dropped += bool(frame)
+                return
+            if frame:
+                time.sleep(0.001)
+
+
+def frames_of(position=None, force=None) -> list[bytes]:
+    """A request and its reply for each row; by default a resting hand."""
+    position = np.zeros((ROWS, 12)) if position is None else position
+    force = np.zeros((len(position), 5, 3), int) if force is None else force
+    states = wire.state_frames(position, force, np.zeros((len(position), 5, 120, 3), int))
+    return [a + b for a, b in zip(wire.command_frames(position), states, strict=True)]
+
+
+@pytest.fixture
+def hand(tmp_path) -> Iterator[Callable[..., HandOnPty]]:
+    """Makes hands: `hand()` rests; `hand(frames=[...])` sends those bytes, one item a period."""
+    made: list[HandOnPty] = []
+
+    def make(frames: list[bytes] | None = None, drops: bool = False, **rows: np.ndarray) -> HandOnPty:
+        made.append(HandOnPty(str(tmp_path / f"port{len(made)}"), frames or frames_of(**rows), drops))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.unplug()

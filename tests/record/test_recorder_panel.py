@@ -1,0 +1,71 @@
+"""What a recording shows: the panel's words and lights, and the plain line."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from candata.record.panel import line, panel
+from candata.record.recorder_values import View
+
+LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0}
+
+
+def view_of(**changes) -> View:
+    fields = {
+        "phase": "recording",
+        "elapsed_s": 83.4,
+        "rate_hz": 82.6,
+        "nominal_hz": 83.0,
+        "force_N": np.array([[0.1, 0.1, 0.1], [0.1, 0.1, 0.2], [0.0, -3.0, 14.0]]),
+        "fingertip_names": ("thumb", "index", "mid"),
+        "frames": {"state": 6921, "command": 6922, "other": 0},
+        "losses": LOSSES,
+        "saturated": {"forces": 0, "taxels": 0},
+        "gaps": 0,
+        "size_bytes": 36_900_000,
+    }
+    return View(**(fields | changes))
+
+
+def drawn(view: View, notes=()) -> str:
+    console = Console(file=io.StringIO(), width=80)
+    console.print(panel(view, "a title", notes))
+    return console.file.getvalue()
+
+
+def test_the_panel_shows_rate_forces_and_lights():
+    text = drawn(view_of(), ["first", "second", "third", "fourth"])
+    rows = {words[1]: words for words in map(str.split, text.splitlines()) if len(words) > 2}
+    # Three tenths of a newton are no contact: the rule is "more than", and 0.1 + 0.1 + 0.1 > 0.3 in floats.
+    assert rows["thumb"][2] == "○"
+    assert rows["index"][2:4] == ["●", "touch"]
+    assert rows["mid"][-5:-1] == ["17.0", "+0.0", "-3.0", "+14.0"]
+    for words in ("a title", "recording", "83 Hz of 83", "0:01:23", "36.9 MB", "0 gaps", "0 no reply", "fourth"):
+        assert words in text
+    assert "first" not in text
+
+
+def test_a_bar_is_full_at_ten_newton():
+    rows = [row for row in drawn(view_of(force_N=np.diag([0.0, 5.0, 30.0]))).splitlines() if "·" in row or "█" in row]
+    assert [row.count("█") for row in rows] == [0, 10, 20]
+
+
+@pytest.mark.parametrize(
+    ("phase", "words"), [("waiting", "waiting"), ("calibrating", "do not touch"), ("unplugged", "waiting for the port")]
+)
+def test_the_phase_is_said(phase, words):
+    assert words in drawn(view_of(phase=phase))
+
+
+def test_losses_are_counted_in_the_panel_and_the_line():
+    view = view_of(losses=LOSSES | {"crc_failures": 3}, gaps=2)
+    assert "3 crc failures" in drawn(view)
+    assert line(view).startswith(
+        "0:01:23 recording: 83 Hz, 6921 states, 2 gaps, 3 crc failures, 36.9 MB | N: thumb=0.3 "
+    )
+    assert "index=0.4* mid=17.0*" in line(view)
+    assert "nothing lost" in line(view_of())

@@ -1,0 +1,206 @@
+"""The evaluation's page: its words, its figures, and that it asks for nothing."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from candata.reports import evaluation as report
+from candata.training.results import (
+    ClosedLoopScores,
+    Contact,
+    EpisodeScores,
+    Evaluation,
+    Gain,
+    Scores,
+    Success,
+    Track,
+    WindowScores,
+)
+
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+NAMES = ("contact_diffusion", "stays", "keeps_velocity")
+#: Room for Plotly and many episodes.
+LARGEST_PAGE = 8_000_000
+
+
+def scores(summary: str, size: float, adds: bool = True, contact: bool = True) -> Scores:
+    """Errors that grow with the horizon in proportion to `size`."""
+    ahead = tuple(0.002 + size * k for k in range(1, 17))
+    said = Contact(precision=0.9, recall=0.8, f1=0.847) if contact else None
+    opened = WindowScores(
+        position_error_m=ahead, rotation_error_rad=tuple(5 * v for v in ahead),
+        position_mse_m2=tuple(v**2 for v in ahead), rotation_mse_rad2=tuple(25 * v**2 for v in ahead),
+        position_energy_m=tuple(0.8 * v for v in ahead), adds_m=tuple(v / 2 if adds else None for v in ahead),
+        adds_auc=1 - 40 * size if adds else None, contact=said,
+    )  # fmt: skip
+    success = Success(count=14, total=19, share=14 / 19, low=0.512, high=0.882)
+    closed = ClosedLoopScores(
+        adds_auc=1 - 50 * size if adds else None, adds_m=size * 8 if adds else None, position_error_m=size * 12,
+        rotation_error_rad=size * 50, final_position_error_m=size * 16, success=success, contact=said,
+    )  # fmt: skip
+    return Scores(summary=summary, windows=opened, closed_loop=closed)
+
+
+def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) -> Evaluation:
+    summaries = (
+        "the model (contact_diffusion, mean of 16 samples)",
+        "the object stays",
+        "the object keeps its velocity",
+    )
+    forecasters = {
+        name: scores(text, size, adds, contact or number > 0)
+        for number, (name, text, size) in enumerate(zip(NAMES, summaries, (0.0005, 0.0016, 0.005), strict=True))
+    }
+    auc = {"contact_diffusion": 0.94, "stays": 0.88, "keeps_velocity": 0.7} if adds else {}
+    fields = {
+        "run": "first", "checkpoint": "best.safetensors", "step": 4000, "model": NAMES[0],
+        "trained_on": "sim@0123456789ab", "dataset": "sim@0123456789ab", "split": "default", "group": "test",
+        "seen_episodes": 0, "episodes": 2, "windows": 620, "rows": 480, "rate_hz": 10.0, "history": 8, "horizon": 16,
+        "samples": 16, "sampling_steps": 10, "execute": 8, "seed": 0, "contact_from": "predicted",
+        "forecasters": forecasters,
+        "gain": {name: Gain(value=0.05, low=0.03, high=0.08) for name in NAMES[1:]} if adds else {},
+        "by_episode": [
+            EpisodeScores(id=f"ep-{k}", moved_m=0.03 * k, adds_auc=auc, final_position_error_m={NAMES[0]: 0.01})
+            for k in range(2)
+        ],
+        "revision": "0.1.0",
+    }  # fmt: skip
+    return Evaluation.model_validate(fields | changes)
+
+
+def make_track(number: int = 0, contact: bool = True) -> Track:
+    """A lift, which the model follows half way."""
+    time_s = 0.7 + np.arange(26) / 10
+    truth = np.tile([0.1, 0.05, 0.06, 1.0, 0, 0, 0], (26, 1))
+    truth[:, 2] += 0.08 * np.clip(time_s - 1, 0, 1)
+    half = truth.copy()
+    half[:, 2] = (truth[:, 2] + 0.06) / 2
+    away = truth.copy()
+    away[:, 0] += 0.1 * (time_s - 0.7)
+    poses = {"contact_diffusion": half, "stays": np.tile(truth[0], (26, 1)), "keeps_velocity": away}
+    forecast = np.concatenate([[np.nan], np.linspace(0, 1, 25)])
+    return Track(f"ep-{number}", time_s, truth, poses, time_s > 1 if contact else None, forecast if contact else None)
+
+
+TRACKS = (make_track(0), make_track(1))
+
+
+class Page(HTMLParser):
+    """Ids, addresses and scripts of a page."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.ids, self.addresses, self.scripts, self._script = [], [], {}, None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        known = dict(attributes)
+        self.ids += [known["id"]] if "id" in known else []
+        self.addresses += [value for key, value in attributes if key in ("src", "href")]
+        self._script = known.get("id") if tag == "script" else None
+
+    def handle_data(self, text):
+        if self._script:
+            self.scripts[self._script] = text
+
+
+def test_both_files_are_written(tmp_path):
+    found = make_evaluation()
+    path = report.write_evaluation(found, TRACKS, tmp_path / "new")
+    assert sorted(p.name for p in path.parent.iterdir()) == ["evaluation.html", "evaluation.json"]
+    assert Evaluation.model_validate_json((path.parent / "evaluation.json").read_text()) == found
+    assert path.stat().st_size < LARGEST_PAGE
+
+
+def test_the_page_asks_for_nothing_and_has_a_box_for_every_figure(tmp_path):
+    text = report.write_evaluation(make_evaluation(), TRACKS, tmp_path).read_text("utf-8")
+    page = Page(text)
+    assert all(address.startswith("data:") for address in page.addresses)
+    assert not re.search(r"url\(|@import", text[: text.index("<body")])
+    specs = json.loads(page.scripts["figures"])
+    assert set(specs) == {"position", "rotation", "adds", "course0", "course1", "contact0", "contact1", "episodes"}
+    assert set(specs) <= set(page.ids)
+    assert len(page.ids) == len(set(page.ids))
+
+
+def test_the_page_says_what_it_is():
+    text = report.page(make_evaluation(), TRACKS)
+    for words in (
+        "Better than every baseline", "joints and actions are replayed", "14 of 19", "51 to 88 %", "97.5 %", "92.0 %",
+        "+5.0 (+3.0 to +8.0)", "10 mm", "the model&#x27;s own forecast", "no servo is modelled",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_traces_are_three_dimensional_with_model_truth_and_baselines():
+    specs = json.loads(Page(report.page(make_evaluation(), TRACKS)).scripts["figures"])
+    course = specs["course0"]["data"]
+    assert {one["type"] for one in course} == {"scatter3d"}
+    said = " ".join(one["hovertemplate"] for one in course)
+    assert all(name in said for name in ("recorded", *NAMES))
+
+
+@pytest.mark.parametrize(
+    ("gains", "headline"),
+    [
+        ({"a": (0.1, 0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Better than every baseline"),
+        ({"a": (0.1, -0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Ahead of every baseline, but not surely"),
+        ({"a": (-0.1, -0.2, 0.1), "b": (0.3, 0.1, 0.4)}, "No better than a baseline"),
+    ],
+)
+def test_the_headline_follows_the_gains(gains, headline):
+    made = {name: Gain(value=v, low=low, high=high) for name, (v, low, high) in gains.items()}
+    assert report.verdict(make_evaluation(gain=made))[1] == headline
+
+
+def test_without_clouds_and_contact_their_parts_are_left_out():
+    tracks = [make_track(0, contact=False)]
+    text = report.page(make_evaluation(adds=False, contact=False, contact_from="not read"), tracks)
+    specs = json.loads(Page(text).scripts["figures"])
+    assert set(specs) == {"position", "rotation", "course0"}
+    assert "No ADD-S: the data hold no point clouds" in text
+    assert "The model does not forecast contact." in text
+
+
+def test_episodes_that_were_trained_on_are_said():
+    text = report.page(make_evaluation(seen_episodes=2), TRACKS)
+    assert "2 of them were trained on." in text
+    assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
+
+
+def test_hostile_names_stay_text():
+    bad = "</script><script>alert(1)</script>"
+    episode = EpisodeScores(id=bad, moved_m=0.1, adds_auc={NAMES[0]: 0.9}, final_position_error_m={NAMES[0]: 0.1})
+    text = report.page(make_evaluation(dataset=bad, by_episode=[episode]), [replace(make_track(), id=bad)])
+    assert bad not in text
+
+
+def test_the_summary_is_a_row_each():
+    lines = report.summary(make_evaluation()).splitlines()
+    assert lines[0] == "Better than every baseline: contact_diffusion, step 4,000"
+    assert [line.split()[0] for line in lines[3:6]] == list(NAMES)
+    assert lines[3].split()[1:4] == ["97.5", "%", "14/19"]
+
+
+@pytest.mark.skipif(BROWSER is None, reason="no chromium here")
+def test_every_figure_is_drawn_and_the_console_stays_silent(tmp_path):
+    path = report.write_evaluation(make_evaluation(), TRACKS, tmp_path)
+    flags = ["--headless", "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    done = subprocess.run(
+        [BROWSER, *flags, "--enable-logging=stderr", "--virtual-time-budget=5000",
+         f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom", path.as_uri()],
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    # Plotly reads the 3D canvas back to pick what is under the pointer; Chromium gives advice on that.
+    said = [line for line in re.findall(r".*:CONSOLE.*", done.stderr) if "willReadFrequently" not in line]
+    assert said == []
+    assert len(re.findall(r'<div id="[a-z0-9]+" style="[^"]*" class="js-plotly-plot"', done.stdout)) == 8
+    assert 'class="no-webgl"' not in done.stdout

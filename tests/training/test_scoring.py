@@ -1,0 +1,195 @@
+"""Scores of forecasters whose errors are known, open and closed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from candata.datasets import append, create_dataset, open_dataset
+from candata.errors import DataError
+from candata.loaders import windows
+from candata.loaders.increments import increments
+from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage
+from candata.training import metrics, scoring
+from candata.training.forecasters import BASELINES, Answer, KeepsVelocity, Stays
+from candata.training.poses import position_error
+from candata.training.rollout import close_loop, course, shown
+
+SPEED_M_S = float(np.linalg.norm([0.05, -0.02, 0.01]))
+
+
+@dataclass
+class Oracle:
+    """Reads the future, and keeps what it was shown."""
+
+    summary: str = "the oracle"
+    seen: list = field(default_factory=list)
+
+    def forecast(self, batch, seed):
+        self.seen.append(batch)
+        poses = np.concatenate([batch["history/object_pose"][:, -1:], batch["future/object_pose"]], axis=1)
+        return Answer(increments(poses)[None], batch["future/contact"].astype(float))
+
+
+@dataclass
+class Drifts:
+    """Moves a millimetre a step along x, in several samples around it, and always touches."""
+
+    summary: str = "drifts"
+    seen: list = field(default_factory=list)
+
+    def forecast(self, batch, seed):
+        self.seen.append({name: np.array(value) for name, value in batch.items()})
+        steps = np.zeros((2, *batch["future_pad"].shape, 6))
+        steps[:, ..., 0] = np.array([0.0005, 0.0015])[:, None, None]
+        return Answer(steps, np.full(batch["future_pad"].shape, 0.9))
+
+
+@pytest.fixture
+def glide(dataset):
+    return windows(dataset(episodes=4), history=4, horizon=6, pad="both", step=2)
+
+
+def test_the_oracle_is_perfect_open_and_closed(glide):
+    found = scoring.score(glide, {"oracle": Oracle(), **BASELINES}, 3, 0)
+    opened, closed = found.windows["oracle"], found.closed_loop["oracle"]
+    # Poses are kept in float32: 1e-7 of a metre or so each, added up over a horizon.
+    assert max(opened.position_error_m) < 1e-6
+    assert opened.contact.f1 == closed.contact.f1 == 1.0
+    assert opened.adds_auc == pytest.approx(1.0, abs=1e-4)
+    assert closed.final_position_error_m < 1e-5
+    assert (closed.success.count, closed.success.total) == (4, 4)
+
+
+def test_the_baselines_have_the_errors_of_a_gliding_object(glide):
+    found = scoring.score(glide, BASELINES, 3, 0)
+    ahead_s = np.arange(1, 7) / 10
+    np.testing.assert_allclose(found.windows["stays"].position_error_m, SPEED_M_S * ahead_s, rtol=1e-4)
+    np.testing.assert_allclose(found.windows["stays"].rotation_error_rad, 0.4 * ahead_s, rtol=1e-3)
+    np.testing.assert_allclose(found.windows["stays"].position_mse_m2, (SPEED_M_S * ahead_s) ** 2, rtol=1e-4)
+    # One sample: its energy score is its error.
+    assert found.windows["stays"].position_energy_m == found.windows["stays"].position_error_m
+    assert found.closed_loop["keeps_velocity"].final_position_error_m < 1e-4
+    # Loops begin after 3 steps of history and end with the episode.
+    lengths = np.array([30, 31, 32, 33]) - 3
+    assert found.rows == lengths.sum()
+    assert found.closed_loop["stays"].final_position_error_m == pytest.approx(SPEED_M_S * lengths.mean() / 10, rel=1e-4)
+
+
+def test_the_first_window_has_no_velocity_to_keep(glide):
+    first = glide.batch([0])
+    assert first["history_pad"][0, -2]
+    assert not KeepsVelocity().forecast(first).increments.any()
+    later = KeepsVelocity().forecast(glide.batch([5])).increments
+    np.testing.assert_allclose(later[0, 0, :, :3], np.tile([0.005, -0.002, 0.001], (6, 1)), atol=1e-7)
+
+
+def test_a_loop_is_fed_its_own_poses_and_contacts(glide):
+    drifts, road = Drifts(), course(glide)
+    loop = close_loop(road, drifts, execute=3, seed=0)
+    begin = road.observed[:, -1, :3]
+    steps = np.arange(1, road.truth.shape[1] + 1)
+    inside = steps <= road.steps[:, None]
+    expected = begin[:, None] + steps[None, :, None] * np.array([0.001, 0, 0])
+    np.testing.assert_allclose(loop.poses[inside][:, :3], expected[inside], atol=1e-7)  # fed back in float32
+    second = drifts.seen[1]
+    np.testing.assert_allclose(second["history/object_pose"][:, 0, :3], begin, atol=1e-7)
+    np.testing.assert_allclose(second["history/object_pose"][:, -1, :3], begin + np.array([0.003, 0, 0]), atol=1e-7)
+    # The hand has not touched yet where the second forecast begins; the forecaster says it has.
+    assert second["history/contact"][:, 1:].all()
+    assert not second["history/contact"][:, 0].any()
+
+
+def test_a_loop_replays_joints_and_actions_of_its_own_time(glide):
+    drifts, road = Drifts(), course(glide)
+    close_loop(road, drifts, execute=3, seed=0)
+    rows = glide.cache.rows[glide.cache.begin[0] :]
+    for number, batch in enumerate(batch for batch in drifts.seen if batch["episode"][0] == 0):
+        present = 2 * (3 + 3 * number)
+        np.testing.assert_array_equal(batch["history/joint_position"][0, -1], rows["joint_position"][present])
+        if present + 2 <= 60:
+            np.testing.assert_array_equal(batch["planned/action"][0, 1], rows["action"][present + 2])
+
+
+def test_shorter_episodes_leave_the_loop_earlier(glide):
+    drifts, road = Drifts(), course(glide)
+    close_loop(road, drifts, execute=3, seed=0)
+    assert [len(batch["row"]) for batch in drifts.seen] == [int((road.steps > 3 * k).sum()) for k in range(10)]
+    assert len(drifts.seen[0]["row"]) == 4
+    assert len(drifts.seen[-1]["row"]) == 3
+
+
+def test_without_a_forecast_the_recorded_contact_is_fed(glide):
+    road = course(glide)
+    spy = Oracle()
+    spy.forecast = lambda batch, seed: (spy.seen.append(batch), Answer(Stays().forecast(batch).increments, None))[1]
+    loop = close_loop(road, spy, execute=3, seed=0)
+    assert loop.contact is None
+    np.testing.assert_array_equal(spy.seen[4]["history/contact"], road.contact[:, 12:16])
+
+
+def test_rows_that_are_not_valid_count_in_nothing(tmp_path, dataset):
+    whole = dataset("whole", episodes=1)
+    episode = next(iter(whole))
+    bad = np.ones(len(episode), bool)
+    bad[20:40] = False
+    arrays = dict(episode.arrays) | {"object_pose_valid": bad}
+    folder = create_dataset(tmp_path / "gap", name="gap")
+    append(folder, [Episode(episode.meta.model_copy(update={"point_cloud": None}), arrays)], Lineage(operation="t"))
+    found = windows(open_dataset(folder), history=4, horizon=6, pad="both", step=2)
+    road = course(found)
+    assert road.valid.sum() == 27 - 10
+    assert not road.valid[0, 20 // 2 - 4 : 40 // 2 - 4].any()
+    scores = scoring.score(found, BASELINES, 3, 0)
+    assert scores.closed_loop["keeps_velocity"].final_position_error_m < 1e-4
+    assert scores.closed_loop["stays"].adds_auc is None
+    assert scores.gain == {}
+
+
+def test_nothing_to_follow_is_an_error(glide):
+    cache = replace(glide.cache, valid=np.zeros_like(glide.cache.valid))
+    with pytest.raises(DataError, match="no episode can be followed"):
+        course(replace(glide, cache=cache))
+
+
+def test_the_gain_is_the_difference_of_the_areas(glide):
+    found = scoring.score(glide, {"oracle": Oracle(), "stays": Stays()}, 3, 0)
+    areas = [found.closed_loop[name].adds_auc for name in ("oracle", "stays")]
+    gain = found.gain["stays"]
+    assert gain.value == pytest.approx(areas[0] - areas[1], abs=1e-12)
+    assert gain.low <= gain.value <= gain.high
+    assert found.by_episode[0].adds_auc.keys() == {"oracle", "stays"}
+
+
+def test_adds_in_the_loop_is_that_of_each_row(glide):
+    road = course(glide)
+    loop = close_loop(road, Stays(), execute=6, seed=0)
+    tree = metrics.cloud_trees(glide.clouds)[0]
+    rows = [
+        metrics.adds(tree, loop.poses[e, k], road.truth[e, k]) for e, k in zip(*np.nonzero(road.valid), strict=True)
+    ]
+    found = scoring.score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
+    assert found.adds_m == pytest.approx(np.mean(rows), rel=1e-12)
+    assert found.adds_auc == pytest.approx(metrics.auc(np.array(rows)), rel=1e-12)
+
+
+def test_many_windows_are_thinned_evenly(glide, monkeypatch):
+    monkeypatch.setattr(scoring, "MOST_WINDOWS", 5)
+    assert scoring.chosen_windows(glide).tolist() == np.linspace(0, len(glide) - 1, 5).round().astype(int).tolist()
+
+
+def test_tracks_begin_with_the_row_last_observed(glide):
+    found = scoring.score(glide, BASELINES, 3, 0)
+    track = next(one for one in found.tracks if one.id == "glide-00")
+    assert track.time_s[0] == pytest.approx(0.3)
+    assert len(track.time_s) == len(track.truth) == len(track.contact) == len(track.poses["stays"]) == 28
+    assert position_error(track.poses["stays"], track.truth)[0] == 0
+    assert np.isnan(track.forecast_contact[0])
+
+
+def test_the_episodes_shown_are_spread_from_worst_to_best():
+    assert shown([5.0, 1.0, 3.0, 2.0, 4.0], 3) == [1, 2, 0]
+    assert shown([1.0], 4) == [0]
