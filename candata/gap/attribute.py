@@ -123,7 +123,7 @@ def attribute(problem: Problem, nominal: Compact) -> Attribution:
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
-    best = polished(problem, best, first.base)
+    best = polished(problem, _simplest(best, first.fits), first.base)
     first = replace(first, fits=(best, *(f for f in first.fits if f.members[0][0] is not best.members[0][0])))
     tied = tied_with(best, first.fits)
     chosen, world, remains = _forward(problem, best, grow=len(tied) == 1)
@@ -241,16 +241,22 @@ def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]]
 def tied_with(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
     """Return the fits whose held-out loss is within one standard error of the best one's (Breiman et al. 1984).
 
-    The error is that of the paired difference over episodes.
+    The error is that of the paired difference over episodes. The same effect on fewer or more elements is no rival.
     """
-    out = [best]
-    for fit in fits:
-        if fit is best:
-            continue
-        worse = fit.evidence.loss - best.evidence.loss
-        if worse.mean() <= standard_error(worse):
-            out.append(fit)
-    return out
+    rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
+    return [best, *(f for f in rivals if _is_tied(f, best))]
+
+
+def _is_tied(fit: Fit, best: Fit) -> bool:
+    """Tell whether a fit is no worse than the best by more than one standard error."""
+    worse = fit.evidence.loss - best.evidence.loss
+    return bool(worse.mean() <= standard_error(worse))
+
+
+def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
+    """Return the fit of the best one's effect with the fewest numbers, among those tied with it: one element's of many."""
+    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
+    return min([best, *same], key=lambda f: f.members[0][0].size)
 
 
 def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool]:
