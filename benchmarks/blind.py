@@ -153,7 +153,8 @@ def score(cases: list[dict], results: dict[int, dict]) -> None:
                 "noise": case["noise"], "truth": truth, "named": named, "verdict": report["verdict"],
                 "exact": named == [truth], "first": named[:1] == [truth],
                 "class": truth in [*named, *report["class"]], "closed": (report["gap"] or {}).get("closed"),
-                "local": case["effect"] == LOCAL, "error": parameter_error(case, report, scene), "cpu_s": report["cpu_s"], "number": case["number"],
+                "local": case["effect"] == LOCAL,
+                "error": parameter_error(case, report, scene), "cpu_s": report["cpu_s"], "number": case["number"],
             }
         )  # fmt: skip
     print("Misses:")
@@ -174,7 +175,9 @@ def _label(name: str, element: str | None) -> str:
 def parameter_error(case: dict, report: dict, scene) -> float | None:
     """Return the relative error of the named effect's parameters: distance over size, from the identity."""
     hidden = draw(case, scene)
-    found = [e for e in report["effects"] if hidden and e["name"] == hidden[0].name]
+    found = [
+        e for e in report["effects"] if hidden and (e["name"], e["element"]) == (hidden[0].name, hidden[0].element)
+    ]
     if not found or isinstance(next(iter(hidden[0].parameters.values())), str):
         return None
     true = np.concatenate([np.atleast_1d(v) for v in hidden[0].parameters.values()])

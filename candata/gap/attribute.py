@@ -254,7 +254,7 @@ def _is_tied(fit: Fit, best: Fit) -> bool:
 
 
 def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
-    """Return the fit of the best one's effect with the fewest numbers among those tied with it: of one element, if so."""
+    """Return the fit of the same effect with the fewest numbers that is tied with the best: one element's, if so."""
     same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
     return min([best, *same], key=lambda f: f.members[0][0].size)
 
