@@ -28,11 +28,9 @@ def plan(out: Path, args: argparse.Namespace) -> list[dict]:
     """Return the cases of a run, made once: number, noise, and a sealed label that only `score` opens."""
     file = out / "sealed.json"
     if not file.exists():
-        from candata.effects import effect_names
-
         salt = secrets.token_hex(32)
         rng = np.random.default_rng(int.from_bytes(hashlib.sha256(f"{args.seed}{salt}".encode()).digest()[:8], "big"))
-        labels = [n for n in effect_names() if args.only is None or n in args.only.split(",")] * args.draws
+        labels = [n for n in possible() if args.only is None or n in args.only.split(",")] * args.draws
         labels += [None] * args.nulls + [LOCAL] * args.local
         modes = [True, False] if args.noise == "both" else [args.noise == "yes"]
         cases = [(label, noise) for noise in modes for label in labels]
@@ -46,14 +44,23 @@ def plan(out: Path, args: argparse.Namespace) -> list[dict]:
     return json.loads(file.read_text())["cases"]
 
 
+def possible() -> list[str]:
+    """Return the effects that can act in the scene."""
+    from candata.effects import effect, effect_names
+    from candata.scenes import load_scene
+
+    scene = load_scene(SCENE)
+    return [name for name in effect_names() if effect(name).possible(scene)]
+
+
 def check_scene() -> None:
     """Stop unless joints follow their targets and every effect moves a channel: accuracy proves no sane scene."""
-    from candata.effects import effect_names
     from candata.scenes import load_scene
     from candata.simulate.episodes import Job, make_episodes
 
     scene = load_scene(SCENE)
-    worlds = [()] + [draw({"effect": n, "seed": 1}, scene) for n in effect_names()]
+    names = possible()
+    worlds = [()] + [draw({"effect": n, "seed": 1}, scene) for n in names]
     count = len(scene.policies)
     jobs = [Job(f"{w}-{i}", i, scene.policies[i], 1, world) for w, world in enumerate(worlds) for i in range(count)]
     made = [make_episodes(scene, jobs[k : k + count], duration_s=3.2) for k in range(0, len(jobs), count)]
@@ -68,7 +75,7 @@ def check_scene() -> None:
     channels = ("joint_position", "object_pose", "fingertip_force")
     moved = {
         name: max(float(np.abs(a[c] - b[c]).max()) for a, b in zip(made[0], world, strict=True) for c in channels)
-        for name, world in zip(effect_names(), made[1:], strict=True)
+        for name, world in zip(names, made[1:], strict=True)
     }
     print("largest change of a channel: " + ", ".join(f"{n} {v:.2g}" for n, v in moved.items()))
     if min(follows) < 0.8 or min(moved.values()) < 1e-3:
