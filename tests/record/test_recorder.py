@@ -293,9 +293,11 @@ def test_a_missing_port_leaves_no_file(tmp_path):
 
 
 def test_what_is_no_port_leaves_no_file(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(SetupError, match="the port cannot be opened"):
-        run(str(tmp_path / "file"), tmp_path / "log.mcap")
+    (tmp_path / "file").write_text("mine")
+    for port in (tmp_path / "file", tmp_path):
+        with pytest.raises(SetupError, match="not a serial port"):
+            run(str(port), tmp_path / "log.mcap")
+    assert (tmp_path / "file").read_text() == "mine"
     assert not (tmp_path / "log.mcap").exists()
 
 
