@@ -80,7 +80,7 @@ def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[ND
     Raises
     ------
     DataError
-        When joints or actuators of the scene are in none of the streams.
+        When joints or actuators of the scene are in none of the streams, or it has none of their joints.
     """
     names = [name for s in streams for name in s.names]
     if not names:
@@ -95,6 +95,13 @@ def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[ND
             found=", ".join(names),
             where=Where(channel=channel),
             fix=f"bring {', '.join(missing)} by --with TABLE, or import without --scene",
+        )
+    if channel == "joint_position" and roles is not None and not set(wanted) & set(names):
+        raise DataError(
+            "the scene has none of the hand's joints",
+            expected=", ".join(names),
+            found=", ".join(wanted) or "a scene without joints",
+            fix="give the scene of this hand, or import without --scene",
         )
     if missing or not wanted:
         wanted = () if missing else tuple(name for s in streams if s.origin != WIRE for name in s.names)

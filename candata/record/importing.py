@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata import align
-from candata.errors import DataError, Where
+from candata.errors import DataError, UsageError, Where
 from candata.record.companions import Companion, Stream
 from candata.record.import_streams import column_order, merged, require_overlap, span, utc, wire_streams
 from candata.record.logs import Log
@@ -37,6 +37,8 @@ Arrays = dict[str, NDArray]
 BEAT_ROWS = 81
 #: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
 SCALES = (0.5, 1.0, 2.0)
+#: Largest rate of the grid as a multiple of the hand's.
+RATES = 20
 _ROLES: dict[str, align.Role] = {"action": "command", "fingertip_force": "measurement", "taxels": "sample"}
 
 
@@ -114,8 +116,10 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     Raises
     ------
     DataError
-        When the log holds no states or no calibration, a companion's stamps do not meet it, or joints of the scene
-        are in none of the files.
+        When the log holds no states or no calibration, a companion's stamps do not meet it, joints of the scene
+        are in none of the files, or the scene has none of the hand's.
+    UsageError
+        When the rate is far above the hand's.
     """
     path = Path(path)
     _refuse(path, log, recipe)
@@ -123,6 +127,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     streams, notes = merged(wire_streams(log, scale), companions)
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
+    _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _aligned(streams, grid_ns, recipe)
     _add_contact(arrays, recipe.threshold_n)
@@ -182,6 +187,19 @@ def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
             where=where,
             fix="record with calibration; or import with --uncalibrated: forces then keep their offset, "
             "and contact may be wrong",
+        )
+
+
+def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
+    """Refuse a rate so far above the hand's that nearly every row would be made up."""
+    most = RATES * log.meta.rate_hz
+    if rate_hz > most:
+        raise UsageError(
+            "the rate is far above the hand's",
+            expected=f"at most {most:g} Hz for a hand of {log.meta.rate_hz:g} Hz",
+            found=f"{rate_hz:g} Hz",
+            where=Where(path=str(path)),
+            fix="give the rate that the model runs at, or another scene",
         )
 
 

@@ -276,6 +276,18 @@ def test_a_scene_whose_joints_nobody_brings_is_refused():
     assert "bring w0, w1 by --with TABLE" in str(caught.value)
 
 
+def test_a_scene_of_something_else_is_refused():
+    recipe = RECIPE.model_copy(update={"roles": scene(joints=(), actuators=())})
+    with pytest.raises(DataError, match="the scene has none of the hand's joints") as caught:
+        import_log("run.mcap", make_log(rate_hz=80), recipe)
+    assert "a scene without joints" in str(caught.value)
+
+
+def test_a_rate_that_makes_up_nearly_every_row_is_refused():
+    with pytest.raises(UsageError, match=r"far above the hand's[^$]*at most 1600 Hz for a hand of 80 Hz"):
+        import_log("run.mcap", make_log(rate_hz=80), RECIPE.model_copy(update={"rate_hz": 1e9}))
+
+
 def test_a_log_without_commands_has_no_action():
     log = make_log()
     log = replace(log, command_time_ns=log.command_time_ns[:0], joint_target=log.joint_target[:0])
