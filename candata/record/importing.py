@@ -5,7 +5,8 @@ of the states (a command takes effect once its frame is whole, which is when the
 first stream that ends. `action[k]` is what was commanded in the middle of the step that it is held over, and a
 reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
 Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
-have not, commands and forces move by half a period at most, neither always early nor always late. Motor current
+have not, commands and forces move by half a period at most, neither always early nor always late. Frames read in one
+burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Motor current
 stays in the log: it is no joint effort, as no torque constant of the motors is published.
 """
 
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.companions import Companion, Stream
-from candata.record.import_streams import column_order, merged, require_overlap, span, utc, wire_streams
+from candata.record.import_streams import column_order, merged, punctual, require_overlap, span, utc, wire_streams
 from candata.record.logs import Log
 from candata.schema.channels import QUATERNION, VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
@@ -124,6 +125,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     path = Path(path)
     _refuse(path, log, recipe)
     scale = recipe.newton_per_count or log.meta.newton_per_count
+    log, late = punctual(log, recipe.max_gap_periods)
     streams, notes = merged(wire_streams(log, scale), companions)
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
@@ -137,6 +139,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     kept = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
     episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
     details = _details(path, log, recipe, companions, episode, scale)
+    notes += [late] if late else []
     return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
 
 
