@@ -6,8 +6,8 @@ first stream that ends. `action[k]` is what was commanded in the middle of the s
 reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
 Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
 have not, commands and forces move by half a period at most, neither always early nor always late. Frames read in one
-burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Motor current
-stays in the log: it is no joint effort, as no torque constant of the motors is published.
+burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Motor
+current stays in the log: it is no joint effort, as no torque constant of the motors is published.
 """
 
 from __future__ import annotations
