@@ -31,6 +31,9 @@ class HandOnPty:
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
         os.symlink(os.ttyname(self._slave), self.port)
+        self.speak()
+
+    def speak(self) -> None:
         self._stop.clear()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
