@@ -149,6 +149,19 @@ def test_rows_that_are_not_valid_count_in_nothing(tmp_path, dataset):
     assert scores.gain == {}
 
 
+def test_a_loop_begins_at_a_valid_row(glide):
+    """Before it, the pose that stands in is a later one: a loop from there would be given the future."""
+    valid = glide.cache.valid.copy()
+    begin = int(glide.cache.begin[1])
+    valid[begin : begin + 21] = False
+    road = course(replace(glide, cache=replace(glide.cache, valid=valid)))
+    rows = road.windows.present - glide.cache.begin
+    # Rows 0 to 20 of the second episode are lost; steps of two rows after a history of four begin at row 6.
+    assert rows.tolist() == [6, 22, 6, 6]
+    assert road.steps.tolist() == [27, 20, 29, 30]
+    np.testing.assert_array_equal(road.observed[1, -1], glide.cache.rows["object_pose"][begin + 22])
+
+
 def test_nothing_to_follow_is_an_error(glide):
     cache = replace(glide.cache, valid=np.zeros_like(glide.cache.valid))
     with pytest.raises(DataError, match="no episode can be followed"):
