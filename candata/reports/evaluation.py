@@ -62,7 +62,7 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
 def verdict(found: Evaluation) -> tuple[str, str]:
     """Return a colour and the headline: how the model stands against the baselines in closed loop."""
     if not found.gain:
-        return "none", "No ADD-S: the data hold no point clouds"
+        return "none", "No ADD-S: not every object has a point cloud"
     gains = found.gain.values()
     if all(gain.low > 0 for gain in gains):
         return "good", "Better than every baseline"

@@ -36,7 +36,7 @@ class WindowScores(Record):
     position_energy_m : tuple of float or None
         Energy score of the samples' positions, by step.
     adds_m : tuple of float or None
-        Mean ADD-S, by step; null without a point cloud.
+        Mean ADD-S, by step; null where an episode has no point cloud.
     adds_auc : float or None
         Area under the accuracy curve of ADD-S up to 0.1 m, over all steps.
     contact : Contact or None

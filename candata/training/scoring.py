@@ -93,7 +93,7 @@ def score(
     stage : callable
         Called with what is being done.
     """
-    trees = metrics.cloud_trees(windows.clouds)
+    trees = _trees(windows)
     opened = {}
     for name, one in forecasters.items():
         stage(f"{name}: {len(chosen_windows(windows))} windows")
@@ -112,6 +112,12 @@ def score(
         tracks=_tracks(road, errors, model),
         rows=int(road.valid.sum()),
     )
+
+
+def _trees(windows: Windows) -> list[KDTree]:
+    """Return a tree for each cloud; none where an episode scored lacks its own: means are over all or nothing."""
+    names = windows.cache.file.clouds
+    return metrics.cloud_trees(windows.clouds) if all(names[e] for e in np.unique(windows.owner)) else []
 
 
 def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree], seed: int) -> WindowScores:

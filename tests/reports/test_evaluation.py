@@ -166,7 +166,7 @@ def test_without_clouds_and_contact_their_parts_are_left_out():
     text = report.page(make_evaluation(adds=False, contact=False, contact_from="not read"), tracks)
     specs = json.loads(Page(text).scripts["figures"])
     assert set(specs) == {"position", "rotation", "course0"}
-    assert "No ADD-S: the data hold no point clouds" in text
+    assert "No ADD-S: not every object has a point cloud" in text
     assert "The model does not forecast contact." in text
 
 

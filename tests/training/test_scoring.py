@@ -189,6 +189,16 @@ def test_adds_in_the_loop_is_that_of_each_row(glide):
     assert found.adds_auc == pytest.approx(metrics.auc(np.array(rows)), rel=1e-12)
 
 
+def test_no_object_is_scored_with_the_cloud_of_another(glide):
+    clouds = (None, *glide.cache.file.clouds[1:])
+    part = replace(glide, cache=replace(glide.cache, file=glide.cache.file.model_copy(update={"clouds": clouds})))
+    found = scoring.score(part, BASELINES, 3, 0)
+    assert found.windows["stays"].adds_auc is found.closed_loop["stays"].adds_auc is None
+    others = part.owner > 0
+    rest = replace(part, owner=part.owner[others], present=part.present[others])
+    assert scoring.score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
+
+
 def test_many_windows_are_thinned_evenly(glide, monkeypatch):
     monkeypatch.setattr(scoring, "MOST_WINDOWS", 5)
     assert scoring.chosen_windows(glide).tolist() == np.linspace(0, len(glide) - 1, 5).round().astype(int).tolist()
