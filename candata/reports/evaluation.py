@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from candata.errors import SetupError, Where
 from candata.reports import courses
 from candata.reports.courses import Spec
 from candata.reports.document import document, figure, plot
@@ -23,16 +24,33 @@ FORECAST_HEAD = ("", "ADD-S AUC", "position error", "energy score", "rotation er
 
 
 def write_evaluation(found: Evaluation, tracks: Sequence[Track], out: Path) -> Path:
-    """Return the path of `evaluation.html` after writing it and `evaluation.json` into `out`; each whole or not."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in (
-        ("evaluation.html", page(found, tracks)),
-        ("evaluation.json", found.model_dump_json(indent=2) + "\n"),
-    ):
-        staged = out / f".{name}.part"
-        staged.write_text(text, encoding="utf-8")
-        os.replace(staged, out / name)
+    """Return the path of `evaluation.html` after writing it and `evaluation.json` into `out`; each whole or not.
+
+    Raises
+    ------
+    SetupError
+        When the folder cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _write(out / "evaluation.html", page(found, tracks))
+        _write(out / "evaluation.json", found.model_dump_json(indent=2) + "\n")
+    except OSError as error:
+        raise SetupError(
+            "the page cannot be written", found=error.strerror, where=Where(path=str(out)),
+            fix="free space, or choose another --out",
+        ) from None  # fmt: skip
     return out / "evaluation.html"
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    staged = path.with_name(f".{path.name}.part")
+    try:
+        staged.write_text(text, encoding="utf-8")
+        os.replace(staged, path)
+    finally:
+        staged.unlink(missing_ok=True)
 
 
 def page(found: Evaluation, tracks: Sequence[Track]) -> str:

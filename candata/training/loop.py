@@ -123,7 +123,15 @@ def train(
         When the folder holds another run.
     DataError
         When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
+    SetupError
+        When the folder cannot be written; the last checkpoint stays.
     """
+    with runs.writing(folder):
+        return _train(job, folder, tell, stopped)
+
+
+def _train(job: Job, folder: Path, tell: Callable[[Report], None], stopped: Callable[[], bool]) -> Progress:
+    """Train to the end of the run, or until told to stop."""
     runs.begin(folder, job.run, job.split)
     state = fresh(job.module, job.run.settings)
     if (folder / checkpoint.LAST).is_file():

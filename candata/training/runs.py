@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from candata.datasets.durable import encode_record, ensure_folder, sync
-from candata.errors import UsageError, Where
+from candata.errors import SetupError, UsageError, Where
 from candata.schema.record import Record
 from candata.training.settings import Run
 
@@ -50,6 +52,24 @@ def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     if split is not None:
         _write(folder / SPLIT, split)
     _write(path, run)  # last: with it the run stands
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Do what writes to the run's folder.
+
+    Raises
+    ------
+    SetupError
+        When the disk is full or cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise SetupError(
+            "the run cannot be written", found=error.strerror or str(error), where=Where(path=str(folder)),
+            fix="free space or choose another --out; the same command goes on from the last checkpoint",
+        ) from None  # fmt: skip
 
 
 def _write(path: Path, record: Record) -> None:

@@ -8,10 +8,12 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from candata.errors import SetupError
 from candata.reports import evaluation as report
 from candata.training.results import (
     ClosedLoopScores,
@@ -129,6 +131,17 @@ def test_the_page_asks_for_nothing_and_has_a_box_for_every_figure(tmp_path):
     assert set(specs) == {"position", "rotation", "adds", "course0", "course1", "contact0", "contact1", "episodes"}
     assert set(specs) <= set(page.ids)
     assert len(page.ids) == len(set(page.ids))
+
+
+def test_a_page_that_cannot_be_written_says_so(tmp_path, monkeypatch):
+    def full(path, *_arguments, **_more):
+        path.touch()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(SetupError, match=r"the page cannot be written\n\s+found: No space left on device"):
+        report.write_evaluation(make_evaluation(), TRACKS, tmp_path / "out")
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_the_page_says_what_it_is():

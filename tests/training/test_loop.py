@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from candata.errors import DataError, UsageError
+from candata.errors import DataError, SetupError, UsageError
 from candata.training import checkpoint
 from candata.training.loop import train
 from candata.training.settings import Settings
@@ -91,6 +91,16 @@ def test_another_run_is_refused_and_names_what_differs(tmp_path, job):
     train(job(steps=5), tmp_path)
     with pytest.raises(UsageError, match=r"expected: settings\.steps 5\n\s+found: settings\.steps 6"):
         train(job(steps=6), tmp_path)
+
+
+def test_a_disk_that_cannot_be_written_ends_the_run_in_one_message(tmp_path, job, monkeypatch):
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "save_file", full)
+    with pytest.raises(SetupError, match=r"the run cannot be written\n\s+found: No space left") as stop:
+        train(job(steps=20), tmp_path / "run")
+    assert stop.value.exit_code == 3
 
 
 def test_a_folder_with_other_things_is_refused(tmp_path, job):
