@@ -78,9 +78,9 @@ def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu")
     model = find_model(name)
     split = find_split(dataset, ask.split)
     shape = {
-        "history": ask.history or (begin.run.sizes["history"] if begin else 8),
-        "horizon": ask.horizon or (begin.run.sizes["horizon"] if begin else 16),
-        "rate_hz": ask.rate_hz or (begin.run.rate_hz if begin else 10.0),
+        "history": _first(ask.history, begin and begin.run.sizes["history"], 8),
+        "horizon": _first(ask.horizon, begin and begin.run.sizes["horizon"], 16),
+        "rate_hz": _first(ask.rate_hz, begin and begin.run.rate_hz, 10.0),
     }
     train = _windows(dataset, split, model.reads(config), "train", shape)
     run = _run(dataset, ask, settings, name, config, split, train, begin)
@@ -91,6 +91,11 @@ def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu")
     batches = () if held_out is None else feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
     draw = feed.drawing(train, settings.seed, settings.batch, device)
     return Job(run, module, draw, batches, device, split)
+
+
+def _first(asked: float | None, begun: float | None, usual: float) -> float:
+    """Return what was asked, else what the first run had, else the usual."""
+    return next(value for value in (asked, begun, usual) if value is not None)
 
 
 def build(run: Run, device: str = "cpu") -> torch.nn.Module:

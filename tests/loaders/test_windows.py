@@ -75,6 +75,14 @@ def test_ten_hertz_is_every_eighth_row(hand, store):
     np.testing.assert_array_equal(batch["planned/action"][0, :, 0], [100.5, 108.5])
 
 
+def test_the_rate_that_is_advised_is_taken(hand, store):
+    dataset = store(hand("a", 60, rate_hz=83.0))
+    with pytest.raises(DataError, match=r"take rate_hz = 10\.375, every 8 rows") as caught:
+        windows(dataset, 2, 2)
+    advised = float(str(caught.value).split("rate_hz = ")[-1].split(",")[0])
+    assert windows(dataset, 2, 2, rate_hz=advised).stride.tolist() == [8]
+
+
 def test_each_episode_has_the_stride_of_its_own_rate(hand, store):
     dataset = store(hand("fast", 60, rate_hz=80.0), hand("slow", 60, rate_hz=20.0))
     feed = windows(dataset, 2, 2, rate_hz=10)
@@ -154,7 +162,7 @@ def test_writing_to_a_batch_changes_no_other(hand, store):
     ("arguments", "error", "words"),
     [
         ({"horizon": 400}, DataError, ["no episode is long enough", "3201 rows", "2 episodes of 30 to 50 rows"]),
-        ({"rate_hz": 30.0}, DataError, ["no whole multiple", "rate_hz = 30", "80 Hz", "stride=3 (26.67 Hz)"]),
+        ({"rate_hz": 30.0}, DataError, ["no whole multiple", "rate_hz = 30", "80 Hz", "take rate_hz = 26.66666667, every 3 rows"]),
         ({"rate_hz": 160.0}, DataError, ["no whole multiple", "80 Hz"]),
         ({"rate_hz": 0.0}, UsageError, ["rate_hz must be positive"]),
         ({"rate_hz": float("nan")}, UsageError, ["rate_hz must be positive"]),
