@@ -176,7 +176,9 @@ def _yaml(path: Path | None) -> dict[str, Any] | None:
     try:
         found = yaml.safe_load(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError("--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))) from None
+        raise UsageError(
+            "--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))
+        ) from None
     if not isinstance(found, dict):
         raise UsageError("--config holds no fields", expected="name: value", where=Where(path=str(path)))
     return found

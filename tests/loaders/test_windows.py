@@ -162,7 +162,11 @@ def test_writing_to_a_batch_changes_no_other(hand, store):
     ("arguments", "error", "words"),
     [
         ({"horizon": 400}, DataError, ["no episode is long enough", "3201 rows", "2 episodes of 30 to 50 rows"]),
-        ({"rate_hz": 30.0}, DataError, ["no whole multiple", "rate_hz = 30", "80 Hz", "take rate_hz = 26.66666667, every 3 rows"]),
+        (
+            {"rate_hz": 30.0},
+            DataError,
+            ["no whole multiple", "rate_hz = 30", "80 Hz", "take rate_hz = 26.66666667, every 3 rows"],
+        ),
         ({"rate_hz": 160.0}, DataError, ["no whole multiple", "80 Hz"]),
         ({"rate_hz": 0.0}, UsageError, ["rate_hz must be positive"]),
         ({"rate_hz": float("nan")}, UsageError, ["rate_hz must be positive"]),

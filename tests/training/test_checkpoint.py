@@ -98,7 +98,9 @@ def test_a_full_disk_leaves_the_old_one(tmp_path, job):
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
     try:
         with pytest.raises(OSError, match="too large"):
-            checkpoint.save(path, job().run, checkpoint.read(path).progress, {"weights": checkpoint.read(path).tensors("weights")})
+            checkpoint.save(
+                path, job().run, checkpoint.read(path).progress, {"weights": checkpoint.read(path).tensors("weights")}
+            )
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
         signal.signal(signal.SIGXFSZ, handler)
