@@ -136,6 +136,7 @@ def _train(job: Job, folder: Path, tell: Callable[[Report], None], stopped: Call
     state = fresh(job.module, job.run.settings)
     if (folder / checkpoint.LAST).is_file():
         state.restore(checkpoint.read(folder / checkpoint.LAST))
+        _keep_best(state, folder)  # a kill may have come between the two
     settings, saved_step = job.run.settings, state.progress.step
     with StepLog(folder, saved_step) as log:
         tally, saved_s = _Tally(), time.perf_counter()
@@ -234,8 +235,13 @@ def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
 
 
 def _save(job: Job, state: State, folder: Path) -> None:
-    """Write the last checkpoint, and give it the name of the best one when it is that."""
+    """Write the last checkpoint, which may be the best one too."""
     checkpoint.save(folder / checkpoint.LAST, job.run, state.progress, state.groups())
+    _keep_best(state, folder)
+
+
+def _keep_best(state: State, folder: Path) -> None:
+    """Give the last checkpoint the name of the best one when it is that."""
     if state.progress.best_step == state.progress.step:
         checkpoint.copy(folder / checkpoint.LAST, folder / checkpoint.BEST)
 
