@@ -249,6 +249,8 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
     contact = {
         "predicted": "the model's own forecast, 0.5 and above counting as contact",
         "recorded": "replayed from the recording: the model reads contact but does not forecast it",
+        "predicted, fingertips recorded": "the hand's as the model forecasts it, 0.5 and above counting as contact; "
+        "each fingertip's replayed from the recording",
         "not read": "the model does not read contact",
     }[found.contact_from]
     return [
@@ -256,7 +258,7 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
         ("trained on", found.trained_on),
         ("evaluated on", f"{found.dataset}, group {found.group} of the split {found.split}: {found.episodes} episodes, "
          f"{found.windows:,} windows, {found.rows:,} rows in closed loop"),
-        ("trained on these", f"{found.seen_episodes} episodes" if found.seen_episodes else "none"),
+        ("trained on these", _seen(found)),
         ("forecasts", f"{found.horizon} steps at {rate:g} Hz from {found.history} rows of history; the mean of "
          f"{found.samples} samples of {found.sampling_steps} steps; rotations by the mean quaternion"),
         ("closed loop", f"begins with a whole history; {found.execute} steps ({found.execute / rate:g} s) are done, "
@@ -267,6 +269,13 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
         ("success", "final position within 5 cm of the recorded one; Wilson interval"),
         ("seed, candata", f"{found.seed}, {found.revision}"),
     ]  # fmt: skip
+
+
+def _seen(found: Evaluation) -> str:
+    """Return how many of the episodes the model was trained on."""
+    if found.seen_episodes is None:
+        return "not known: the run's split is not beside the checkpoint"
+    return f"{found.seen_episodes} episodes" if found.seen_episodes else "none"
 
 
 def _ahead(found: Evaluation) -> str:

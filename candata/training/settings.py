@@ -110,7 +110,8 @@ class Run(Record):
     settings : Settings
         How it was trained.
     init : dict or None
-        For a fine-tuned model: dataset, digest and step of the checkpoint it began with.
+        For a fine-tuned model: dataset, digest and step of the checkpoint it began with, and all ids it had been
+        trained on by then (null where unknown).
     revision : str
         Version of candata.
     """

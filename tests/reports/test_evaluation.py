@@ -189,6 +189,13 @@ def test_episodes_that_were_trained_on_are_said():
     assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
 
 
+def test_what_is_not_known_or_replayed_is_said():
+    found = make_evaluation(seen_episodes=None, contact_from="predicted, fingertips recorded")
+    text = report.page(found, TRACKS)
+    assert "not known: the run&#x27;s split is not beside the checkpoint" in text
+    assert "each fingertip&#x27;s replayed from the recording" in text
+
+
 def test_hostile_names_stay_text():
     bad = "</script><script>alert(1)</script>"
     episode = EpisodeScores(id=bad, moved_m=0.1, adds_auc={NAMES[0]: 0.9}, final_position_error_m={NAMES[0]: 0.1})
