@@ -14,7 +14,7 @@ from candata.reports.courses import Spec
 from candata.reports.document import document, figure, plot
 from candata.reports.numbers import digits, percent
 from candata.reports.tables import pairs, table
-from candata.training.results import Contact, Evaluation, Scores, Success, Track
+from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
 
 DASH = "\N{EN DASH}"
 #: Columns of the two tables.
@@ -82,7 +82,9 @@ def verdict(found: Evaluation) -> tuple[str, str]:
     if not found.gain:
         return "none", "No ADD-S: not every object has a point cloud"
     gains = found.gain.values()
-    if all(gain.low > 0 for gain in gains):
+    if found.seen_episodes:
+        return "none", f"No verdict: trained on {found.seen_episodes} of these {found.episodes} episodes"
+    if all(gain.low is not None and gain.low > 0 for gain in gains):
         return "good", "Better than every baseline"
     if all(gain.value > 0 for gain in gains):
         return "part", "Ahead of every baseline, but not surely"
@@ -164,10 +166,9 @@ def _tables(found: Evaluation) -> str:
     loops, forecasts = [], []
     for name, one in found.forecasters.items():
         loop, opened, gain = one.closed_loop, one.windows, found.gain.get(name)
-        gained = f"{100 * gain.value:+.1f} ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})" if gain else DASH
         loops.append(
             (
-                one.summary, _share(loop.adds_auc), gained, _mm(loop.adds_m), _mm(loop.final_position_error_m),
+                one.summary, _share(loop.adds_auc), _gained(gain), _mm(loop.adds_m), _mm(loop.final_position_error_m),
                 _degrees(loop.rotation_error_rad), _count(loop.success), _interval(loop.success), _f1(loop.contact),
             )
         )  # fmt: skip
@@ -181,8 +182,8 @@ def _tables(found: Evaluation) -> str:
     return (
         "<h3>Closed loop, whole episodes</h3>"
         + table(LOOP_HEAD, loops, numeric=range(1, len(LOOP_HEAD)))
-        + '<p class="note">Gains in points of AUC, with a 95 % interval over resampled episodes. All go through the '
-        "same code.</p><br>"
+        + '<p class="note">Gains in points of AUC, with a 95 % interval over resampled episodes where there are 8 or '
+        "more. All go through the same code.</p><br>"
         + f"<h3>One forecast from each window; errors {escape(_ahead(found))}</h3>"
         + table(FORECAST_HEAD, forecasts, numeric=range(1, len(FORECAST_HEAD)))
     )
@@ -301,6 +302,14 @@ def _degrees(value: float | None) -> str:
 def _f1(contact: Contact | None) -> str:
     """Return the F1, or a dash."""
     return DASH if contact is None or contact.f1 is None else f"{contact.f1:.3f}"
+
+
+def _gained(gain: Gain | None) -> str:
+    """Return `+2.1 (+0.3 to +4.0)`, in points."""
+    if gain is None:
+        return DASH
+    interval = "" if gain.low is None or gain.high is None else f" ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})"
+    return f"{100 * gain.value:+.1f}{interval}"
 
 
 def _count(success: Success) -> str:

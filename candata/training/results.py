@@ -98,11 +98,14 @@ class Scores(Record):
 
 
 class Gain(Record):
-    """Closed-loop ADD-S AUC of the model less that of a baseline; 95 % interval over resampled episodes."""
+    """Closed-loop ADD-S AUC of the model less that of a baseline; 95 % interval over resampled episodes.
+
+    The interval is null for fewer than 8 episodes.
+    """
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 class EpisodeScores(Record):

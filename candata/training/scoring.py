@@ -27,6 +27,8 @@ from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop
 
 #: Resamples of the episodes for the interval of a gain.
 RESAMPLES = 2000
+#: Episodes below which resampling them says nothing of how another draw would come out, as in a diagnosis.
+LEAST_EPISODES = 8
 #: Windows that are forecast at most; of more, as many are taken, evenly spread.
 MOST_WINDOWS = 4096
 #: Episodes whose courses the page draws.
@@ -194,10 +196,13 @@ def _gain(road: Course, model: _Errors, other: _Errors, seed: int) -> Gain:
     """Return by how much the model's AUC exceeds another's; the interval resamples whole episodes, in pairs."""
     sums = np.array([_area(road, found).sum(1) for found in (model, other)])
     counts = road.valid.sum(1)
+    value = float((sums[0] - sums[1]).sum() / counts.sum())
+    if len(counts) < LEAST_EPISODES:
+        return Gain(value=value, low=None, high=None)
     drawn = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
     gains = (sums[0] - sums[1])[drawn].sum(1) / counts[drawn].sum(1)
     low, high = np.quantile(gains, (0.025, 0.975))
-    return Gain(value=float((sums[0] - sums[1]).sum() / counts.sum()), low=float(low), high=float(high))
+    return Gain(value=value, low=float(low), high=float(high))
 
 
 def _area(road: Course, found: _Errors) -> NDArray:

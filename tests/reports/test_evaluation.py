@@ -166,6 +166,7 @@ def test_traces_are_three_dimensional_with_model_truth_and_baselines():
     [
         ({"a": (0.1, 0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Better than every baseline"),
         ({"a": (0.1, -0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Ahead of every baseline, but not surely"),
+        ({"a": (0.1, None, None), "b": (0.3, None, None)}, "Ahead of every baseline, but not surely"),
         ({"a": (-0.1, -0.2, 0.1), "b": (0.3, 0.1, 0.4)}, "No better than a baseline"),
     ],
 )
@@ -186,6 +187,7 @@ def test_without_clouds_and_contact_their_parts_are_left_out():
 def test_episodes_that_were_trained_on_are_said():
     text = report.page(make_evaluation(seen_episodes=2), TRACKS)
     assert "2 of them were trained on." in text
+    assert "No verdict: trained on 2 of these 2 episodes" in text
     assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
 
 
