@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from candata.loaders import Windows
 from candata.loaders.increments import integrate
@@ -95,34 +94,34 @@ def score(
     stage : callable
         Called with what is being done.
     """
-    trees = _trees(windows)
+    clouds = _clouds(windows)
     opened = {}
     for name, one in forecasters.items():
         stage(f"{name}: {len(chosen_windows(windows))} windows")
-        opened[name] = window_scores(windows, one, trees, seed)
+        opened[name] = window_scores(windows, one, clouds, seed)
     road = course(windows)
     errors = {}
     for name, one in forecasters.items():
         stage(f"{name}: {len(road.episodes)} episodes in closed loop")
-        errors[name] = _errors(road, close_loop(road, one, execute, seed), trees)
+        errors[name] = _errors(road, close_loop(road, one, execute, seed), clouds)
     model, *others = forecasters
     return Findings(
         windows=opened,
         closed_loop={name: _closed(road, found) for name, found in errors.items()},
-        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if trees},
+        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if clouds is not None},
         by_episode=tuple(_by_episode(road, errors, e) for e in range(len(road.episodes))),
         tracks=_tracks(road, errors, model),
         rows=int(road.valid.sum()),
     )
 
 
-def _trees(windows: Windows) -> list[KDTree]:
-    """Return a tree for each cloud; none where an episode scored lacks its own: means are over all or nothing."""
+def _clouds(windows: Windows) -> NDArray | None:
+    """Return the clouds; None where an episode scored lacks its own: means are over all or nothing."""
     names = windows.cache.file.clouds
-    return metrics.cloud_trees(windows.clouds) if all(names[e] for e in np.unique(windows.owner)) else []
+    return windows.clouds if all(names[e] for e in np.unique(windows.owner)) else None
 
 
-def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree], seed: int) -> WindowScores:
+def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int) -> WindowScores:
     """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
     batch = windows.batch(chosen_windows(windows))
     truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
@@ -131,7 +130,7 @@ def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree],
     mean = mean_pose(samples)
     distance, angle = position_error(mean, truth), rotation_error(mean, truth)
     energy = metrics.energy_score(samples[..., :3], truth[..., :3])
-    adds = metrics.adds_of(trees, batch["cloud"], mean, truth) if trees else None
+    adds = metrics.adds_of(clouds, batch["cloud"], mean, truth) if clouds is not None else None
     return WindowScores(
         position_error_m=_by_step(distance, valid),
         rotation_error_rad=_by_step(angle, valid),
@@ -163,9 +162,9 @@ def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.
     return Contact.model_validate(metrics.f1(forecast[valid] >= CONTACT_THRESHOLD, truth[valid]))
 
 
-def _errors(road: Course, loop: Loop, trees: list[KDTree]) -> _Errors:
+def _errors(road: Course, loop: Loop, clouds: NDArray | None) -> _Errors:
     """Return the errors of a loop at each row."""
-    adds = metrics.adds_of(trees, road.cloud, loop.poses, road.truth) if trees else None
+    adds = metrics.adds_of(clouds, road.cloud, loop.poses, road.truth) if clouds is not None else None
     return _Errors(position_error(loop.poses, road.truth), rotation_error(loop.poses, road.truth), adds, loop)
 
 

@@ -186,9 +186,9 @@ def test_a_gain_has_an_interval_from_8_episodes_on(dataset):
 def test_adds_in_the_loop_is_that_of_each_row(glide):
     road = course(glide)
     loop = close_loop(road, Stays(), execute=6, seed=0)
-    tree = metrics.cloud_trees(glide.clouds)[0]
+    cloud = glide.clouds[0]
     rows = [
-        metrics.adds(tree, loop.poses[e, k], road.truth[e, k]) for e, k in zip(*np.nonzero(road.valid), strict=True)
+        metrics.adds(cloud, loop.poses[e, k], road.truth[e, k]) for e, k in zip(*np.nonzero(road.valid), strict=True)
     ]
     found = scoring.score(glide, {"stays": Stays()}, 6, 0).closed_loop["stays"]
     assert found.adds_m == pytest.approx(np.mean(rows), rel=1e-12)
