@@ -59,7 +59,7 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
     tone, headline = verdict(found)
     body = "".join(
         (
-            f'<header><p class="kicker">{escape(_model(found))} on the {escape(found.group)} episodes of '
+            f'<header><p class="kicker">{escape(_model(found))} on {escape(_the_group(found))} episodes of '
             f"{escape(found.dataset)}</p>"
             f'<h1>{escape(headline)}</h1><p class="meaning">{escape(_meaning(found))}</p></header>',
             _answers(found),
@@ -105,7 +105,7 @@ def summary(found: Evaluation) -> str:
         )  # fmt: skip
     widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (head, *rows)]
-    note = f"closed loop over {found.episodes} {found.group} episodes; error ahead: {_ahead(found)} of one forecast"
+    note = f"closed loop over {found.episodes} episodes ({found.group}); error ahead: {_ahead(found)} of one forecast"
     seen = [f"{found.seen_episodes} of the episodes were trained on"] if found.seen_episodes else []
     return "\n".join([f"{verdict(found)[1]}: {_model(found)}", "", *lines, "", note, *seen])
 
@@ -113,6 +113,11 @@ def summary(found: Evaluation) -> str:
 def _model(found: Evaluation) -> str:
     """Return `contact_diffusion, step 4,000`."""
     return f"{found.model}, step {found.step:,}"
+
+
+def _the_group(found: Evaluation) -> str:
+    """Return `the test`, or `all`."""
+    return "all" if found.group == "all" else f"the {found.group}"
 
 
 def _meaning(found: Evaluation) -> str:

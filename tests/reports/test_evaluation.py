@@ -188,6 +188,7 @@ def test_episodes_that_were_trained_on_are_said():
     text = report.page(make_evaluation(seen_episodes=2), TRACKS)
     assert "2 of them were trained on." in text
     assert "No verdict: trained on 2 of these 2 episodes" in text
+    assert "on all episodes of" in report.page(make_evaluation(group="all"), TRACKS)
     assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
 
 
