@@ -111,9 +111,15 @@ def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
         steps,
         table["object_pose"][before].astype(np.float64),
         table["object_pose"][after].astype(np.float64),
-        inside & windows.cache.valid[after],
+        inside & windows.cache.valid[after] & _unbroken(windows, begin + start * stride, after),
         table["contact"][np.concatenate([before, after], axis=1)] if has_contact else None,
     )
+
+
+def _unbroken(windows: Windows, present: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return `(E, N)`: rows with none missing since the loop began; the loop does not know how long a break was."""
+    stretch = windows.cache.stretch
+    return np.asarray(stretch[rows] == stretch[present][:, None])
 
 
 def _starts(

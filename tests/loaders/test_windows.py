@@ -92,6 +92,18 @@ def test_each_episode_has_the_stride_of_its_own_rate(hand, store):
     assert "20 Hz, 80 Hz" in str(caught.value)
 
 
+def test_rows_beyond_a_break_of_the_clock_are_flagged(hand, store):
+    """Rows 0 to 14, then half a second without any, then 15 to 29: no step leads over it."""
+    time_ns = np.arange(30) * 12_500_000 + np.where(np.arange(30) < 15, 0, 500_000_000)
+    feed = windows(store(hand("a", 30, arrays={"time_ns": time_ns}), hand("b", 30)), 3, 2, stride=2)
+    batch = feed.batch(np.arange(len(feed)))
+    rows = batch["row"][:, None] + 2 * np.arange(-2, 3)
+    broken = (batch["episode"] == 0)[:, None] & ((rows < 15) != (batch["row"] < 15)[:, None])
+    flags = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
+    np.testing.assert_array_equal(flags, broken | (rows < 0))
+    assert broken.any()
+
+
 def test_gaps_are_flagged_and_never_begin_a_window(hand, store):
     gap = np.isin(np.arange(30), [0, 10, 11])
     pose = np.array(hand("x", 30)["object_pose"])

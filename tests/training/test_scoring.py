@@ -162,6 +162,16 @@ def test_a_loop_begins_at_a_valid_row(glide):
     np.testing.assert_array_equal(road.observed[1, -1], glide.cache.rows["object_pose"][begin + 22])
 
 
+def test_rows_beyond_a_break_of_the_clock_are_not_scored(glide):
+    """Where rows are missing, the replayed actions miss too: the loop cannot be held to what came after."""
+    stretch = glide.cache.stretch.copy()
+    begin = int(glide.cache.begin[1])
+    stretch[begin + 30 : begin + 63] = 1
+    road = course(replace(glide, cache=replace(glide.cache, stretch=stretch)))
+    # The loop of two rows a step begins at row 6: rows 8 to 28 count.
+    assert road.valid.sum(1).tolist() == [27, 11, 29, 30]
+
+
 def test_nothing_to_follow_is_an_error(glide):
     cache = replace(glide.cache, valid=np.zeros_like(glide.cache.valid))
     with pytest.raises(DataError, match="no episode can be followed"):
