@@ -235,8 +235,7 @@ def test_garbage_is_called_a_wrong_baud_rate_after_two_seconds(hand, tmp_path, r
 
 
 def test_a_silent_port_is_said_and_waited_for(hand, tmp_path):
-    one = hand()
-    one.hush()
+    one = hand(silent=True)
     report, watcher = run(one.port, tmp_path / "log.mcap", duration_s=1.5, patience_s=0.3)
     assert [note for note in watcher.notes if "no bytes for 0.3 s" in note] == [watcher.notes[-1]]
     assert report.failure.problem == "the port gave no byte"
@@ -244,8 +243,7 @@ def test_a_silent_port_is_said_and_waited_for(hand, tmp_path):
 
 
 def test_the_duration_counts_from_the_calibration(hand, tmp_path):
-    one = hand()
-    one.hush()
+    one = hand(silent=True)
     # Silent for longer than the recording would last if it counted from the opening of the port.
     late = Watcher(lambda view: True, threading.Timer(0.7, one.speak).start)
     report, _ = run(one.port, tmp_path / "log.mcap", late, duration_s=0.5, calibrate_s=0.5)
@@ -256,8 +254,7 @@ def test_the_duration_counts_from_the_calibration(hand, tmp_path):
 
 
 def test_a_glitch_before_the_first_frame_ends_nothing(hand, tmp_path):
-    one = hand()
-    one.hush()
+    one = hand(silent=True)
 
     def glitch():
         os.write(one.master, b"\x00\xff\x80")
