@@ -120,11 +120,16 @@ def _positive(name: str, value: float) -> float:
 
 @contextmanager
 def _until_signal() -> Iterator[Callable[[], bool]]:
-    """Yield `stop()`, true once SIGINT, SIGTERM or SIGHUP came; a second one ends the program as ever."""
+    """Yield `stop()`, true once SIGINT, SIGTERM or SIGHUP came; a second one ends the program as ever.
+
+    A SIGHUP that is ignored stays so: under nohup a recording outlives its terminal.
+    """
     import signal
 
     came: list[int] = []
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
     before = {int(number): signal.getsignal(number) for number in numbers}
 
     def note(number: int, _frame: Any) -> None:
@@ -144,11 +149,13 @@ def _until_signal() -> Iterator[Callable[[], bool]]:
 def _shown(title: str, plain: bool, quiet: bool) -> Iterator[tuple[Callable[[View], None], Callable[[str], None]]]:
     """Yield `show(view)` and `say(text)`: a panel on a terminal, a line a second elsewhere; only notes when quiet."""
     import sys
+    from contextlib import suppress
 
+    say = _while_seen(console.note)
     if quiet:
-        yield (lambda view: None), console.note
+        yield (lambda view: None), say
     elif plain or not sys.stderr.isatty():
-        yield _each_second(), console.note
+        yield _while_seen(_each_second()), say
     else:
         from rich.console import Console
         from rich.live import Live
@@ -156,10 +163,30 @@ def _shown(title: str, plain: bool, quiet: bool) -> Iterator[tuple[Callable[[Vie
         from candata.record.panel import panel
 
         notes: list[str] = []
-        with Live(console=Console(stderr=True), auto_refresh=False) as live:
-            yield (lambda view: live.update(panel(view, title, notes), refresh=True)), notes.append
+        live = Live(console=Console(stderr=True), auto_refresh=False)
+        with suppress(OSError):
+            live.start()
+        try:
+            yield _while_seen(lambda view: live.update(panel(view, title, notes), refresh=True)), notes.append
+        finally:
+            with suppress(OSError):
+                live.stop()
         for text in notes:
-            console.note(text)
+            say(text)
+
+
+def _while_seen(tell: Callable[[Any], None]) -> Callable[[Any], None]:
+    """Return `tell` as long as it can be seen: a recording goes on when its terminal or pipe is closed."""
+    gone: list[bool] = []
+
+    def told(what: Any) -> None:
+        try:
+            if not gone:
+                tell(what)
+        except OSError:
+            gone.append(True)
+
+    return told
 
 
 def _each_second() -> Callable[[View], None]:

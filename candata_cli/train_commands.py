@@ -41,7 +41,7 @@ def train(
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="Length; 20000 without --minutes.")] = None,
     minutes: Annotated[float | None, typer.Option("--minutes", min=0.01, help="Length in time instead.")] = None,
     split: Annotated[str | None, typer.Option("--split", metavar="NAME", help="Stored split to train by.")] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of weights, order and noise.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, max=2**64 - 1, help="Of weights, order and noise.")] = 0,
     batch: Annotated[int, typer.Option("--batch", min=1, help="Windows a step.")] = 64,
     learning_rate: Annotated[
         float | None, typer.Option("--learning-rate", help="1e-4 by default, a tenth of it with --init.")
@@ -175,8 +175,10 @@ def _yaml(path: Path | None) -> dict[str, Any] | None:
 
     try:
         found = yaml.safe_load(path.read_text())
-    except (OSError, yaml.YAMLError) as error:
-        raise UsageError(f"--config cannot be read: {error}", where=Where(path=str(path))) from None
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise UsageError(
+            "--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))
+        ) from None
     if not isinstance(found, dict):
         raise UsageError("--config holds no fields", expected="name: value", where=Where(path=str(path)))
     return found

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.checks.time import GAP_STEPS
 from candata.datasets import Dataset, durable
 from candata.errors import CandataError, DataError, SetupError, Where
 from candata.loaders.layout import POINT_CLOUD, Shapes, row_dtype, row_shapes
@@ -22,9 +23,10 @@ from candata.schema.episode import Episode
 from candata.schema.record import Record
 
 #: Raised when the bytes of the cache, or what they mean, change.
-LAYOUT_VERSION = 1
+LAYOUT_VERSION = 2
 
-ROWS, VALID, FACTS = "rows.npy", "valid.npy", "cache.json"
+ROWS, VALID, STRETCH, FACTS = "rows.npy", "valid.npy", "stretch.npy", "cache.json"
+ARRAYS = (ROWS, VALID, STRETCH)
 
 #: Called with (episodes done, episodes in all).
 Progress = Callable[[int, int], None]
@@ -61,12 +63,15 @@ class Cache:
         replaced by the last valid ones before them (the first after them at the start).
     valid : (R,) bool
         False where any of the channels holds no valid value.
+    stretch : (R,) int32
+        Counts, from 0 in each episode, the times at which rows are missing: equal for rows without a break between.
     """
 
     folder: Path
     file: CacheFile
     rows: NDArray
     valid: NDArray[np.bool_]
+    stretch: NDArray[np.int32]
 
     def __reduce__(self) -> tuple[Callable[[Path], Cache], tuple[Path]]:
         """Send only the place to another process, which maps the same file."""
@@ -86,6 +91,11 @@ class Cache:
     def all_valid(self) -> bool:
         """Whether no row is invalid."""
         return bool(self.valid.all())
+
+    @cached_property
+    def unbroken(self) -> bool:
+        """Whether no row is missing anywhere."""
+        return not self.stretch.any()
 
 
 def open_cache(
@@ -172,12 +182,12 @@ def _read(folder: Path) -> Cache | None:
     try:
         facts = json.loads((folder / FACTS).read_bytes())
         file = CacheFile.parse(facts["cache"], folder / FACTS)
-        if facts["sha256"] != _hash(file) or {n: _crc(folder / n) for n in (ROWS, VALID)} != file.crc32:
+        if facts["sha256"] != _hash(file) or {n: _crc(folder / n) for n in ARRAYS} != file.crc32:
             return None
-        rows, valid = (np.asarray(np.load(folder / name, mmap_mode="r", allow_pickle=False)) for name in (ROWS, VALID))
+        arrays = [np.asarray(np.load(folder / name, mmap_mode="r", allow_pickle=False)) for name in ARRAYS]
     except (OSError, ValueError, KeyError, TypeError, CandataError):
         return None
-    return Cache(folder, file, rows, valid)
+    return Cache(folder, file, *arrays)
 
 
 def _crc(path: Path) -> int:
@@ -225,7 +235,7 @@ def _counts(dataset: Dataset) -> list[int]:
 
 
 def _write(dataset: Dataset, shapes: Shapes, clouds: bool, folder: Path, progress: Progress) -> CacheFile:
-    """Write both arrays into `folder` and return what is in them."""
+    """Write the arrays into `folder` and return what is in them."""
     catalog = dataset.catalog()
     meta = [json.loads(text) for text in catalog["meta"].to_pylist()]
     counts = _counts(dataset)
@@ -234,28 +244,37 @@ def _write(dataset: Dataset, shapes: Shapes, clouds: bool, folder: Path, progres
     if clouds:
         _require_clouds(dataset, named_clouds)
     rows = np.lib.format.open_memmap(folder / ROWS, "w+", row_dtype(shapes), (sum(counts),))
-    valid = np.ones(len(rows), bool)
+    valid, stretch = np.ones(len(rows), bool), np.zeros(len(rows), np.int32)
     ends = dict(zip(dataset.ids, np.cumsum(counts).tolist(), strict=True))
     # Read as it lies, not by id: each row group is then decoded once.
     order = sorted(dataset.ids, key=lambda i: (dataset.places[i].part.entry.id, dataset.places[i].position))
     for done, episode in enumerate(dataset.episodes(order), 1):
         part = slice(ends[episode.meta.id] - len(episode), ends[episode.meta.id])
         _fill(episode, rows[part], valid[part])
+        stretch[part] = _stretches(episode)
         progress(done, len(order))
     rows.flush()
     del rows
     np.save(folder / VALID, valid, allow_pickle=False)
+    np.save(folder / STRETCH, stretch, allow_pickle=False)
     return CacheFile(
         layout_version=LAYOUT_VERSION,
         digest=dataset.digest,
         shapes=shapes,
-        crc32={name: _crc(folder / name) for name in (ROWS, VALID)},
+        crc32={name: _crc(folder / name) for name in ARRAYS},
         ids=dataset.ids,
         rows=tuple(counts),
         rate_hz=tuple(catalog["rate_hz"].to_pylist()),
         clouds=named_clouds,
         **names,
     )
+
+
+def _stretches(episode: Episode) -> NDArray[np.int32]:
+    """Return `(T,) int32`: how many breaks of the clock lie before each row, by the rule of `candata validate`."""
+    steps = np.diff(episode["time_ns"])
+    breaks = steps > GAP_STEPS * (np.median(steps) if len(steps) else 0)
+    return np.concatenate([[0], np.cumsum(breaks)]).astype(np.int32)
 
 
 def _fill(episode: Episode, rows: NDArray, valid: NDArray[np.bool_]) -> None:

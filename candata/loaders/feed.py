@@ -83,8 +83,9 @@ class Windows:
         - `planned/action` (B, H, A), where there are actions: those at the present row and at the H - 1 steps
           after it, which lead to `future`.
         - `history_pad` (B, K + 1) and `future_pad` (B, H) bool: rows beyond the episode (its first or last row
-          stands there) and rows in which any of the channels is not valid (its last valid value stands there). A
-          pose increment is real where its row and the one before are both not flagged.
+          stands there), rows in which any of the channels is not valid (its last valid value stands there), and rows
+          beyond a break, where the clock shows that rows between them and the present one are missing. A pose
+          increment is real where its row and the one before are both not flagged.
         - `cloud` (B,) int64: index into `clouds`, -1 without one; `episode` (B,) int64: index into `episode_ids`;
           `row` (B,) int64: the present row in its episode.
 
@@ -109,6 +110,8 @@ class Windows:
         flagged = rows != wanted
         if not self.cache.all_valid:
             flagged |= ~self.cache.valid[rows]
+        if not self.cache.unbroken:
+            flagged |= self.cache.stretch[rows] != self.cache.stretch[present][:, None]
         # mode="clip" skips a buffered check; the rows are within the episodes by construction.
         block = self.cache.rows.take(rows, mode="clip")
         past = self.history

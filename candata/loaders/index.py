@@ -58,7 +58,9 @@ def strides(cache: Cache, episodes: Numbers, rate_hz: float, stride: int | None)
     bad = np.flatnonzero((whole < 1) | (np.abs(ratio - whole) > RATIO_TOLERANCE * ratio))
     if len(bad):
         nearest = max(1, round(found[0] / rate_hz))
-        stride_fix = f"take stride={nearest} ({found[0] / nearest:.4g} Hz)"
+        stride_fix = f"take rate_hz = {found[0] / nearest:.10g}, every row" if nearest == 1 else (
+            f"take rate_hz = {found[0] / nearest:.10g}, every {nearest} rows, or resample when importing"
+        )  # fmt: skip
         raise DataError(
             "the episodes' rate is no whole multiple of the model's",
             expected=f"a multiple of rate_hz = {rate_hz:g}",

@@ -32,7 +32,7 @@ class HistoryConfig(Record):
         Whether the past contact of each fingertip is read too.
     """
 
-    seed: int = 0
+    seed: int = Field(default=0, ge=0, lt=2**64)
     planned_actions: bool = True
     world_position: bool = True
     contact_history: bool = False

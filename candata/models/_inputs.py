@@ -121,7 +121,7 @@ class Reader(nn.Module):
         rows = [
             away / self.get_buffer("position_scale"),
             _six(poses),
-            torch.cat([torch.zeros_like(steps[:, :1]), steps], dim=1),
+            torch.cat([steps.new_zeros(len(steps), 1, 6), steps], dim=1),
             self._scaled("joint", batch["history/joint_position"]),
             self._scaled("action", batch["history/action"]),
         ]

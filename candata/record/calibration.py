@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from candata.errors import SetupError
 from candata.record.devices._contract import States
 
-_FIX = "leave the hand at rest and untouched, then start again; or record without, by --no-calibrate"
+_FIX = "leave the hand at rest and untouched, then start again with another --out; or record without, by --no-calibrate"
 
 
 @dataclass(frozen=True)

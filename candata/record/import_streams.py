@@ -3,17 +3,56 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
 
+from candata import align
 from candata.errors import DataError, Where
 from candata.record.companions import Companion, Stream
 from candata.record.logs import Log
 from candata.schema.scene import SceneFile
 
 WIRE = "the wire"
+
+
+#: Frames that waited for a held-up reader bear stamps at the pace of the wire: steps below this share of a period.
+BURST_PERIODS = 0.8
+
+
+def came_late(time_ns: NDArray[np.int64], max_gap_periods: float) -> NDArray[np.bool_]:
+    """Return `(n,) bool`: frames read in one burst after a gap.
+
+    They had waited for a reader that was held up, nobody knows for how long, so that their stamps tell nothing.
+
+    Parameters
+    ----------
+    time_ns : (n,) int64 [ns]
+        Stamps of a stream.
+    max_gap_periods : float
+        Neighbours further apart, in periods of the stream, are the ends of a gap.
+    """
+    steps, period = np.diff(time_ns), align.period_ns(time_ns)
+    close = np.append(steps < BURST_PERIODS * period, False)
+    found = np.zeros(len(time_ns), bool)
+    for first in np.flatnonzero(steps > max_gap_periods * period) + 1:
+        last = first + int(np.argmin(close[first:]))
+        found[first : last + 1] = last > first
+    return found
+
+
+def punctual(log: Log, max_gap_periods: float) -> tuple[Log, str]:
+    """Return the log without the frames that came late, and a line for people on how many, empty for none."""
+    states, commands = came_late(log.state_time_ns, max_gap_periods), came_late(log.command_time_ns, max_gap_periods)
+    if not (states.any() or commands.any()):
+        return log, ""
+    by_state = ("state_time_ns", "joint_position", "motor_current", "force_counts", "taxel_counts")
+    kept = {name: getattr(log, name)[~states] for name in by_state if getattr(log, name) is not None}
+    kept |= {name: getattr(log, name)[~commands] for name in ("command_time_ns", "joint_target")}
+    counts = f"{int(states.sum())} states, {int(commands.sum())} commands"
+    return replace(log, **kept), f"left out, read late in a burst after a gap: {counts}"
 
 
 def wire_streams(log: Log, newton_per_count: float) -> list[Stream]:
@@ -80,7 +119,7 @@ def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[ND
     Raises
     ------
     DataError
-        When joints or actuators of the scene are in none of the streams.
+        When joints or actuators of the scene are in none of the streams, or it has none of their joints.
     """
     names = [name for s in streams for name in s.names]
     if not names:
@@ -95,6 +134,13 @@ def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[ND
             found=", ".join(names),
             where=Where(channel=channel),
             fix=f"bring {', '.join(missing)} by --with TABLE, or import without --scene",
+        )
+    if channel == "joint_position" and roles is not None and not set(wanted) & set(names):
+        raise DataError(
+            "the scene has none of the hand's joints",
+            expected=", ".join(names),
+            found=", ".join(wanted) or "a scene without joints",
+            fix="give the scene of this hand, or import without --scene",
         )
     if missing or not wanted:
         wanted = () if missing else tuple(name for s in streams if s.origin != WIRE for name in s.names)

@@ -5,8 +5,9 @@ of the states (a command takes effect once its frame is whole, which is when the
 first stream that ends. `action[k]` is what was commanded in the middle of the step that it is held over, and a
 reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
 Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
-have not, commands and forces move by half a period at most, neither always early nor always late. Motor current
-stays in the log: it is no joint effort, as no torque constant of the motors is published.
+have not, commands and forces move by half a period at most, neither always early nor always late. Frames read in one
+burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Motor
+current stays in the log: it is no joint effort, as no torque constant of the motors is published.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata import align
-from candata.errors import DataError, Where
+from candata.errors import DataError, UsageError, Where
 from candata.record.companions import Companion, Stream
-from candata.record.import_streams import column_order, merged, require_overlap, span, utc, wire_streams
+from candata.record.import_streams import column_order, merged, punctual, require_overlap, span, utc, wire_streams
 from candata.record.logs import Log
 from candata.schema.channels import QUATERNION, VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
@@ -37,6 +38,8 @@ Arrays = dict[str, NDArray]
 BEAT_ROWS = 81
 #: Scales, relative to the one in use, at which the share of contact is reported: public sources differ by two.
 SCALES = (0.5, 1.0, 2.0)
+#: Largest rate of the grid as a multiple of the hand's.
+RATES = 20
 _ROLES: dict[str, align.Role] = {"action": "command", "fingertip_force": "measurement", "taxels": "sample"}
 
 
@@ -114,15 +117,19 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     Raises
     ------
     DataError
-        When the log holds no states or no calibration, a companion's stamps do not meet it, or joints of the scene
-        are in none of the files.
+        When the log holds no states or no calibration, a companion's stamps do not meet it, joints of the scene
+        are in none of the files, or the scene has none of the hand's.
+    UsageError
+        When the rate is far above the hand's.
     """
     path = Path(path)
     _refuse(path, log, recipe)
     scale = recipe.newton_per_count or log.meta.newton_per_count
+    log, late = punctual(log, recipe.max_gap_periods)
     streams, notes = merged(wire_streams(log, scale), companions)
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
+    _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
     arrays, names = _aligned(streams, grid_ns, recipe)
     _add_contact(arrays, recipe.threshold_n)
@@ -132,6 +139,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     kept = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
     episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
     details = _details(path, log, recipe, companions, episode, scale)
+    notes += [late] if late else []
     return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
 
 
@@ -182,6 +190,19 @@ def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
             where=where,
             fix="record with calibration; or import with --uncalibrated: forces then keep their offset, "
             "and contact may be wrong",
+        )
+
+
+def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
+    """Refuse a rate so far above the hand's that nearly every row would be made up."""
+    most = RATES * log.meta.rate_hz
+    if rate_hz > most:
+        raise UsageError(
+            "the rate is far above the hand's",
+            expected=f"at most {most:g} Hz for a hand of {log.meta.rate_hz:g} Hz",
+            found=f"{rate_hz:g} Hz",
+            where=Where(path=str(path)),
+            fix="give the rate that the model runs at, or another scene",
         )
 
 

@@ -227,6 +227,8 @@ class LogWriter:
         try:
             if not self._sink.failed:
                 with self._sink.guarded():
+                    if self._syncing is not None:
+                        self._syncing.result()  # the kernel tells an error of the disk once
                     self._writer.finish()
                     self._sink.sync()
         finally:
@@ -343,8 +345,10 @@ def _states(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
     counts = [message("candata.FingertipForces").FromString(d).counts for d in data[FORCES]]
     taxels = None
     if meta.taxels:
-        raw = b"".join(message("candata.TactileFrame").FromString(d).counts for d in data[TAXELS])
-        taxels = np.frombuffer(raw, dtype="<i2").astype(np.int16).reshape(n, f, meta.taxels, 3)
+        read = message("candata.TactileFrame").FromString
+        taxels = np.empty((n, f, meta.taxels, 3), np.int16)  # filled row by row: they are most of a long log
+        for row, item in zip(taxels, data[TAXELS], strict=True):
+            row[...] = np.frombuffer(read(item).counts, dtype="<i2").reshape(row.shape)
     return {
         "state_time_ns": _times(messages[JOINTS], numbers),
         "joint_position": _positions(data[JOINTS], j),

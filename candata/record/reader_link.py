@@ -155,6 +155,8 @@ def check_port(port: str) -> None:
     """
     if not Path(port).exists():
         raise port_error(port, {"errno": errno.ENOENT})
+    if not Path(port).is_char_device():
+        raise port_error(port, {"errno": errno.ENOTTY})
     if not os.access(port, os.R_OK | os.W_OK):
         raise port_error(port, {"errno": errno.EACCES})
 
@@ -168,6 +170,10 @@ def port_error(port: str, facts: dict[str, Any]) -> CandataError:
         )
     if code == errno.ENOENT:
         return SetupError("no such port", found=_ports_seen(), where=where, fix="plug it in, or give another --port")
+    if code == errno.ENOTTY:
+        return SetupError(
+            "not a serial port", found=_ports_seen(), where=where, fix="give a serial port, such as /dev/ttyUSB0"
+        )
     if code in (errno.EACCES, errno.EPERM):
         return SetupError(
             "no permission for the port",

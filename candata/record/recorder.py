@@ -124,17 +124,18 @@ class _Session:
         self._calibration: Calibration | None = None
         self._window: list[States] | None = [] if settings.calibrate_s > 0 else None
         self._window_start_ns: int | None = None
+        self._resting_ns = opened_ns  # since when the hand could be calibrated
         self._newest = np.zeros((len(meta.fingertip_names), 3))
         self._unplugged = False
-        self._heard_ns, self._first_byte_ns, self._silent = opened_ns, 0, False
+        # When bytes came last, since when they have come without a good frame among them, and what was said of it.
+        self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
 
     def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[View], None]) -> None:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
-        end_ns = self._end_ns()
         while True:
-            now_ns = time.monotonic_ns()
+            now_ns, end_ns = time.monotonic_ns(), self._end_ns()
             if stop() or now_ns >= end_ns:
                 self.ended = "stopped" if now_ns < end_ns else "duration"
                 self._last(link, now_ns)
@@ -185,9 +186,10 @@ class _Session:
         }
 
     def _end_ns(self) -> float:
+        """Return when the time is up: it is counted from the first state to calibrate with, once there is one."""
         if self._settings.duration_s is None:
             return float("inf")
-        return self._opened_ns + 1e9 * (self._settings.duration_s + self._settings.calibrate_s)
+        return self._resting_ns + 1e9 * (self._settings.duration_s + self._settings.calibrate_s)
 
     def _last(self, link: ReaderLink, end_ns: int) -> None:
         """Take what the reader had read by `end_ns`."""
@@ -218,17 +220,23 @@ class _Session:
         self._tally.back(event.stamp_ns)
         self._framer = self._device.framer()
         self._tally.use(self._framer)
-        self._heard_ns = event.stamp_ns
+        self._heard_ns, self._bad_since_ns = event.stamp_ns, 0
         if self._window is not None:
-            self._window, self._window_start_ns = [], None
+            self._window, self._window_start_ns, self._resting_ns = [], None, event.stamp_ns
         self._say("the port is back; the recording goes on in the same log")
 
     def _bytes(self, event: Event) -> None:
         self._writer.wire(event.data, event.stamp_ns)
         self._tally.bytes += len(event.data)
-        self._first_byte_ns = self._first_byte_ns or event.stamp_ns
+        if event.stamp_ns - self._heard_ns > 1e9 * self._settings.patience_s:
+            self._bad_since_ns = 0  # a glitch before a silence says nothing of what comes now
         self._heard_ns, self._silent = event.stamp_ns, False
-        self._frames(self._framer.feed(event.data, event.stamp_ns))
+        frames = self._framer.feed(event.data, event.stamp_ns)
+        if frames:
+            self._bad_since_ns, self._bad = 0, False
+        else:
+            self._bad_since_ns = self._bad_since_ns or event.stamp_ns
+        self._frames(frames)
 
     def _frames(self, frames: Sequence[Frame]) -> None:
         for frame in frames:
@@ -249,7 +257,8 @@ class _Session:
         self._newest = (states.force_counts[-1] - bias) * self._meta.newton_per_count
         if self._window is None:
             return
-        self._window_start_ns = self._window_start_ns or stamps_ns[0]
+        if self._window_start_ns is None:
+            self._window_start_ns = self._resting_ns = stamps_ns[0]
         self._window.append(states)
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
             self._calibrate(joined(self._window))
@@ -290,13 +299,16 @@ class _Session:
         return True
 
     def _check_link(self, now_ns: int) -> None:
-        """Say when the port is silent; raises SetupError when it never gave a good frame."""
+        """Say when the port is silent or gives no good frame; raises SetupError when it never gave one."""
         patience_s = self._settings.patience_s
         if self._unplugged:
             return
-        never_good = self._tally.bytes and not sum(self._tally.frames.values())
-        if never_good and now_ns - self._first_byte_ns > 1e9 * patience_s:
-            raise self._no_state()
+        if self._bad_since_ns and self._heard_ns - self._bad_since_ns > 1e9 * patience_s:
+            if not sum(self._tally.frames.values()):
+                raise self._no_state()
+            if not self._bad:
+                self._bad = True
+                self._say(f"bytes but no good frame for {patience_s:g} s: check the wiring and what else is on it")
         if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
             self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
@@ -306,6 +318,13 @@ class _Session:
         if not self._tally.bytes:
             return SetupError(
                 "the port gave no byte", where=where, fix="switch the hand on, start the program that drives it"
+            )
+        if self._tally.frames["command"]:
+            return SetupError(
+                "the hand gave no state",
+                found=f"{self._tally.frames['command']} requests without a reply",
+                where=where,
+                fix="switch the hand on; check that the receiver hears both directions of the pair",
             )
         return SetupError(
             "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",

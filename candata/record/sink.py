@@ -32,6 +32,10 @@ class Sink:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
         except FileExistsError:
+            if not path.parent.is_dir():
+                raise UsageError(
+                    "the output's folder is a file", where=Where(path=str(path.parent)), fix="choose another --out"
+                ) from None
             raise UsageError(
                 "the output exists already", where=Where(path=str(path)), fix="choose another --out"
             ) from None

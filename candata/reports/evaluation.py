@@ -8,12 +8,13 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from candata.errors import SetupError, Where
 from candata.reports import courses
 from candata.reports.courses import Spec
 from candata.reports.document import document, figure, plot
 from candata.reports.numbers import digits, percent
 from candata.reports.tables import pairs, table
-from candata.training.results import Contact, Evaluation, Scores, Success, Track
+from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
 
 DASH = "\N{EN DASH}"
 #: Columns of the two tables.
@@ -23,16 +24,33 @@ FORECAST_HEAD = ("", "ADD-S AUC", "position error", "energy score", "rotation er
 
 
 def write_evaluation(found: Evaluation, tracks: Sequence[Track], out: Path) -> Path:
-    """Return the path of `evaluation.html` after writing it and `evaluation.json` into `out`; each whole or not."""
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in (
-        ("evaluation.html", page(found, tracks)),
-        ("evaluation.json", found.model_dump_json(indent=2) + "\n"),
-    ):
-        staged = out / f".{name}.part"
-        staged.write_text(text, encoding="utf-8")
-        os.replace(staged, out / name)
+    """Return the path of `evaluation.html` after writing it and `evaluation.json` into `out`; each whole or not.
+
+    Raises
+    ------
+    SetupError
+        When the folder cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _write(out / "evaluation.html", page(found, tracks))
+        _write(out / "evaluation.json", found.model_dump_json(indent=2) + "\n")
+    except OSError as error:
+        raise SetupError(
+            "the page cannot be written", found=error.strerror, where=Where(path=str(out)),
+            fix="free space, or choose another --out",
+        ) from None  # fmt: skip
     return out / "evaluation.html"
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    staged = path.with_name(f".{path.name}.part")
+    try:
+        staged.write_text(text, encoding="utf-8")
+        os.replace(staged, path)
+    finally:
+        staged.unlink(missing_ok=True)
 
 
 def page(found: Evaluation, tracks: Sequence[Track]) -> str:
@@ -41,7 +59,7 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
     tone, headline = verdict(found)
     body = "".join(
         (
-            f'<header><p class="kicker">{escape(_model(found))} on the {escape(found.group)} episodes of '
+            f'<header><p class="kicker">{escape(_model(found))} on {escape(_the_group(found))} episodes of '
             f"{escape(found.dataset)}</p>"
             f'<h1>{escape(headline)}</h1><p class="meaning">{escape(_meaning(found))}</p></header>',
             _answers(found),
@@ -62,9 +80,11 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
 def verdict(found: Evaluation) -> tuple[str, str]:
     """Return a colour and the headline: how the model stands against the baselines in closed loop."""
     if not found.gain:
-        return "none", "No ADD-S: the data hold no point clouds"
+        return "none", "No ADD-S: not every object has a point cloud"
     gains = found.gain.values()
-    if all(gain.low > 0 for gain in gains):
+    if found.seen_episodes:
+        return "none", f"No verdict: trained on {found.seen_episodes} of these {found.episodes} episodes"
+    if all(gain.low is not None and gain.low > 0 for gain in gains):
         return "good", "Better than every baseline"
     if all(gain.value > 0 for gain in gains):
         return "part", "Ahead of every baseline, but not surely"
@@ -85,7 +105,7 @@ def summary(found: Evaluation) -> str:
         )  # fmt: skip
     widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in (head, *rows)]
-    note = f"closed loop over {found.episodes} {found.group} episodes; error ahead: {_ahead(found)} of one forecast"
+    note = f"closed loop over {found.episodes} episodes ({found.group}); error ahead: {_ahead(found)} of one forecast"
     seen = [f"{found.seen_episodes} of the episodes were trained on"] if found.seen_episodes else []
     return "\n".join([f"{verdict(found)[1]}: {_model(found)}", "", *lines, "", note, *seen])
 
@@ -93,6 +113,11 @@ def summary(found: Evaluation) -> str:
 def _model(found: Evaluation) -> str:
     """Return `contact_diffusion, step 4,000`."""
     return f"{found.model}, step {found.step:,}"
+
+
+def _the_group(found: Evaluation) -> str:
+    """Return `the test`, or `all`."""
+    return "all" if found.group == "all" else f"the {found.group}"
 
 
 def _meaning(found: Evaluation) -> str:
@@ -146,10 +171,9 @@ def _tables(found: Evaluation) -> str:
     loops, forecasts = [], []
     for name, one in found.forecasters.items():
         loop, opened, gain = one.closed_loop, one.windows, found.gain.get(name)
-        gained = f"{100 * gain.value:+.1f} ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})" if gain else DASH
         loops.append(
             (
-                one.summary, _share(loop.adds_auc), gained, _mm(loop.adds_m), _mm(loop.final_position_error_m),
+                one.summary, _share(loop.adds_auc), _gained(gain), _mm(loop.adds_m), _mm(loop.final_position_error_m),
                 _degrees(loop.rotation_error_rad), _count(loop.success), _interval(loop.success), _f1(loop.contact),
             )
         )  # fmt: skip
@@ -163,8 +187,8 @@ def _tables(found: Evaluation) -> str:
     return (
         "<h3>Closed loop, whole episodes</h3>"
         + table(LOOP_HEAD, loops, numeric=range(1, len(LOOP_HEAD)))
-        + '<p class="note">Gains in points of AUC, with a 95 % interval over resampled episodes. All go through the '
-        "same code.</p><br>"
+        + '<p class="note">Gains in points of AUC, with a 95 % interval over resampled episodes where there are 8 or '
+        "more. All go through the same code.</p><br>"
         + f"<h3>One forecast from each window; errors {escape(_ahead(found))}</h3>"
         + table(FORECAST_HEAD, forecasts, numeric=range(1, len(FORECAST_HEAD)))
     )
@@ -231,6 +255,8 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
     contact = {
         "predicted": "the model's own forecast, 0.5 and above counting as contact",
         "recorded": "replayed from the recording: the model reads contact but does not forecast it",
+        "predicted, fingertips recorded": "the hand's as the model forecasts it, 0.5 and above counting as contact; "
+        "each fingertip's replayed from the recording",
         "not read": "the model does not read contact",
     }[found.contact_from]
     return [
@@ -238,7 +264,7 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
         ("trained on", found.trained_on),
         ("evaluated on", f"{found.dataset}, group {found.group} of the split {found.split}: {found.episodes} episodes, "
          f"{found.windows:,} windows, {found.rows:,} rows in closed loop"),
-        ("trained on these", f"{found.seen_episodes} episodes" if found.seen_episodes else "none"),
+        ("trained on these", _seen(found)),
         ("forecasts", f"{found.horizon} steps at {rate:g} Hz from {found.history} rows of history; the mean of "
          f"{found.samples} samples of {found.sampling_steps} steps; rotations by the mean quaternion"),
         ("closed loop", f"begins with a whole history; {found.execute} steps ({found.execute / rate:g} s) are done, "
@@ -249,6 +275,13 @@ def _manner(found: Evaluation) -> list[tuple[str, str]]:
         ("success", "final position within 5 cm of the recorded one; Wilson interval"),
         ("seed, candata", f"{found.seed}, {found.revision}"),
     ]  # fmt: skip
+
+
+def _seen(found: Evaluation) -> str:
+    """Return how many of the episodes the model was trained on."""
+    if found.seen_episodes is None:
+        return "not known: the run's split is not beside the checkpoint"
+    return f"{found.seen_episodes} episodes" if found.seen_episodes else "none"
 
 
 def _ahead(found: Evaluation) -> str:
@@ -274,6 +307,14 @@ def _degrees(value: float | None) -> str:
 def _f1(contact: Contact | None) -> str:
     """Return the F1, or a dash."""
     return DASH if contact is None or contact.f1 is None else f"{contact.f1:.3f}"
+
+
+def _gained(gain: Gain | None) -> str:
+    """Return `+2.1 (+0.3 to +4.0)`, in points."""
+    if gain is None:
+        return DASH
+    interval = "" if gain.low is None or gain.high is None else f" ({100 * gain.low:+.1f} to {100 * gain.high:+.1f})"
+    return f"{100 * gain.value:+.1f}{interval}"
 
 
 def _count(success: Success) -> str:

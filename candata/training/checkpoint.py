@@ -74,7 +74,10 @@ def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[
     try:
         staged.touch()
         mode = staged.stat().st_mode
-        save_file(tensors, staged, header)
+        try:
+            save_file(tensors, staged, header)
+        except SafetensorError as error:  # what it makes of a full disk
+            raise OSError(str(error)) from None
         staged.chmod(mode)  # safetensors gives a file to its owner alone
         sync(staged)
         os.replace(staged, path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +89,7 @@ def evaluate(
     )  # fmt: skip
     forecasters: dict[str, Forecaster] = {run.model: model, **BASELINES}
     found = score(chosen, forecasters, execute, manner.seed, stage)
-    seen = _seen(kept.path.parent, found)
+    seen = _seen(kept, split if run.digest == dataset.digest else None, found)
     return Evaluation(
         run=path.name, checkpoint=kept.path.name, step=kept.progress.step, model=run.model,
         trained_on=f"{run.dataset}@{run.digest[:12]}", dataset=f"{dataset.name}@{dataset.digest[:12]}",
@@ -125,14 +124,14 @@ def _check(manner: Manner, execute: int, run: Run) -> None:
 
 def split_of(folder: Path, run: Run, dataset: Dataset) -> tuple[Split, str]:
     """Return the split to evaluate by and its name: the run's own on its own data, else the one the dataset has."""
-    path = folder / runs.SPLIT
-    if run.digest == dataset.digest and path.is_file():
-        return Split.parse(json.loads(path.read_text()), path), run.split
+    own = runs.read_split(folder, run)
+    if run.digest == dataset.digest and own is not None:
+        return own, run.split
     name = run.split if run.split in split_names(dataset) else None
     found = find_split(dataset, name)
     if run.digest == dataset.digest and split_digest(found) != run.split_digest:
         raise UsageError(
-            "the split of the run is not there any more", expected=f"{path.name} beside the checkpoint",
+            "the split of the run is not there any more", expected=f"{runs.SPLIT} beside the checkpoint",
             found=f"a split {run.split} of other episodes", fix="evaluate the run's folder, or another dataset",
         )  # fmt: skip
     return found, name or "default"
@@ -157,15 +156,15 @@ def _reads_contact(run: Run) -> bool:
 
 def _contact_from(run: Run, found: Findings) -> str:
     """Return what the closed loop feeds the model as contact."""
+    fingertips = bool(run.config.get("fingertip_contact", False))
     if not _reads_contact(run):
-        return "not read"
-    return "recorded" if found.closed_loop[run.model].contact is None else "predicted"
+        return "recorded" if fingertips else "not read"
+    if found.closed_loop[run.model].contact is None:
+        return "recorded"
+    return "predicted, fingertips recorded" if fingertips else "predicted"
 
 
-def _seen(folder: Path, found: Findings) -> int:
-    """Return how many of the episodes the model was trained on, by their ids."""
-    path = folder / runs.SPLIT
-    if not path.is_file():
-        return 0
-    train = set(Split.parse(json.loads(path.read_text()), path).train)
-    return sum(one.id in train for one in found.by_episode)
+def _seen(kept: checkpoint.Checkpoint, split: Split | None, found: Findings) -> int | None:
+    """Return how many of the episodes the model was trained on, by their ids; None where that is not known."""
+    train = jobs.trained_on(kept, split)
+    return None if train is None else sum(one.id in train for one in found.by_episode)

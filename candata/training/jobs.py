@@ -19,11 +19,13 @@ from candata.models import Model, Sizes
 from candata.models import model as find_model
 from candata.schema.channels import CHANNELS
 from candata.schema.record import Record
-from candata.training import checkpoint, feed
+from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
 from candata.training.loop import Job
 from candata.training.settings import Run, Settings
 
+#: Windows when nothing is asked for.
+USUAL: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
 #: Batches of the validation loss.
 HELD_OUT_BATCHES = 8
 
@@ -77,11 +79,9 @@ def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu")
     name, config = _configured(ask, begin, settings)
     model = find_model(name)
     split = find_split(dataset, ask.split)
-    shape = {
-        "history": ask.history or (begin.run.sizes["history"] if begin else 8),
-        "horizon": ask.horizon or (begin.run.sizes["horizon"] if begin else 16),
-        "rate_hz": ask.rate_hz or (begin.run.rate_hz if begin else 10.0),
-    }
+    usual = USUAL if begin is None else begin.run.sizes | {"rate_hz": begin.run.rate_hz}
+    asked = {"history": ask.history, "horizon": ask.horizon, "rate_hz": ask.rate_hz}
+    shape = {key: usual[key] if value is None else value for key, value in asked.items()}
     train = _windows(dataset, split, model.reads(config), "train", shape)
     run = _run(dataset, ask, settings, name, config, split, train, begin)
     module = build(run, device)
@@ -230,5 +230,33 @@ def _origin(begin: Checkpoint | None) -> dict[str, Any] | None:
     """Return where the first weights came from."""
     if begin is None:
         return None
-    run = begin.run
-    return {"dataset": run.dataset, "digest": run.digest, "step": begin.progress.step, "init": run.init}
+    run, train = begin.run, trained_on(begin)
+    return {
+        "dataset": run.dataset, "digest": run.digest, "step": begin.progress.step, "init": run.init,
+        "train": None if train is None else sorted(train),
+    }  # fmt: skip
+
+
+def trained_on(kept: Checkpoint, split: Split | None = None) -> set[str] | None:
+    """Return the ids of all episodes that a checkpoint was trained on, those of the runs it began with included.
+
+    Parameters
+    ----------
+    kept : Checkpoint
+        Of the run.
+    split : Split, optional
+        Its split, where that is known; else the one beside the file.
+
+    Returns
+    -------
+    set of str or None
+        None where a split is not kept.
+
+    Raises
+    ------
+    UsageError
+        When the split beside it is damaged.
+    """
+    split = split or runs.read_split(kept.path.parent, kept.run)
+    before = [] if kept.run.init is None else kept.run.init.get("train")
+    return None if split is None or before is None else {*split.train, *before}

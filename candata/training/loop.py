@@ -123,11 +123,20 @@ def train(
         When the folder holds another run.
     DataError
         When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
+    SetupError
+        When the folder cannot be written; the last checkpoint stays.
     """
+    with runs.writing(folder):
+        return _train(job, folder, tell, stopped)
+
+
+def _train(job: Job, folder: Path, tell: Callable[[Report], None], stopped: Callable[[], bool]) -> Progress:
+    """Train to the end of the run, or until told to stop."""
     runs.begin(folder, job.run, job.split)
     state = fresh(job.module, job.run.settings)
     if (folder / checkpoint.LAST).is_file():
         state.restore(checkpoint.read(folder / checkpoint.LAST))
+        _keep_best(state, folder)  # a kill may have come between the two
     settings, saved_step = job.run.settings, state.progress.step
     with StepLog(folder, saved_step) as log:
         tally, saved_s = _Tally(), time.perf_counter()
@@ -226,8 +235,13 @@ def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
 
 
 def _save(job: Job, state: State, folder: Path) -> None:
-    """Write the last checkpoint, and give it the name of the best one when it is that."""
+    """Write the last checkpoint, which may be the best one too."""
     checkpoint.save(folder / checkpoint.LAST, job.run, state.progress, state.groups())
+    _keep_best(state, folder)
+
+
+def _keep_best(state: State, folder: Path) -> None:
+    """Give the last checkpoint the name of the best one when it is that."""
     if state.progress.best_step == state.progress.step:
         checkpoint.copy(folder / checkpoint.LAST, folder / checkpoint.BEST)
 

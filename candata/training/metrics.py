@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from candata.rotation import conjugate, multiply, rotate
 
@@ -20,54 +18,86 @@ ADDS_LIMIT_M = 0.1
 SUCCESS_M = 0.05
 #: Two-sided 95 % quantile of the standard normal distribution.
 Z_95 = 1.959963984540054
-#: Points of a leaf; measured: a quarter faster than the default for clouds of 512 points.
-_LEAF = 16
-#: Points of one query; bounds the memory of many poses at once (about 50 MB).
-_POINTS_A_QUERY = 1 << 20
+#: Distances that are found at once: half a megabyte of them stays in a core's cache.
+_DISTANCES = 1 << 16
+#: Poses whose points are moved at once.
+_POSES = 8
 
 
-def cloud_trees(clouds: NDArray) -> list[KDTree]:
-    """Return one static tree an object for `adds`; `clouds` is `(C, N, 3) [m]`, in the object's frame."""
-    return [KDTree(np.asarray(cloud, np.float64), leafsize=_LEAF) for cloud in clouds]
-
-
-def adds(tree: KDTree, predicted: NDArray, truth: NDArray) -> Array:
+def adds(cloud: NDArray, predicted: NDArray, truth: NDArray) -> Array:
     """Return ADD-S `(...) [m]`: mean distance of the true cloud's points to the nearest predicted one.
 
-    The true points are moved into the predicted frame, so that one tree serves all poses.
+    The true points are moved into the predicted frame, so that one cloud serves all poses.
 
     Parameters
     ----------
-    tree : KDTree
-        Of the object's cloud, in its frame.
+    cloud : (N, 3) [m]
+        Points of the object, in its frame.
     predicted, truth : (..., 7)
         Poses [m, w x y z] of equal shape.
 
     Notes
     -----
-    Source: Y. Xiang et al., "PoseCNN", RSS 2018, section on evaluation metrics (ADD-S).
+    Source: Y. Xiang et al., "PoseCNN", RSS 2018, section on evaluation metrics (ADD-S). The nearest point is that of
+    the least |c|^2 - 2 p.c, a matrix product; its distance is then taken from the points themselves, so that nothing
+    cancels. Measured against k-d trees of 512 points: a third less time, and the same for poses far apart.
     """
     predicted, truth = (np.asarray(p, np.float64) for p in (predicted, truth))
     flat, true = predicted.reshape(-1, 7), truth.reshape(-1, 7)
     back = conjugate(flat[:, 3:])
     turn, shift = multiply(back, true[:, 3:]), rotate(back, true[:, :3] - flat[:, :3])
-    found = np.empty(len(flat))
     axes = rotate(turn[:, None, :], np.eye(3)[None])  # the images of x, y, z: (poses, 3, 3)
-    # In the order of the tree's leaves, so that one query finds what it needs where the last one was.
-    cloud, some = tree.data[tree.indices], max(1, _POINTS_A_QUERY // tree.n)
-    for first in range(0, len(flat), some):
-        part = slice(first, first + some)
-        points = cloud @ axes[part] + shift[part, None, :]
-        found[part] = tree.query(points.reshape(-1, 3))[0].reshape(-1, tree.n).mean(1)
+    points = np.asarray(cloud, np.float64)
+    centre = points.mean(0)
+    centred, room, found = (
+        points - centre,
+        _room(max(1, _DISTANCES // len(points)), len(points)),
+        np.empty(len(flat)),
+    )
+    right = np.concatenate([-2 * centred, np.square(centred).sum(1, keepdims=True)], axis=1).T.copy()
+    for first in range(0, len(flat), _POSES):
+        part = slice(first, first + _POSES)
+        moved = points @ axes[part] + (shift[part, None, :] - centre)
+        found[part] = _nearest(moved.reshape(-1, 3), centred, right, room).reshape(-1, len(points)).mean(1)
     return found.reshape(predicted.shape[:-1])
 
 
-def adds_of(trees: Sequence[KDTree], cloud: NDArray, predicted: NDArray, truth: NDArray) -> Array:
-    """Return ADD-S `(B, ...) [m]` of windows whose objects are `cloud (B,)`, as indices into `trees`."""
+def _room(rows: int, columns: int) -> Array:
+    """Return an empty array that begins at a cache line: a product into it takes a quarter less time."""
+    spare = np.empty(rows * columns + 8)
+    begin = -(spare.ctypes.data // 8) % 8
+    return spare[begin : begin + rows * columns].reshape(rows, columns)
+
+
+def _nearest(points: Array, cloud: Array, right: Array, room: Array) -> Array:
+    """Return the distance `(n,)` of points to the nearest of a cloud.
+
+    Parameters
+    ----------
+    points : (n, 3)
+        In the cloud's frame.
+    cloud, right : (N, 3), (4, N)
+        The cloud, and [-2 c; |c|^2].
+    room : (rows, N)
+        Is written over.
+    """
+    left, near = np.ones((len(points), 4)), np.empty(len(points), np.intp)
+    left[:, :3] = points
+    for first in range(0, len(points), len(room)):
+        some = slice(first, first + len(room))
+        np.matmul(left[some], right, out=room[: len(left[some])]).argmin(1, out=near[some])
+    away = cloud.take(near, axis=0)
+    away -= points
+    np.square(away, out=away)
+    return np.sqrt(away[:, 0] + away[:, 1] + away[:, 2])
+
+
+def adds_of(clouds: NDArray, cloud: NDArray, predicted: NDArray, truth: NDArray) -> Array:
+    """Return ADD-S `(B, ...) [m]` of windows whose objects are `cloud (B,)`, as indices into `clouds (C, N, 3)`."""
     found = np.empty(np.shape(predicted)[:-1])
     for index in np.unique(cloud):
         of_object = np.asarray(cloud) == index
-        found[of_object] = adds(trees[index], predicted[of_object], truth[of_object])
+        found[of_object] = adds(clouds[index], predicted[of_object], truth[of_object])
     return found
 
 

@@ -36,7 +36,7 @@ class WindowScores(Record):
     position_energy_m : tuple of float or None
         Energy score of the samples' positions, by step.
     adds_m : tuple of float or None
-        Mean ADD-S, by step; null without a point cloud.
+        Mean ADD-S, by step; null where an episode has no point cloud.
     adds_auc : float or None
         Area under the accuracy curve of ADD-S up to 0.1 m, over all steps.
     contact : Contact or None
@@ -98,11 +98,14 @@ class Scores(Record):
 
 
 class Gain(Record):
-    """Closed-loop ADD-S AUC of the model less that of a baseline; 95 % interval over resampled episodes."""
+    """Closed-loop ADD-S AUC of the model less that of a baseline; 95 % interval over resampled episodes.
+
+    The interval is null for fewer than 8 episodes.
+    """
 
     value: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 class EpisodeScores(Record):
@@ -137,8 +140,8 @@ class Evaluation(Record):
         Name of the model; dataset@digest it was trained on.
     dataset, split, group : str
         dataset@digest evaluated on; the split's name and the group of it.
-    seen_episodes : int
-        Episodes evaluated on that the model was trained on; 0 in an honest evaluation.
+    seen_episodes : int or None
+        Episodes evaluated on that the model was trained on; 0 in an honest evaluation, null where not known.
     episodes, windows, rows : int
         How many were scored; rows in closed loop.
     rate_hz, history, horizon : float, int, int
@@ -146,7 +149,8 @@ class Evaluation(Record):
     samples, sampling_steps, execute, seed : int
         Samples averaged, steps of a sampler, steps executed before the next forecast, seed of the noise.
     joints_from, actions_from, contact_from : str
-        What the closed loop feeds: `recorded`, `predicted` or `not read`.
+        What the closed loop feeds: `recorded`, `predicted` or `not read`; of contact also `predicted, fingertips
+        recorded`.
     forecasters : dict of str to Scores
         The model under its name, then the baselines.
     gain : dict of str to Gain
@@ -165,7 +169,7 @@ class Evaluation(Record):
     dataset: str
     split: str
     group: str
-    seen_episodes: int
+    seen_episodes: int | None
     episodes: int
     windows: int
     rows: int

@@ -71,10 +71,10 @@ class Loop:
 
 
 def course(windows: Windows) -> Course:
-    """Return the episodes that the windows are of, each from the first row with a whole history.
+    """Return the episodes that the windows are of, each from the first valid row with a whole history.
 
-    An episode shorter than that begins at its first row, with the history padded; one without a valid row after its
-    beginning is left out.
+    An episode shorter than that begins at its first valid row, with the history padded; one without a valid row after
+    its beginning is left out.
 
     Raises
     ------
@@ -94,9 +94,9 @@ def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
     stride = windows.stride[episodes]
     rows = np.array(windows.cache.file.rows, np.int64)[episodes]
     in_all = (rows - 1) // stride
-    start = first * (in_all > first).astype(np.int64)
-    steps = in_all - start
     begin = windows.cache.begin[episodes]
+    start = _starts(windows, begin, stride, in_all)
+    steps = in_all - start
 
     def gathered(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
         wanted: NDArray[np.int64] = (start[:, None] + offsets) * stride[:, None]
@@ -111,9 +111,30 @@ def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
         steps,
         table["object_pose"][before].astype(np.float64),
         table["object_pose"][after].astype(np.float64),
-        inside & windows.cache.valid[after],
+        inside & windows.cache.valid[after] & _unbroken(windows, begin + start * stride, after),
         table["contact"][np.concatenate([before, after], axis=1)] if has_contact else None,
     )
+
+
+def _unbroken(windows: Windows, present: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return `(E, N)`: rows with none missing since the loop began; the loop does not know how long a break was."""
+    stretch = windows.cache.stretch
+    return np.asarray(stretch[rows] == stretch[present][:, None])
+
+
+def _starts(
+    windows: Windows, begin: NDArray[np.int64], stride: NDArray[np.int64], in_all: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the step `(E,)` at which each episode's loop begins.
+
+    What stands in for an invalid pose at an episode's beginning is the first valid one, which lies in the future.
+    """
+    first = windows.history - 1
+    found = first * (in_all > first).astype(np.int64)
+    for number, start in enumerate(found.tolist()):
+        rows = begin[number] + np.arange(start, in_all[number] + 1) * stride[number]
+        found[number] += np.argmax(windows.cache.valid[rows])
+    return found
 
 
 def at_rows(windows: Windows, chosen: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from candata.datasets.durable import encode_record, ensure_folder, sync
-from candata.errors import UsageError, Where
+from candata.errors import SetupError, UsageError, Where
+from candata.loaders import Split, split_digest
 from candata.schema.record import Record
 from candata.training.settings import Run
 
@@ -52,6 +55,24 @@ def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     _write(path, run)  # last: with it the run stands
 
 
+@contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Do what writes to the run's folder.
+
+    Raises
+    ------
+    SetupError
+        When the disk is full or cannot be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise SetupError(
+            "the run cannot be written", found=error.strerror or str(error), where=Where(path=str(folder)),
+            fix="free space or choose another --out; the same command goes on from the last checkpoint",
+        ) from None  # fmt: skip
+
+
 def _write(path: Path, record: Record) -> None:
     """Write a record whole or not at all."""
     staged = path.with_name(f".{path.name}.part")
@@ -80,17 +101,51 @@ def read_run(folder: Path) -> Run:
     return Run.parse(value, path)
 
 
+def read_split(folder: Path, run: Run) -> Split | None:
+    """Return who trained, validated and tested in a run; None where it is not kept in the folder.
+
+    Raises
+    ------
+    UsageError
+        When the file is not valid, or of another run.
+    """
+    path = folder / SPLIT
+    if not path.is_file():
+        return None
+    try:
+        found = Split.parse(json.loads(path.read_bytes()), path)
+    except ValueError as error:
+        raise UsageError(
+            "the split of the run is damaged", found=str(error).splitlines()[0], where=Where(path=str(path)),
+            fix="remove it to evaluate by the split of the dataset",
+        ) from None  # fmt: skip
+    if split_digest(found) != run.split_digest:
+        raise UsageError("the split beside the checkpoint is of another run", where=Where(path=str(path)))
+    return found
+
+
 def _refuse_other(standing: Run, asked: Run, path: Path) -> None:
     """Refuse to go on with a run that differs; names every field that does."""
     there, here = _flat(standing.model_dump(mode="json")), _flat(asked.model_dump(mode="json"))
     names = [name for name in sorted(there.keys() | here.keys()) if there.get(name) != here.get(name)]
     if not names:
         return
+    if standing.dataset == asked.dataset and standing.digest != asked.digest:
+        raise UsageError(
+            "the dataset is another version than the run was begun on",
+            expected=_version(standing), found=_version(asked), where=Where(path=str(path)),
+            fix=f"add --version {standing.digest[:12]} to go on, or begin another run: --init {path.parent} --out NEW",
+        )  # fmt: skip
     raise UsageError(
         "the folder holds a run with other settings", expected=_shown(there, names), found=_shown(here, names),
         where=Where(path=str(path)),
         fix="give the settings of that run to go on with it, or choose another --out",
     )  # fmt: skip
+
+
+def _version(run: Run) -> str:
+    """Return `sim, version 2, digest 0c10b7811a72`."""
+    return f"{run.dataset}, version {run.version}, digest {run.digest[:12]}"
 
 
 def _flat(value: dict[str, Any], head: str = "") -> dict[str, Any]:

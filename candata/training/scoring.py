@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from candata.loaders import Windows
 from candata.loaders.increments import integrate
@@ -27,6 +26,8 @@ from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop
 
 #: Resamples of the episodes for the interval of a gain.
 RESAMPLES = 2000
+#: Episodes below which resampling them says nothing of how another draw would come out, as in a diagnosis.
+LEAST_EPISODES = 8
 #: Windows that are forecast at most; of more, as many are taken, evenly spread.
 MOST_WINDOWS = 4096
 #: Episodes whose courses the page draws.
@@ -93,28 +94,34 @@ def score(
     stage : callable
         Called with what is being done.
     """
-    trees = metrics.cloud_trees(windows.clouds)
+    clouds = _clouds(windows)
     opened = {}
     for name, one in forecasters.items():
         stage(f"{name}: {len(chosen_windows(windows))} windows")
-        opened[name] = window_scores(windows, one, trees, seed)
+        opened[name] = window_scores(windows, one, clouds, seed)
     road = course(windows)
     errors = {}
     for name, one in forecasters.items():
         stage(f"{name}: {len(road.episodes)} episodes in closed loop")
-        errors[name] = _errors(road, close_loop(road, one, execute, seed), trees)
+        errors[name] = _errors(road, close_loop(road, one, execute, seed), clouds)
     model, *others = forecasters
     return Findings(
         windows=opened,
         closed_loop={name: _closed(road, found) for name, found in errors.items()},
-        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if trees},
+        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if clouds is not None},
         by_episode=tuple(_by_episode(road, errors, e) for e in range(len(road.episodes))),
         tracks=_tracks(road, errors, model),
         rows=int(road.valid.sum()),
     )
 
 
-def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree], seed: int) -> WindowScores:
+def _clouds(windows: Windows) -> NDArray | None:
+    """Return the clouds; None where an episode scored lacks its own: means are over all or nothing."""
+    names = windows.cache.file.clouds
+    return windows.clouds if all(names[e] for e in np.unique(windows.owner)) else None
+
+
+def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | None, seed: int) -> WindowScores:
     """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
     batch = windows.batch(chosen_windows(windows))
     truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
@@ -123,7 +130,7 @@ def window_scores(windows: Windows, forecaster: Forecaster, trees: list[KDTree],
     mean = mean_pose(samples)
     distance, angle = position_error(mean, truth), rotation_error(mean, truth)
     energy = metrics.energy_score(samples[..., :3], truth[..., :3])
-    adds = metrics.adds_of(trees, batch["cloud"], mean, truth) if trees else None
+    adds = metrics.adds_of(clouds, batch["cloud"], mean, truth) if clouds is not None else None
     return WindowScores(
         position_error_m=_by_step(distance, valid),
         rotation_error_rad=_by_step(angle, valid),
@@ -155,9 +162,9 @@ def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.
     return Contact.model_validate(metrics.f1(forecast[valid] >= CONTACT_THRESHOLD, truth[valid]))
 
 
-def _errors(road: Course, loop: Loop, trees: list[KDTree]) -> _Errors:
+def _errors(road: Course, loop: Loop, clouds: NDArray | None) -> _Errors:
     """Return the errors of a loop at each row."""
-    adds = metrics.adds_of(trees, road.cloud, loop.poses, road.truth) if trees else None
+    adds = metrics.adds_of(clouds, road.cloud, loop.poses, road.truth) if clouds is not None else None
     return _Errors(position_error(loop.poses, road.truth), rotation_error(loop.poses, road.truth), adds, loop)
 
 
@@ -188,10 +195,13 @@ def _gain(road: Course, model: _Errors, other: _Errors, seed: int) -> Gain:
     """Return by how much the model's AUC exceeds another's; the interval resamples whole episodes, in pairs."""
     sums = np.array([_area(road, found).sum(1) for found in (model, other)])
     counts = road.valid.sum(1)
+    value = float((sums[0] - sums[1]).sum() / counts.sum())
+    if len(counts) < LEAST_EPISODES:
+        return Gain(value=value, low=None, high=None)
     drawn = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
     gains = (sums[0] - sums[1])[drawn].sum(1) / counts[drawn].sum(1)
     low, high = np.quantile(gains, (0.025, 0.975))
-    return Gain(value=float((sums[0] - sums[1]).sum() / counts.sum()), low=float(low), high=float(high))
+    return Gain(value=value, low=float(low), high=float(high))
 
 
 def _area(road: Course, found: _Errors) -> NDArray:

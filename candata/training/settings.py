@@ -49,7 +49,7 @@ class Settings(Record):
         Steps in a row without a finite loss and gradient that end the run.
     """
 
-    seed: int = Field(0, ge=0)
+    seed: int = Field(0, ge=0, lt=2**64)
     batch: int = Field(64, ge=1)
     steps: int | None = Field(20_000, ge=1)
     minutes: float | None = Field(None, gt=0)
@@ -110,7 +110,8 @@ class Run(Record):
     settings : Settings
         How it was trained.
     init : dict or None
-        For a fine-tuned model: dataset, digest and step of the checkpoint it began with.
+        For a fine-tuned model: dataset, digest and step of the checkpoint it began with, and all ids it had been
+        trained on by then (null where unknown).
     revision : str
         Version of candata.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -76,7 +77,8 @@ def test_a_recording_reports_and_exits_with_0(port, tmp_path, candata):
     lines = dict(line.split(maxsplit=1) for line in out.splitlines())
     read = read_log(log)
     assert lines["states"].startswith(f"{len(read.joint_position)} in ")
-    assert lines["lost"] == "nothing"
+    # On a busy machine the recorder may begin within a frame.
+    assert re.fullmatch(r"nothing|\d{1,4} garbage bytes", lines["lost"])
     assert lines["calibrated"] == "yes"
     assert lines["ended"] == "duration"
     assert lines["sha256"] == read.sha256
@@ -90,9 +92,7 @@ def test_a_recording_reports_and_exits_with_0(port, tmp_path, candata):
 def test_a_signal_finishes_the_file_and_prints_the_report(port, tmp_path, number):
     log = tmp_path / "log.mcap"
     process = start("record-real", "--port", port, "--out", log, "--no-calibrate", "--json", "--reserve-mb", 0)
-    until = time.monotonic() + 20
-    while (not log.exists() or log.stat().st_size < 10_000) and time.monotonic() < until:
-        time.sleep(0.01)
+    grown(log)
     process.send_signal(number)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
@@ -102,6 +102,44 @@ def test_a_signal_finishes_the_file_and_prints_the_report(port, tmp_path, number
     assert facts["ended"] == "stopped"
     assert facts["rows"] == len(read.joint_position) > 10
     assert facts["sha256"] == read.sha256
+
+
+def grown(log) -> None:
+    """Wait until a log holds some states."""
+    until = time.monotonic() + 20
+    while (not log.exists() or log.stat().st_size < 10_000) and time.monotonic() < until:
+        time.sleep(0.01)
+
+
+def test_under_nohup_a_hangup_ends_nothing(port, tmp_path):
+    log = tmp_path / "log.mcap"
+    standing = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # what nohup does; a child inherits it
+    try:
+        process = start("record-real", "--port", port, "--out", log, "--no-calibrate", "--json", "--reserve-mb", 0)
+    finally:
+        signal.signal(signal.SIGHUP, standing)
+    grown(log)
+    process.send_signal(signal.SIGHUP)
+    time.sleep(0.3)
+    before = log.stat().st_size
+    time.sleep(0.7)
+    assert log.stat().st_size > before
+    process.send_signal(signal.SIGTERM)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0, err
+    assert json.loads(out)["ended"] == "stopped"
+
+
+def test_nobody_to_show_it_to_ends_nothing(port, tmp_path):
+    log = tmp_path / "log.mcap"
+    arguments = ("--no-calibrate", "--plain", "--reserve-mb", 0, "--duration", 1.5)
+    process = start("record-real", "--port", port, "--out", log, *arguments)
+    process.stderr.close()  # as in `record-real ... 2>&1 | head`
+    out = process.stdout.read()
+    process.stdout.close()
+    assert process.wait(timeout=30) == 0
+    assert "ended      duration" in out
+    assert not read_log(log).torn
 
 
 def test_settings_reach_the_log(port, tmp_path, candata):

@@ -155,6 +155,8 @@ def test_a_pickle_is_refused(data, tmp_path):
         (("--horizon", 60), "no episode is long enough for a window"),
         (("--split", "mine"), "unknown split 'mine'"),
         (("--rate-hz", 30), "no whole multiple"),
+        (("--rate-hz", 0), "rate_hz must be positive"),
+        (("--seed", 2**64), "Invalid value for '--seed'"),
         (("--device", "tpu"), "one of cpu, cuda"),
         (("--learning-rate", 0), "--learning-rate is out of range"),
         (("--preset", "huge"), "one of base, paper, small"),
@@ -164,6 +166,20 @@ def test_a_wrong_word_is_named(data, tmp_path, more, said):
     done = run(*words(data, tmp_path / "run", *more))
     assert (done.code, said in done.err) == (2, True), done.err
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"\x80\x81", "--config cannot be read\n  found: 'utf-8'"),
+        (b"a: [", "--config cannot be read\n  found: while parsing"),
+        (b"seed: 18446744073709551616", "seed: Input should be less than 18446744073709551616"),
+    ],
+)
+def test_a_config_that_cannot_be_read(data, tmp_path, text, said):
+    (tmp_path / "bad.yaml").write_bytes(text)
+    done = run("train", "--data", data, "--model", "mlp", "--config", tmp_path / "bad.yaml", "--out", tmp_path / "run")
+    assert (done.code, said in done.err) == (2, True), done.err
 
 
 def test_a_config_that_is_none(data, tmp_path):

@@ -75,6 +75,14 @@ def test_ten_hertz_is_every_eighth_row(hand, store):
     np.testing.assert_array_equal(batch["planned/action"][0, :, 0], [100.5, 108.5])
 
 
+def test_the_rate_that_is_advised_is_taken(hand, store):
+    dataset = store(hand("a", 60, rate_hz=83.0))
+    with pytest.raises(DataError, match=r"take rate_hz = 10\.375, every 8 rows") as caught:
+        windows(dataset, 2, 2)
+    advised = float(str(caught.value).split("rate_hz = ")[-1].split(",")[0])
+    assert windows(dataset, 2, 2, rate_hz=advised).stride.tolist() == [8]
+
+
 def test_each_episode_has_the_stride_of_its_own_rate(hand, store):
     dataset = store(hand("fast", 60, rate_hz=80.0), hand("slow", 60, rate_hz=20.0))
     feed = windows(dataset, 2, 2, rate_hz=10)
@@ -82,6 +90,18 @@ def test_each_episode_has_the_stride_of_its_own_rate(hand, store):
     with pytest.raises(UsageError, match="a stride needs one rate") as caught:
         windows(dataset, 2, 2, stride=8)
     assert "20 Hz, 80 Hz" in str(caught.value)
+
+
+def test_rows_beyond_a_break_of_the_clock_are_flagged(hand, store):
+    """Rows 0 to 14, then half a second without any, then 15 to 29: no step leads over it."""
+    time_ns = np.arange(30) * 12_500_000 + np.where(np.arange(30) < 15, 0, 500_000_000)
+    feed = windows(store(hand("a", 30, arrays={"time_ns": time_ns}), hand("b", 30)), 3, 2, stride=2)
+    batch = feed.batch(np.arange(len(feed)))
+    rows = batch["row"][:, None] + 2 * np.arange(-2, 3)
+    broken = (batch["episode"] == 0)[:, None] & ((rows < 15) != (batch["row"] < 15)[:, None])
+    flags = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
+    np.testing.assert_array_equal(flags, broken | (rows < 0))
+    assert broken.any()
 
 
 def test_gaps_are_flagged_and_never_begin_a_window(hand, store):
@@ -154,7 +174,11 @@ def test_writing_to_a_batch_changes_no_other(hand, store):
     ("arguments", "error", "words"),
     [
         ({"horizon": 400}, DataError, ["no episode is long enough", "3201 rows", "2 episodes of 30 to 50 rows"]),
-        ({"rate_hz": 30.0}, DataError, ["no whole multiple", "rate_hz = 30", "80 Hz", "stride=3 (26.67 Hz)"]),
+        (
+            {"rate_hz": 30.0},
+            DataError,
+            ["no whole multiple", "rate_hz = 30", "80 Hz", "take rate_hz = 26.66666667, every 3 rows"],
+        ),
         ({"rate_hz": 160.0}, DataError, ["no whole multiple", "80 Hz"]),
         ({"rate_hz": 0.0}, UsageError, ["rate_hz must be positive"]),
         ({"rate_hz": float("nan")}, UsageError, ["rate_hz must be positive"]),

@@ -29,6 +29,14 @@ def test_nothing_is_known_from_a_present_that_is_not_there():
     assert not known_steps(windows).any()
 
 
+@pytest.mark.parametrize("name", ["mlp", "diffusion_unet", "contact_diffusion"])
+def test_the_shortest_windows(name, tiny, batch, generator):
+    sizes = Sizes(history=1, horizon=1, joints=3, actuators=3, fingertips=2, points=16)
+    net, windows = tiny(name, sizes), batch(3, sizes=sizes)
+    net.losses(windows, generator(0))["loss"].backward()
+    assert net.forecast(windows, 2, 2, generator(0)).increments.shape == (2, 3, 1, 6)
+
+
 def test_a_mean_over_nothing_is_zero():
     assert masked_mean(torch.full((2, 3), torch.nan), torch.zeros(2, 3, dtype=torch.bool)) == 0
 

@@ -17,36 +17,46 @@ ROWS = 40
 
 
 class HandOnPty:
-    """Sends frames at 83 Hz from a thread, waiting for a full buffer, or dropping what it does not take."""
+    """Sends frames at 83 Hz from a thread, waiting for a full buffer, or dropping what it does not take.
 
-    def __init__(self, link: str, frames: list[bytes], drops: bool):
+    A silent one has sent nothing until it is told to speak.
+    """
+
+    def __init__(self, link: str, frames: list[bytes], drops: bool, silent: bool):
         self.port, self.frames, self._drops = link, frames, drops
         self.wrote, self.dropped, self._next = bytearray(), 0, 0
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self.plug()
+        self._plugged = False
+        self.plug(silent)
 
-    def plug(self) -> None:
+    def plug(self, silent: bool = False) -> None:
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
         os.symlink(os.ttyname(self._slave), self.port)
+        self._plugged = True
+        if not silent:
+            self.speak()
+
+    def speak(self) -> None:
         self._stop.clear()
         self._thread = threading.Thread(target=self._send, daemon=True)
         self._thread.start()
 
     def unplug(self) -> None:
-        if self._thread is None:
+        if not self._plugged:
             return
+        self._plugged = False
         self.hush()
-        self._thread = None
         os.unlink(self.port)
         os.close(self.master)
         os.close(self._slave)
 
     def hush(self) -> None:
         self._stop.set()
-        self._thread.join()
+        if self._thread is not None:
+            self._thread.join()
 
     def heard(self) -> bytes:
         """What the other side wrote."""
@@ -91,8 +101,10 @@ def hand(tmp_path) -> Iterator[Callable[..., HandOnPty]]:
     """Makes hands: `hand()` rests; `hand(frames=[...])` sends those bytes, one item a period."""
     made: list[HandOnPty] = []
 
-    def make(frames: list[bytes] | None = None, drops: bool = False, **rows: np.ndarray) -> HandOnPty:
-        made.append(HandOnPty(str(tmp_path / f"port{len(made)}"), frames or frames_of(**rows), drops))
+    def make(
+        frames: list[bytes] | None = None, drops: bool = False, silent: bool = False, **rows: np.ndarray
+    ) -> HandOnPty:
+        made.append(HandOnPty(str(tmp_path / f"port{len(made)}"), frames or frames_of(**rows), drops, silent))
         return made[-1]
 
     yield make

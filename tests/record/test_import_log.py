@@ -167,6 +167,25 @@ def test_a_gap_of_commands_and_of_poses_is_marked_in_them_alone():
     assert np.abs(episode["object_pose"][valid, 0] - seconds[valid]).max() < 1e-6  # float32 below 10
 
 
+def test_what_waited_for_a_held_up_reader_is_invalid():
+    log = make_log(rate_hz=80)
+    first, size = 400, 4
+    time_ns = log.state_time_ns.copy()
+    # Four frames fill the port while the reader sleeps for 300 ms, the others are dropped; then it reads all four.
+    time_ns[first : first + size] = time_ns[first] + 300_000_000 - np.arange(size)[::-1] * 8_380_000
+    log = replace(log, state_time_ns=time_ns)
+    dropped = np.zeros(len(time_ns), bool)
+    dropped[first + size : first + 25] = True
+    found = import_log("run.mcap", without(log, dropped), RECIPE)
+    assert any("read late in a burst after a gap: 4 states, 0 commands" in note for note in found.notes)
+    episode = found.episode
+    valid, time_ns = episode.valid("joint_position"), episode["time_ns"]
+    assert 0 < (~valid).sum() < 30
+    # Linear between rows of 12.5 ms: 3 rad/s squared, times 12.5 ms squared, over 8.
+    assert np.abs(episode["joint_position"] - swing(time_ns))[valid].max() < 1e-3
+    assert not episode.valid("taxels")[np.searchsorted(time_ns, log.state_time_ns[first + 1])]
+
+
 def test_readings_that_are_not_finite_are_a_gap():
     pose = pose_stream()
     values = pose.values.copy()
@@ -274,6 +293,18 @@ def test_a_scene_whose_joints_nobody_brings_is_refused():
     with pytest.raises(DataError, match="joint_position lacks joints of the scene") as caught:
         import_log("run.mcap", make_log(rate_hz=80), recipe)
     assert "bring w0, w1 by --with TABLE" in str(caught.value)
+
+
+def test_a_scene_of_something_else_is_refused():
+    recipe = RECIPE.model_copy(update={"roles": scene(joints=(), actuators=())})
+    with pytest.raises(DataError, match="the scene has none of the hand's joints") as caught:
+        import_log("run.mcap", make_log(rate_hz=80), recipe)
+    assert "a scene without joints" in str(caught.value)
+
+
+def test_a_rate_that_makes_up_nearly_every_row_is_refused():
+    with pytest.raises(UsageError, match=r"far above the hand's[^$]*at most 1600 Hz for a hand of 80 Hz"):
+        import_log("run.mcap", make_log(rate_hz=80), RECIPE.model_copy(update={"rate_hz": 1e9}))
 
 
 def test_a_log_without_commands_has_no_action():

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import resource
+import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -225,6 +228,45 @@ def test_the_first_error_of_the_disk_is_final_and_costs_nothing_flushed(tmp_path
     assert len(log.joint_position) == sum(flushed) > 0
     # No half record stands at the end: what is there was committed.
     assert os.path.getsize(path) < 150_000
+
+
+def test_an_error_of_the_last_sync_is_told_at_the_end(tmp_path, rng, monkeypatch):
+    writer = LogWriter(tmp_path / "log.mcap", META)
+    writer.states(range(10), states_of(rng, 10))
+    writer.flush()
+    real = os.fsync
+
+    def once(handle):
+        monkeypatch.setattr(os, "fsync", real)
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", once)
+    writer.sync_behind()
+    with pytest.raises(SetupError, match="Input/output error"):
+        writer.close()
+    assert len(read_log(tmp_path / "log.mcap").joint_position) == 10
+
+
+def test_a_folder_that_is_a_file_is_said(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UsageError, match=r"the output's folder is a file\n  where: .*file\n"):
+        LogWriter(tmp_path / "file" / "log.mcap", META)
+
+
+def test_taxels_stand_in_memory_about_twice_while_read(tmp_path, rng):
+    meta = META.model_copy(update={"taxels": 500})
+    rows = 200
+    taxels = rng.integers(0, 9, (rows, 3, 500, 3)).astype(np.int16)
+    write(tmp_path / "log.mcap", replace(states_of(rng, rows), taxel_counts=taxels), meta)
+    tracemalloc.start()
+    try:
+        log = read_log(tmp_path / "log.mcap")
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert np.array_equal(log.taxel_counts, taxels)
+    # The messages and the array; the rest of the log is small beside them.
+    assert peak < 2.7 * taxels.nbytes
 
 
 def test_the_metadata_of_a_device_take_overrides():

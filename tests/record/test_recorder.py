@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import threading
 import time
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 from candata import plugins
 from candata.errors import SetupError, UsageError
+from candata.record.devices import _xhand_frames as wire
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import Settings
@@ -232,12 +235,51 @@ def test_garbage_is_called_a_wrong_baud_rate_after_two_seconds(hand, tmp_path, r
 
 
 def test_a_silent_port_is_said_and_waited_for(hand, tmp_path):
-    one = hand()
-    one.hush()
+    one = hand(silent=True)
     report, watcher = run(one.port, tmp_path / "log.mcap", duration_s=1.5, patience_s=0.3)
     assert [note for note in watcher.notes if "no bytes for 0.3 s" in note] == [watcher.notes[-1]]
     assert report.failure.problem == "the port gave no byte"
     assert not read_log(tmp_path / "log.mcap").torn
+
+
+def test_the_duration_counts_from_the_calibration(hand, tmp_path):
+    one = hand(silent=True)
+    # Silent for longer than the recording would last if it counted from the opening of the port.
+    late = Watcher(lambda view: True, threading.Timer(0.7, one.speak).start)
+    report, _ = run(one.port, tmp_path / "log.mcap", late, duration_s=0.5, calibrate_s=0.5)
+    assert report.failure is None
+    assert report.facts["calibrated"]
+    # A second of states; a busy machine may drop the last.
+    assert 0.7 < report.facts["duration_s"] < 1.1
+
+
+def test_a_glitch_before_the_first_frame_ends_nothing(hand, tmp_path):
+    one = hand(silent=True)
+
+    def glitch():
+        os.write(one.master, b"\x00\xff\x80")
+        threading.Timer(1.3, one.speak).start()
+
+    report, _ = run(one.port, tmp_path / "log.mcap", Watcher(lambda view: True, glitch), duration_s=2.0, patience_s=0.3)
+    assert report.failure is None
+    assert report.facts["rows"] > 0
+    assert report.facts["losses"]["garbage_bytes"] == 3
+
+
+def test_a_hand_that_never_replies_is_said(hand, tmp_path):
+    one = hand(frames=wire.command_frames(np.zeros((40, 12))))
+    report, _ = run(one.port, tmp_path / "log.mcap", duration_s=0.5)
+    assert report.failure.problem == "the hand gave no state"
+    assert re.fullmatch(r"\d+ requests without a reply", report.failure.found)
+
+
+def test_bytes_that_turn_bad_are_said_once_and_recorded_on(hand, tmp_path, rng):
+    one = hand()
+    noise = [rng.bytes(200) for _ in one.frames]
+    watcher = Watcher(lambda view: view.frames["state"] > 10, lambda: setattr(one, "frames", noise))
+    report, _ = run(one.port, tmp_path / "log.mcap", watcher, duration_s=2.5, patience_s=0.3)
+    assert report.failure is None
+    assert len([note for note in watcher.notes if "bytes but no good frame for 0.3 s" in note]) == 1
 
 
 def test_a_missing_port_leaves_no_file(tmp_path):
@@ -248,9 +290,11 @@ def test_a_missing_port_leaves_no_file(tmp_path):
 
 
 def test_what_is_no_port_leaves_no_file(tmp_path):
-    (tmp_path / "file").touch()
-    with pytest.raises(SetupError, match="the port cannot be opened"):
-        run(str(tmp_path / "file"), tmp_path / "log.mcap")
+    (tmp_path / "file").write_text("mine")
+    for port in (tmp_path / "file", tmp_path):
+        with pytest.raises(SetupError, match="not a serial port"):
+            run(str(port), tmp_path / "log.mcap")
+    assert (tmp_path / "file").read_text() == "mine"
     assert not (tmp_path / "log.mcap").exists()
 
 

@@ -8,10 +8,12 @@ import shutil
 import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from candata.errors import SetupError
 from candata.reports import evaluation as report
 from candata.training.results import (
     ClosedLoopScores,
@@ -131,6 +133,17 @@ def test_the_page_asks_for_nothing_and_has_a_box_for_every_figure(tmp_path):
     assert len(page.ids) == len(set(page.ids))
 
 
+def test_a_page_that_cannot_be_written_says_so(tmp_path, monkeypatch):
+    def full(path, *_arguments, **_more):
+        path.touch()
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(SetupError, match=r"the page cannot be written\n\s+found: No space left on device"):
+        report.write_evaluation(make_evaluation(), TRACKS, tmp_path / "out")
+    assert not list((tmp_path / "out").iterdir())
+
+
 def test_the_page_says_what_it_is():
     text = report.page(make_evaluation(), TRACKS)
     for words in (
@@ -153,6 +166,7 @@ def test_traces_are_three_dimensional_with_model_truth_and_baselines():
     [
         ({"a": (0.1, 0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Better than every baseline"),
         ({"a": (0.1, -0.02, 0.2), "b": (0.3, 0.1, 0.4)}, "Ahead of every baseline, but not surely"),
+        ({"a": (0.1, None, None), "b": (0.3, None, None)}, "Ahead of every baseline, but not surely"),
         ({"a": (-0.1, -0.2, 0.1), "b": (0.3, 0.1, 0.4)}, "No better than a baseline"),
     ],
 )
@@ -166,14 +180,23 @@ def test_without_clouds_and_contact_their_parts_are_left_out():
     text = report.page(make_evaluation(adds=False, contact=False, contact_from="not read"), tracks)
     specs = json.loads(Page(text).scripts["figures"])
     assert set(specs) == {"position", "rotation", "course0"}
-    assert "No ADD-S: the data hold no point clouds" in text
+    assert "No ADD-S: not every object has a point cloud" in text
     assert "The model does not forecast contact." in text
 
 
 def test_episodes_that_were_trained_on_are_said():
     text = report.page(make_evaluation(seen_episodes=2), TRACKS)
     assert "2 of them were trained on." in text
+    assert "No verdict: trained on 2 of these 2 episodes" in text
+    assert "on all episodes of" in report.page(make_evaluation(group="all"), TRACKS)
     assert "2 of the episodes were trained on" in report.summary(make_evaluation(seen_episodes=2))
+
+
+def test_what_is_not_known_or_replayed_is_said():
+    found = make_evaluation(seen_episodes=None, contact_from="predicted, fingertips recorded")
+    text = report.page(found, TRACKS)
+    assert "not known: the run&#x27;s split is not beside the checkpoint" in text
+    assert "each fingertip&#x27;s replayed from the recording" in text
 
 
 def test_hostile_names_stay_text():

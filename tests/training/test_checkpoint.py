@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pickle
+import resource
+import signal
 
 import pytest
 import torch
@@ -81,6 +83,27 @@ def test_a_save_that_fails_leaves_the_old_one(tmp_path, job, monkeypatch):
     monkeypatch.setattr(checkpoint, "save_file", full)
     with pytest.raises(OSError, match="No space"):
         checkpoint.save(path, made.run, checkpoint.read(path).progress, {})
+    assert path.read_bytes() == before
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_full_disk_leaves_the_old_one(tmp_path, job):
+    """A limit on the size of files stands in for a full disk; it reaches what the library writes by itself."""
+    train(job(), tmp_path)
+    path, size = tmp_path / "last.safetensors", 256
+    before = path.read_bytes()
+    assert len(before) > size
+    old = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            checkpoint.save(
+                path, job().run, checkpoint.read(path).progress, {"weights": checkpoint.read(path).tensors("weights")}
+            )
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, old)
+        signal.signal(signal.SIGXFSZ, handler)
     assert path.read_bytes() == before
     assert not list(tmp_path.glob(".*"))
 

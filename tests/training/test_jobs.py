@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import pytest
 import torch
 
 from candata.errors import DataError, SetupError, UnknownNameError, UsageError
 from candata.loaders import make_split, save_split
-from candata.training import checkpoint, jobs
+from candata.training import checkpoint, evaluation, jobs
 from candata.training.evaluation import Manner, evaluate
 from candata.training.jobs import Ask, prepare
 from candata.training.loop import train
@@ -71,6 +72,47 @@ def test_episodes_that_were_trained_on_are_counted(trained):
     folder, data = trained
     assert evaluate(folder, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
     assert evaluate(folder, data, Manner("all", 1, 1, 6))[0].seen_episodes == 8
+
+
+def test_a_checkpoint_alone_does_not_forget_what_it_was_trained_on(tmp_path, trained, dataset):
+    folder, data = trained
+    alone = tmp_path / "alone" / "model.safetensors"
+    alone.parent.mkdir()
+    alone.write_bytes((folder / "best.safetensors").read_bytes())
+    assert evaluate(alone, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(alone, dataset("other"), Manner("all", 1, 1, 6))[0].seen_episodes is None
+
+
+def test_episodes_of_the_first_run_are_not_forgotten_by_fine_tuning(tmp_path, trained, dataset):
+    folder, data = trained
+    tuned = tmp_path / "tuned"
+    train(prepare(dataset("other", episodes=3), Ask(init=folder), SETTINGS), tuned)
+    assert evaluate(tuned, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(tuned, data, Manner("test", 1, 1, 6))[0].seen_episodes == 0
+
+
+def test_a_split_that_is_damaged_or_anothers_is_refused(trained):
+    folder, data = trained
+    path = folder / "split.json"
+    other = json.loads(path.read_bytes())
+    other["train"], other["test"] = other["test"], other["train"]
+    for text, said in (
+        (b"{", "is damaged"),
+        (b"\xff\xfe", "is damaged"),
+        (json.dumps(other).encode(), "of another run"),
+    ):
+        path.write_bytes(text)
+        with pytest.raises(UsageError, match=said):
+            evaluate(folder, data, Manner("test", 1, 1, 6))
+
+
+def test_fingertips_that_are_replayed_are_said_to_be(trained):
+    folder, _ = trained
+    run = checkpoint.read(folder).run
+    more = run.model_copy(update={"config": run.config | {"fingertip_contact": True}})
+    scores = SimpleNamespace(closed_loop={"contact_diffusion": SimpleNamespace(contact=object())})
+    assert evaluation._contact_from(run, scores) == "predicted"
+    assert evaluation._contact_from(more, scores) == "predicted, fingertips recorded"
 
 
 def test_a_model_without_contact(tmp_path, dataset):

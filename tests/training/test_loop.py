@@ -15,7 +15,7 @@ import pytest
 import torch
 from safetensors import safe_open
 
-from candata.errors import DataError, UsageError
+from candata.errors import DataError, SetupError, UsageError
 from candata.training import checkpoint
 from candata.training.loop import train
 from candata.training.settings import Settings
@@ -93,6 +93,26 @@ def test_another_run_is_refused_and_names_what_differs(tmp_path, job):
         train(job(steps=6), tmp_path)
 
 
+def test_a_dataset_that_has_grown_is_said_to_have(tmp_path, job):
+    train(job(), tmp_path)
+    other = replace(job(), run=job().run.model_copy(update={"digest": "1" * 64, "version": 2, "normaliser": {"a": 1}}))
+    with pytest.raises(UsageError, match="the dataset is another version than the run was begun on") as caught:
+        train(other, tmp_path)
+    assert caught.value.expected == "d, version 1, digest 000000000000"
+    assert caught.value.found == "d, version 2, digest 111111111111"
+    assert "--version 000000000000 to go on" in caught.value.fix
+
+
+def test_a_disk_that_cannot_be_written_ends_the_run_in_one_message(tmp_path, job, monkeypatch):
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(checkpoint, "save_file", full)
+    with pytest.raises(SetupError, match=r"the run cannot be written\n\s+found: No space left") as stop:
+        train(job(steps=20), tmp_path / "run")
+    assert stop.value.exit_code == 3
+
+
 def test_a_folder_with_other_things_is_refused(tmp_path, job):
     (tmp_path / "thesis.tex").write_text("x")
     with pytest.raises(UsageError, match=r"thesis\.tex"):
@@ -137,6 +157,19 @@ def test_the_best_checkpoint_is_that_of_the_least_held_out_loss(tmp_path, job):
     best = checkpoint.read(tmp_path)
     assert best.path.name == "best.safetensors"
     assert best.progress.best_step == best.progress.step == min(held_out, key=held_out.get)
+
+
+def test_the_best_checkpoint_survives_a_kill_before_it_has_its_name(tmp_path, job, monkeypatch):
+    def killed(*_paths):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "copy", killed)
+        with pytest.raises(KeyboardInterrupt):
+            train(job(steps=20), tmp_path)
+    assert not (tmp_path / "best.safetensors").exists()
+    train(job(steps=20), tmp_path)
+    assert checkpoint.read(tmp_path / "best.safetensors").progress.step == 20
 
 
 def test_validation_leaves_the_training_as_it_is(tmp_path, job):

@@ -23,43 +23,52 @@ def brute_adds(cloud, predicted, truth):
 def test_adds_is_that_of_brute_force(rng):
     cloud = rng.normal(0, 0.03, (200, 3))
     predicted, truth = random_poses(rng, 5, 4), random_poses(rng, 5, 4)
-    found = metrics.adds(metrics.cloud_trees(cloud[None])[0], predicted, truth)
+    found = metrics.adds(cloud, predicted, truth)
     brute = [
         [brute_adds(cloud, *pair) for pair in zip(*row, strict=True)] for row in zip(predicted, truth, strict=True)
     ]
     np.testing.assert_allclose(found, brute, rtol=0, atol=2e-9)  # the promise; rounding alone is 1e-16
 
 
-def test_adds_of_many_poses_in_several_queries(rng, monkeypatch):
+def test_adds_of_many_poses_in_several_parts(rng, monkeypatch):
     cloud = rng.normal(0, 0.03, (50, 3))
-    tree = metrics.cloud_trees(cloud[None])[0]
     predicted, truth = random_poses(rng, 7), random_poses(rng, 7)
-    whole = metrics.adds(tree, predicted, truth)
-    monkeypatch.setattr(metrics, "_POINTS_A_QUERY", 100)
-    np.testing.assert_array_equal(metrics.adds(tree, predicted, truth), whole)
+    whole = metrics.adds(cloud, predicted, truth)
+    monkeypatch.setattr(metrics, "_POSES", 3)
+    monkeypatch.setattr(metrics, "_DISTANCES", 400)
+    np.testing.assert_array_equal(metrics.adds(cloud, predicted, truth), whole)
+
+
+def test_adds_is_exact_for_poses_that_nearly_agree_and_for_a_cloud_off_its_origin(rng):
+    """The promise of 2e-9 m holds where |p - c|^2 from |p|^2 + |c|^2 - 2 p.c would lose half its digits."""
+    cloud = rng.normal(0, 0.05, (300, 3)) + 5.0
+    truth = random_poses(rng, 40)
+    near = truth + np.where(np.arange(7) < 3, rng.normal(0, 1e-9, (40, 7)), 0)
+    brute = [brute_adds(cloud, *pair) for pair in zip(near, truth, strict=True)]
+    np.testing.assert_allclose(metrics.adds(cloud, near, truth), brute, rtol=0, atol=1e-13)  # rounding at 5 m
+    assert metrics.adds(cloud, truth, truth).max() < 1e-13
 
 
 def test_adds_of_a_shift_smaller_than_half_the_spacing_is_the_shift():
     cloud = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     truth = np.array([0.0, 0, 0, 1, 0, 0, 0])
     predicted = truth + np.array([0.02, 0.01, 0.02, 0, 0, 0, 0])
-    assert metrics.adds(metrics.cloud_trees(cloud[None])[0], predicted, truth) == pytest.approx(0.03, abs=1e-12)
+    assert metrics.adds(cloud, predicted, truth) == pytest.approx(0.03, abs=1e-12)
 
 
 def test_adds_forgives_a_symmetry():
     square = np.array([[1.0, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]])
     truth = np.array([0.0, 0, 0, 1, 0, 0, 0])
     quarter = np.concatenate([truth[:3], exp(np.array([0, 0, np.pi / 2]))])
-    assert metrics.adds(metrics.cloud_trees(square[None])[0], quarter, truth) < 1e-12
+    assert metrics.adds(square, quarter, truth) < 1e-12
 
 
 def test_each_window_is_scored_with_its_own_object(rng):
     clouds = rng.normal(0, 0.03, (2, 60, 3))
-    trees = metrics.cloud_trees(clouds)
     predicted, truth = random_poses(rng, 3, 2), random_poses(rng, 3, 2)
-    found = metrics.adds_of(trees, np.array([1, 0, 1]), predicted, truth)
+    found = metrics.adds_of(clouds, np.array([1, 0, 1]), predicted, truth)
     for row, index in enumerate((1, 0, 1)):
-        np.testing.assert_array_equal(found[row], metrics.adds(trees[index], predicted[row], truth[row]))
+        np.testing.assert_array_equal(found[row], metrics.adds(clouds[index], predicted[row], truth[row]))
 
 
 def test_auc_is_the_area_under_the_curve(rng):
@@ -106,11 +115,10 @@ def test_no_trials_leave_every_share_open():
 
 def test_turned_and_moved_together_nothing_changes(rng):
     cloud = rng.normal(0, 0.03, (80, 3))
-    tree = metrics.cloud_trees(cloud[None])[0]
     predicted, truth = random_poses(rng), random_poses(rng)
     turn, shift = normalise(rng.normal(size=4)), rng.normal(size=3)
 
     def moved(pose):
         return np.concatenate([rotate(turn, pose[:3]) + shift, multiply(turn, pose[3:])])
 
-    assert metrics.adds(tree, moved(predicted), moved(truth)) == pytest.approx(metrics.adds(tree, predicted, truth))
+    assert metrics.adds(cloud, moved(predicted), moved(truth)) == pytest.approx(metrics.adds(cloud, predicted, truth))
