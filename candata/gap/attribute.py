@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, first_probes, local_candidates
+from candata.gap.candidates import Candidate, candidates, first_probes
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
+from candata.gap.local import promising
 from candata.gap.refine import joint, polished, refined
 from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
@@ -29,8 +30,6 @@ PLAIN = 3.0
 MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
-#: Variants on one element that are simulated, and the largest number of one effect among them.
-LOCAL, LOCAL_EACH = 6, 2
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 12
 #: Nominal replays from other starts, which show how much of a loss is luck.
@@ -137,7 +136,7 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken]
     base, luck = _base(problem, here, held)
     responses, dead = _respond(problem, here, found, held)
-    responses += _respond(problem, here, _promising(problem, responses, base), held)[0]
+    responses += _respond(problem, here, promising(problem, here, responses, base), held)[0]
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     found_fits = refined(problem, _fits(problem, responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
@@ -189,48 +188,6 @@ def _first_response(c: Candidate, nominal: Compact, mine: list[tuple[Array, Comp
         (a, low), (b, high) = pair[0], pair[-1]
         slope.append((high - low) / np.float32(b - a) if a != b else (high - nominal) / np.float32(b))
     return Plane(c.low, c.high, c.neutral, nominal, np.stack(slope))
-
-
-def _promising(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Candidate]:
-    """Return the variants on one element that are worth simulating, the best first.
-
-    What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
-    fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
-    along with its effect where that effect as a whole gains.
-    """
-    found: list[tuple[float, Candidate]] = []
-    for c, response in responses:
-        variants = local_candidates(c, problem.replayer.scene)
-        if not variants:
-            continue
-        whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
-        gains = [_screened(problem, v, response, base, whole) for v in variants]
-        best = sorted(zip(gains, variants, strict=True), key=lambda pair: -pair[0])[:LOCAL_EACH]
-        found += [pair for pair in best if pair[0] > 0]
-    return [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
-
-
-def _screened(problem: Problem, variant: Candidate, response: Curve | Plane, base: Array, whole: float) -> float:
-    """Return the held-out gain that a variant on one element promises, from the response of its effect."""
-    columns = _columns(problem, variant)
-    if columns is None:
-        return whole
-    if isinstance(response, Curve):
-        kept = np.where(columns, response.z, response.neutral())
-        return fit_one(problem, variant, replace(response, z=kept), base).gain
-    mine = np.flatnonzero(variant.own)
-    slope = response.slope[mine] * columns
-    plane = Plane(variant.low, variant.high, variant.neutral, response.z, slope)
-    return fit_one(problem, variant, plane, base).gain
-
-
-def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
-    """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
-    labels = [
-        element.rsplit(" ", 1)[0] if c == "fingertip_force" else element for c, element, _ in problem.plan.columns
-    ]
-    mine = np.array([label == variant.element for label in labels])
-    return np.tile(mine, problem.plan.phase.shape[1]) if mine.any() else None
 
 
 def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:
