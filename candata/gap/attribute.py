@@ -211,9 +211,9 @@ def _is_tied(fit: Fit, best: Fit) -> bool:
 
 
 def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
-    """Return the fit of the same effect with the fewest numbers that is tied with the best: one element's, if so."""
+    """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
     same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
-    return min([best, *same], key=lambda f: f.members[0][0].size)
+    return min([best, *same], key=lambda f: (f.members[0][0].size, f.members[0][0].element is None))
 
 
 def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool]:
