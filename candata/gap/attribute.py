@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, first_probes
+from candata.gap.candidates import Candidate, candidates, first_probes, local_candidates
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
 from candata.gap.local import promising
@@ -122,7 +122,8 @@ def attribute(problem: Problem, nominal: Compact) -> Attribution:
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
-    best = polished(problem, _simplest(best, first.fits), first.base)
+    first = _narrowed(problem, nominal, first)
+    best = polished(problem, _simplest(first.fits[0], first.fits), first.base)
     first = replace(first, fits=(best, *(f for f in first.fits if f.members[0][0] is not best.members[0][0])))
     tied = tied_with(best, first.fits)
     chosen, world, remains = _forward(problem, best, grow=len(tied) == 1)
@@ -145,6 +146,16 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
     return Stage(base, tuple(fits), threshold, tuple(dead), idle, reachable)
+
+
+def _narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
+    """Return the stage with the best fit's effect tried on each of its elements alone: the fault may be one joint's."""
+    known = {f.labels[0] for f in stage.fits}
+    variants = local_candidates(stage.fits[0].members[0][0], problem.replayer.scene)
+    responses, _ = _respond(problem, here, [v for v in variants if v.label not in known], ())
+    found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
+    fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
+    return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
 
 
 def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
