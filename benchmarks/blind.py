@@ -20,18 +20,18 @@ from pathlib import Path
 import numpy as np
 
 SCENE = "xhand_tabletop"
+#: Label of a case whose effect, on one element, is drawn with its numbers.
+LOCAL = "local"
 
 
 def plan(out: Path, args: argparse.Namespace) -> list[dict]:
     """Return the cases of a run, made once: number, noise, and a sealed label that only `score` opens."""
     file = out / "sealed.json"
     if not file.exists():
-        from candata.effects import effect_names
-
         salt = secrets.token_hex(32)
         rng = np.random.default_rng(int.from_bytes(hashlib.sha256(f"{args.seed}{salt}".encode()).digest()[:8], "big"))
-        labels = [n for n in effect_names() if args.only is None or n in args.only.split(",")] * args.draws
-        labels += [None] * args.nulls
+        labels = [n for n in possible() if args.only is None or n in args.only.split(",")] * args.draws
+        labels += [None] * args.nulls + [LOCAL] * args.local
         modes = [True, False] if args.noise == "both" else [args.noise == "yes"]
         cases = [(label, noise) for noise in modes for label in labels]
         order = rng.permutation(len(cases))
@@ -44,14 +44,23 @@ def plan(out: Path, args: argparse.Namespace) -> list[dict]:
     return json.loads(file.read_text())["cases"]
 
 
+def possible() -> list[str]:
+    """Return the effects that can act in the scene."""
+    from candata.effects import effect, effect_names
+    from candata.scenes import load_scene
+
+    scene = load_scene(SCENE)
+    return [name for name in effect_names() if effect(name).possible(scene)]
+
+
 def check_scene() -> None:
     """Stop unless joints follow their targets and every effect moves a channel: accuracy proves no sane scene."""
-    from candata.effects import effect_names
     from candata.scenes import load_scene
     from candata.simulate.episodes import Job, make_episodes
 
     scene = load_scene(SCENE)
-    worlds = [()] + [draw({"effect": n, "seed": 1}, scene) for n in effect_names()]
+    names = possible()
+    worlds = [()] + [draw({"effect": n, "seed": 1}, scene) for n in names]
     count = len(scene.policies)
     jobs = [Job(f"{w}-{i}", i, scene.policies[i], 1, world) for w, world in enumerate(worlds) for i in range(count)]
     made = [make_episodes(scene, jobs[k : k + count], duration_s=3.2) for k in range(0, len(jobs), count)]
@@ -66,7 +75,7 @@ def check_scene() -> None:
     channels = ("joint_position", "object_pose", "fingertip_force")
     moved = {
         name: max(float(np.abs(a[c] - b[c]).max()) for a, b in zip(made[0], world, strict=True) for c in channels)
-        for name, world in zip(effect_names(), made[1:], strict=True)
+        for name, world in zip(names, made[1:], strict=True)
     }
     print("largest change of a channel: " + ", ".join(f"{n} {v:.2g}" for n, v in moved.items()))
     if min(follows) < 0.8 or min(moved.values()) < 1e-3:
@@ -75,17 +84,21 @@ def check_scene() -> None:
 
 def draw(case: dict, scene) -> tuple:
     """Return the hidden effects of a case."""
-    from candata.effects import effect, setting
+    from candata.effects import effect, effect_names, setting
 
     if case["effect"] is None:
         return ()
     rng = np.random.default_rng(case["seed"])
+    name, element = case["effect"], None
+    if name == LOCAL:
+        name = rng.choice([n for n in effect_names() if effect(n).possible(scene) and effect(n).elements(scene)])
+        element = str(rng.choice(effect(name).elements(scene)))
     x = []
-    for parameter in effect(case["effect"]).parameters:
+    for parameter in effect(name).parameters:
         spans = parameter.draws(scene)
         for _ in range(parameter.size(scene)):
             x.append(rng.uniform(*spans[rng.integers(len(spans))]))
-    return (setting(case["effect"], np.array(x), scene),)
+    return (setting(str(name), np.array(x), scene, element),)
 
 
 def make(case: dict, folder: Path, episodes: int) -> None:
@@ -139,13 +152,15 @@ def score(cases: list[dict], results: dict[int, dict]) -> None:
         report = results.get(case["number"])
         if report is None:
             continue
-        named = [e["name"] for e in report["effects"]]
-        truth = case["effect"]
+        named = [_label(e["name"], e["element"]) for e in report["effects"]]
+        hidden = draw(case, scene)
+        truth = _label(hidden[0].name, hidden[0].element) if hidden else None
         rows.append(
             {
                 "noise": case["noise"], "truth": truth, "named": named, "verdict": report["verdict"],
                 "exact": named == [truth], "first": named[:1] == [truth],
                 "class": truth in [*named, *report["class"]], "closed": (report["gap"] or {}).get("closed"),
+                "local": case["effect"] == LOCAL,
                 "error": parameter_error(case, report, scene), "cpu_s": report["cpu_s"], "number": case["number"],
             }
         )  # fmt: skip
@@ -154,13 +169,22 @@ def score(cases: list[dict], results: dict[int, dict]) -> None:
         if (r["truth"] and not r["exact"]) or (r["truth"] is None and r["named"]):
             print(f"  case {r['number']:4d} noise={r['noise']!s:5} truth {r['truth']}: {r['verdict']} {r['named']}")
     for noise in (True, False):
-        _summary([r for r in rows if r["noise"] == noise], "declared noise" if noise else "no noise, none declared")
+        title = "declared noise" if noise else "no noise, none declared"
+        _summary([r for r in rows if r["noise"] == noise and not r["local"]], title)
+        _summary([r for r in rows if r["noise"] == noise and r["local"]], f"{title}, one element")
+
+
+def _label(name: str, element: str | None) -> str:
+    """Return `name` or `name element`."""
+    return name if element is None else f"{name} {element}"
 
 
 def parameter_error(case: dict, report: dict, scene) -> float | None:
     """Return the relative error of the named effect's parameters: distance over size, from the identity."""
     hidden = draw(case, scene)
-    found = [e for e in report["effects"] if hidden and e["name"] == hidden[0].name]
+    found = [
+        e for e in report["effects"] if hidden and (e["name"], e["element"]) == (hidden[0].name, hidden[0].element)
+    ]
     if not found or isinstance(next(iter(hidden[0].parameters.values())), str):
         return None
     true = np.concatenate([np.atleast_1d(v) for v in hidden[0].parameters.values()])
@@ -174,10 +198,13 @@ def _summary(rows: list[dict], title: str) -> None:
     if not rows:
         return
     print(f"\n{title}: {len(with_effect)} effects, {len(nulls)} nulls")
+    for r in rows:
+        r["right_name"] = bool(r["truth"]) and [n.split()[0] for n in r["named"][:1]] == r["truth"].split()[:1]
     if with_effect:
         count = len(with_effect)
         print(f"  exact            {sum(r['exact'] for r in with_effect)}/{count}   target >= 90 %")
         print(f"  first            {sum(r['first'] for r in with_effect)}/{count}")
+        print(f"  right name first {sum(r['right_name'] for r in with_effect)}/{count}")
         print(f"  named or in class {sum(r['class'] for r in with_effect)}/{count}")
         closed = [r["closed"] for r in with_effect if r["first"]]
         errors = [r["error"] for r in with_effect if r["first"] and r["error"] is not None]
@@ -185,7 +212,8 @@ def _summary(rows: list[dict], title: str) -> None:
             print(f"  gap closed when right: median {np.median(closed):.3f}, 10 % {np.quantile(closed, 0.1):.3f}")
         if errors:
             print(f"  parameter error: median {np.median(errors):.3f}, 90 % {np.quantile(errors, 0.9):.3f}")
-    print(f"  false alarms     {sum(bool(r['named']) for r in nulls)}/{len(nulls)}   target 0")
+    if nulls:
+        print(f"  false alarms     {sum(bool(r['named']) for r in nulls)}/{len(nulls)}   target 0")
     print(f"  CPU s a case     median {np.median([r['cpu_s'] for r in rows]):.1f}")
 
 
@@ -195,6 +223,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/blind"))
     parser.add_argument("--draws", type=int, default=3)
     parser.add_argument("--nulls", type=int, default=6)
+    parser.add_argument("--local", type=int, default=0, help="cases of a fault of one joint, fingertip or geom")
     parser.add_argument("--episodes", type=int, default=8)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--noise", choices=("yes", "no", "both"), default="both")

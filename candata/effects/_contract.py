@@ -14,6 +14,7 @@ from candata.scenes.assemble import Scene
 
 Array = NDArray[np.float64]
 Elements = Sequence[str | None]
+Readings = dict[str, Array]
 
 
 class Bounds(NamedTuple):
@@ -47,6 +48,8 @@ class Parameter:
         `scene -> int`, 1 for a scalar.
     choices : tuple of str
         The words of a discrete parameter; its number is the index.
+    owners : callable, optional
+        `scene -> names (size,)`: the element each number of a vector belongs to, where every element has its own.
     """
 
     name: str
@@ -59,6 +62,7 @@ class Parameter:
     neutral: Callable[[Scene], float] | None = None
     size: Callable[[Scene], int] = lambda scene: 1
     choices: tuple[str, ...] = ()
+    owners: Callable[[Scene], tuple[str, ...]] | None = None
 
 
 @dataclass(frozen=True)
@@ -99,7 +103,15 @@ class Effect:
     command, force, reading : Hook, optional
         Filters of the commands, of added forces, of the readings.
     moves : tuple of str
-        Channels a reading hook changes; empty when it needs a simulation.
+        Channels that can change where there is a reading hook; empty without one.
+    elements : callable
+        `scene -> names` of what it can act on alone (joints, fingertips, geoms); none where it has no elements.
+    unread : callable, optional
+        `(scene, x (d,), element, readings) -> readings` turns what was read at rest into what is true, `(..., D)` a
+        channel: where a replay of a recording starts.
+    pace : callable, optional
+        `(scene, x (d,)) -> float` true time that passes during one recorded control step, in control steps; the
+        edit scales the physics step by the same.
     """
 
     about: str
@@ -112,6 +124,9 @@ class Effect:
     force: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()
+    elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
+    unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
+    pace: Callable[[Scene, Array], float] | None = None
 
 
 def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from candata.effects._contract import Array, Effect, Parameter
 from candata.errors import UnknownNameError, UsageError
@@ -33,6 +34,8 @@ def effect(name: str) -> Effect:
 def flatten(given: EffectSetting, scene: Scene) -> Array:
     """Return the parameters of a setting as one vector `(d,)`, identities where not given.
 
+    A vector with numbers for each element may be given whole, or as the named element's own numbers.
+
     Raises
     ------
     UsageError
@@ -57,30 +60,56 @@ def _numbers(given: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
         if value not in parameter.choices:
             raise UnknownNameError(f"{parameter.name} of {given.name}:", value, parameter.choices)
         return np.array([float(parameter.choices.index(value))])
-    array = np.atleast_1d(np.asarray(value, float))
+    array = _whole(np.atleast_1d(np.asarray(value, float)), parameter, scene, given.element)
     low, high = parameter.bounds(scene)
     # A bound that went through a logarithm and back may lie a rounding error outside.
     rounded = np.clip(array, low, high)
     array = np.where(np.isclose(array, rounded, rtol=1e-9, atol=0), rounded, array)
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
+        count = _owned(parameter, scene, given.element).sum()
         raise UsageError(
             f"{given.name}: {parameter.name} is not possible in scene {scene.name}",
-            expected=f"{size} number(s) in [{low:g}, {high:g}] {parameter.unit}",
+            expected=f"{count} number(s) in [{low:g}, {high:g}] {parameter.unit}",
             found=str(value),
         )
     return array
 
 
+def _whole(array: Array, parameter: Parameter, scene: Scene, element: str | None) -> Array:
+    """Return a vector for all elements: the numbers of one, the identity elsewhere."""
+    mine = _owned(parameter, scene, element)
+    if mine.all() or len(array) != mine.sum():
+        return array
+    whole = np.full(len(mine), float(parameter.identity(scene)))
+    whole[mine] = array
+    return whole
+
+
+def _owned(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
+    """Return `(size,)` whether each number acts on `element`."""
+    if element is None or parameter.owners is None:
+        return np.ones(parameter.size(scene), bool)
+    return np.array([owner == element for owner in parameter.owners(scene)], bool)
+
+
+def active(name: str, scene: Scene, element: str | None = None) -> NDArray[np.bool_]:
+    """Return `(d,)` which numbers of the vector act: all, or those that belong to `element`."""
+    return np.concatenate([_owned(p, scene, element) for p in effect(name).parameters])
+
+
 def setting(name: str, x: Array, scene: Scene, element: str | None = None) -> EffectSetting:
-    """Return the setting of an effect whose parameters are the vector `x (d,)`."""
+    """Return the setting of an effect whose parameters are the vector `x (d,)`.
+
+    Of a vector with numbers for each element, a setting on one element holds that element's only.
+    """
     parameters: dict[str, Value] = {}
     start = 0
     for p in effect(name).parameters:
         size = p.size(scene)
-        part = x[start : start + size]
+        part = x[start : start + size][_owned(p, scene, element)]
         start += size
         if p.choices:
             parameters[p.name] = p.choices[int(part[0])]
         else:
-            parameters[p.name] = float(part[0]) if size == 1 else tuple(float(v) for v in part)
+            parameters[p.name] = float(part[0]) if len(part) == 1 else tuple(float(v) for v in part)
     return EffectSetting(name=name, element=element, parameters=parameters)

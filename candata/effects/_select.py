@@ -44,6 +44,16 @@ def joints(scene: Scene, element: str | None) -> Ids:
     return np.array([known[element]])
 
 
+def joint_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the driven hinges, in the order of `joint_position`."""
+    return tuple(scene.file.joints[i] for i in scene.driven_hinges)
+
+
+def fingertip_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the fingertips."""
+    return scene.file.fingertips
+
+
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints."""
     return scene.joint_dof[joints(scene, element)]
@@ -52,7 +62,7 @@ def dofs(scene: Scene, element: str | None) -> Ids:
 def actuators(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids that drive the joints."""
     ids = set(scene.joint_ids[joints(scene, element)].tolist())
-    return np.array([a for a in scene.actuator_ids if scene.model.actuator_trnid[a, 0] in ids], int)
+    return np.array([a for a, joint in scene.driven_joints.items() if joint in ids], int)
 
 
 def fingertips(scene: Scene, element: str | None) -> Ids:
@@ -77,12 +87,12 @@ def contact_geoms(scene: Scene) -> tuple[int, ...]:
     model, own = scene.model, set(scene.object_geoms.tolist())
     bodies = subtree(model, scene.object_id) if scene.object_id is not None else set()
     partners = [
-        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(_collide(scene, g, o) for o in own)
+        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(collide(scene, g, o) for o in own)
     ]
     return tuple(sorted(own | set(partners)))
 
 
-def _collide(scene: Scene, first: int, second: int) -> bool:
+def collide(scene: Scene, first: int, second: int) -> bool:
     """Tell whether the bit masks let two geoms meet."""
     kind, affinity = scene.model.geom_contype, scene.model.geom_conaffinity
     return bool((kind[first] & affinity[second]) | (kind[second] & affinity[first]))
@@ -118,7 +128,8 @@ def drive_damping(scene: Scene) -> float:
     ids = actuators(scene, None)
     if not len(ids):
         return 1.0
-    model, dof = scene.model, dofs(scene, None)
+    model = scene.model
+    dof = model.jnt_dofadr[[scene.driven_joints[a] for a in ids.tolist()]]
     own = model.dof_damping[dof] - model.actuator_biasprm[ids, 2]
     critical = 0.2 * np.sqrt(np.maximum(model.actuator_gainprm[ids, 0], 0) * model.dof_M0[dof])
     return float(np.median(np.maximum(own, critical)))

@@ -74,5 +74,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
+    elements=_select.joint_names,
     command=Hook(_start, _apply),
 )

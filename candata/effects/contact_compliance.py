@@ -5,18 +5,19 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects import _select
+from candata.effects import _contact, _select
 from candata.effects._contract import Array, Bounds, Effect, Parameter, scaled, scaled_spans
 from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Replace the time constant of solref; a pair mixes both geoms, so both sides take it."""
-    ids = list(_select.contact_geoms(scene))
-    solref = model.geom_solref[ids]
-    # Direct form (-stiffness, -damping) becomes the time-constant form at critical damping.
-    ratio = np.where(solref[:, 0] > 0, solref[:, 1], 1.0)
-    model.geom_solref[ids] = np.stack([np.full(len(ids), x[0]), ratio], axis=1)
+    """Replace the time constant of solref; a pair mixes both geoms, so both sides take it, or one leads."""
+    _contact.change_solref(model, scene, element, lambda solref: _timed(solref, x[0]))
+
+
+def _timed(solref: Array, timeconst_s: float) -> Array:
+    """Return solref `(m, 2)` with another time constant and its own damping ratio."""
+    return np.stack([np.full(len(solref), timeconst_s), _contact.time_form(solref)[:, 1]], axis=1)
 
 
 EFFECT = Effect(
@@ -36,4 +37,5 @@ EFFECT = Effect(
     acts_on="object",
     possible=_select.has_object,
     edit=_edit,
+    elements=_contact.names,
 )

@@ -29,6 +29,7 @@ EFFECT = Effect(
             _other,
             lambda scene: tuple((v, v) for v in _other(scene)),
             "MuJoCo manual, option/cone: pyramidal is the default, elliptic is the isotropic law",
+            neutral=lambda scene: float(scene.model.opt.cone),
             choices=("pyramidal", "elliptic"),
         ),
     ),

@@ -10,10 +10,10 @@ from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Scale the position gain; the velocity gain stays (`servo_damping` is another effect)."""
+    """Scale the whole position law kp (u - q - offset); the velocity gain stays (`servo_damping` is another)."""
     ids = _select.actuators(scene, element)
     model.actuator_gainprm[ids, 0] *= x[0]
-    model.actuator_biasprm[ids, 1] *= x[0]
+    model.actuator_biasprm[ids, :2] *= x[0]
 
 
 EFFECT = Effect(
@@ -31,5 +31,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
+    elements=_select.joint_names,
     edit=_edit,
 )

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects import _select
+from candata.effects import _contact, _select
 from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Scale every geom that can touch the object, as a pair takes the larger of its two values."""
-    model.geom_friction[list(_select.contact_geoms(scene)), 0] *= x[0]
+    """Scale every geom that can touch the object, as a pair takes the larger of its two values; or one that leads."""
+    if x[0] == 1:
+        return
+    model.geom_friction[_contact.chosen(model, scene, element), 0] *= x[0]
+    model.pair_friction[_contact.pairs(scene, element), :2] *= x[0]
 
 
 EFFECT = Effect(
@@ -30,4 +33,5 @@ EFFECT = Effect(
     acts_on="object",
     possible=_select.has_object,
     edit=_edit,
+    elements=_contact.names,
 )

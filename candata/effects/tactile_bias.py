@@ -45,10 +45,12 @@ EFFECT = Effect(
             "tare drift of tactile sensors: tenths of a newton to newtons",
             always(0.0),
             size=lambda scene: 3 * len(scene.file.fingertips),
+            owners=lambda scene: tuple(tip for tip in scene.file.fingertips for _ in range(3)),
         ),
     ),
     acts_on="fingertip",
     possible=_select.has_forces,
+    elements=_select.fingertip_names,
     reading=Hook(_start, _apply),
     moves=("fingertip_force",),
 )

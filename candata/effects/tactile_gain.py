@@ -47,6 +47,7 @@ EFFECT = Effect(
     ),
     acts_on="fingertip",
     possible=_select.has_forces,
+    elements=_select.fingertip_names,
     reading=Hook(_start, _apply),
     moves=("fingertip_force",),
 )

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, first_probes
+from candata.gap.candidates import Candidate, candidates, first_probes, local_candidates
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
+from candata.gap.local import promising
 from candata.gap.refine import joint, polished, refined
 from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
@@ -121,7 +122,8 @@ def attribute(problem: Problem, nominal: Compact) -> Attribution:
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
-    best = polished(problem, best, first.base)
+    first = _narrowed(problem, nominal, first)
+    best = polished(problem, _simplest(first.fits[0], first.fits), first.base)
     first = replace(first, fits=(best, *(f for f in first.fits if f.members[0][0] is not best.members[0][0])))
     tied = tied_with(best, first.fits)
     chosen, world, remains = _forward(problem, best, grow=len(tied) == 1)
@@ -135,13 +137,25 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken]
     base, luck = _base(problem, here, held)
     responses, dead = _respond(problem, here, found, held)
+    responses += _respond(problem, here, promising(problem, here, responses, base), held)[0]
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     found_fits = refined(problem, _fits(problem, responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
-    idle = tuple(f.labels[0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1]))
+    absent = [f.members[0][0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1])]
+    idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
     return Stage(base, tuple(fits), threshold, tuple(dead), idle, reachable)
+
+
+def _narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
+    """Return the stage with the best fit's effect tried on each of its elements alone: the fault may be one joint's."""
+    known = {f.labels[0] for f in stage.fits}
+    variants = local_candidates(stage.fits[0].members[0][0], problem.replayer.scene)
+    responses, _ = _respond(problem, here, [v for v in variants if v.label not in known], ())
+    found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
+    fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
+    return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
 
 
 def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
@@ -195,16 +209,22 @@ def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]]
 def tied_with(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
     """Return the fits whose held-out loss is within one standard error of the best one's (Breiman et al. 1984).
 
-    The error is that of the paired difference over episodes.
+    The error is that of the paired difference over episodes. The same effect on fewer or more elements is no rival.
     """
-    out = [best]
-    for fit in fits:
-        if fit is best:
-            continue
-        worse = fit.evidence.loss - best.evidence.loss
-        if worse.mean() <= standard_error(worse):
-            out.append(fit)
-    return out
+    rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
+    return [best, *(f for f in rivals if _is_tied(f, best))]
+
+
+def _is_tied(fit: Fit, best: Fit) -> bool:
+    """Tell whether a fit is no worse than the best by more than one standard error."""
+    worse = fit.evidence.loss - best.evidence.loss
+    return bool(worse.mean() <= standard_error(worse))
+
+
+def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
+    """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
+    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
+    return min([best, *same], key=lambda f: (f.members[0][0].size, f.members[0][0].element is None))
 
 
 def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect, effect_names, setting
+from candata.effects import active, effect, effect_names, setting
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
@@ -31,6 +31,10 @@ class Candidate:
         Coordinates that are logarithms of the value (scales and times), so that half and double are alike.
     choices : bool
         Whether the value is a choice, not a number.
+    own : (n,) bool
+        Which of the effect's n numbers the coordinates are; the others stay at their identity.
+    rest : (n,) float64
+        The effect's numbers at their identity.
     """
 
     name: str
@@ -40,6 +44,8 @@ class Candidate:
     high: Array
     logarithmic: NDArray[np.bool_]
     choices: bool
+    own: NDArray[np.bool_]
+    rest: Array
 
     @property
     def size(self) -> int:
@@ -58,32 +64,31 @@ class Candidate:
     def values(self, u: Array) -> Array:
         """Return parameter values of coordinates `u (d,)`, inside the bounds."""
         inside = np.clip(u, self.low, self.high)
-        return np.where(self.logarithmic, np.exp(inside), inside)
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, inside, 0.0)), inside)
 
     def setting(self, u: Array, scene: Scene) -> EffectSetting:
         """Return the effect setting at coordinates `u (d,)`."""
-        return setting(self.name, self.values(u), scene, self.element)
+        x = self.rest.copy()
+        x[self.own] = self.values(u)
+        return setting(self.name, x, scene, self.element)
 
 
 def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
-    """Return the candidate for one effect in a scene."""
-    neutral: list[float] = []
-    low: list[float] = []
-    high: list[float] = []
-    logarithmic: list[bool] = []
+    """Return the candidate for one effect in a scene, everywhere or on one element."""
+    rows: list[tuple[float, float, float, float, bool]] = []
     for p in effect(name).parameters:
         bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
-        if p.choices:
-            own = 1.0 - p.probes(scene)[0]
         is_log = not p.choices and bounds.low > 0 and own > 0
-        ends = np.array([bounds.low, bounds.high, own])
-        ends = np.log(ends) if is_log else ends
-        for column, value in zip((low, high, neutral), ends, strict=True):
-            column += [value] * p.size(scene)
-        logarithmic += [is_log] * p.size(scene)
+        low, high, at = np.log([bounds.low, bounds.high, own]) if is_log else (bounds.low, bounds.high, own)
+        rows += [(at, low, high, own, is_log)] * p.size(scene)
+    table = np.array(rows, float)
+    mine = active(name, scene, element)
+    neutral, low_end, high_end = table[mine, :3].T.copy()
     discrete = bool(effect(name).parameters[0].choices)
-    return Candidate(name, element, np.array(neutral), np.array(low), np.array(high), np.array(logarithmic), discrete)
+    return Candidate(
+        name, element, neutral, low_end, high_end, table[mine, 4].astype(bool), discrete, mine, table[:, 3].copy()
+    )
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
@@ -97,19 +102,27 @@ def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
     return found
 
 
+def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
+    """Return the variants of a candidate that act on one joint, fingertip or geom alone; none for a lone element."""
+    elements = effect(c.name).elements(scene)
+    return [candidate(c.name, scene, e) for e in elements] if c.element is None and len(elements) > 1 else []
+
+
 def probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each."""
+    """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each.
+
+    A single number of a vector takes both signs of its probes, where its bounds do.
+    """
+    numbers = [np.array(p.probes(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
+    mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
+    if c.size == 1 and len(c.own) > 1 and c.low[0] < 0 < c.high[0]:
+        mine = [np.unique(np.concatenate([-n, n])) for n in mine]
     out = []
-    column = 0
-    for p in effect(c.name).parameters:
-        numbers = np.array(p.probes(scene), float)
-        for _ in range(p.size(scene)):
-            u = np.log(numbers) if c.logarithmic[column] else numbers
-            for value in u:
-                point = c.neutral.copy()
-                point[column] = value
-                out.append(point)
-            column += 1
+    for column, values in enumerate(mine):
+        for value in np.log(values) if c.logarithmic[column] else values:
+            point = c.neutral.copy()
+            point[column] = value
+            out.append(point)
     return out
 
 

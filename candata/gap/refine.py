@@ -25,6 +25,8 @@ ROUNDS = 5
 SHARES = (1.0, 0.5, 0.2)
 #: Compass search: most coordinates, first and last step as shares of the range.
 COMPASS_SIZE, COMPASS_FIRST, COMPASS_LAST = 3, 0.1, 0.01
+#: Even points at which the winning scalar is simulated once more.
+SCANNED = 9
 #: Step of finite differences, as a share of a coordinate's range: well above the chaos of single contacts.
 DIFFERENCE = 0.02
 
@@ -175,11 +177,25 @@ def _constant(problem: Problem, members: Members) -> Plane:
 
 
 def polished(problem: Problem, best: Fit, base: Array) -> Fit:
-    """Return a vector's fit after Gauss-Newton with rollouts, if that lowers the held-out loss."""
+    """Return a fit after more rollouts: a scalar's around its best, a vector's by Gauss-Newton, if that gains."""
     if isinstance(best.response, Curve):
-        return best
+        return best if best.response.who.choices else _scanned(problem, best, base)
     found = _searched(problem, joint(problem, best.members, base), base)
     return found if found.gain > best.gain else best
+
+
+def _scanned(problem: Problem, best: Fit, base: Array) -> Fit:
+    """Return a scalar's fit simulated at even points between the probes around it.
+
+    Residuals between far probes are no mixture of theirs (a late jump is no half jump), which can hide a minimum.
+    """
+    ((c, u),) = best.members
+    marks = np.unique([c.neutral[0], c.low[0], c.high[0], *(p[0] for p in probes(c, problem.replayer.scene))])
+    right = int(np.searchsorted(marks, u[0]))
+    low, high = marks[max(right - 2, 0)], marks[min(right + 1, len(marks) - 1)]
+    points = [np.array([v]) for v in np.linspace(low, high, SCANNED + 2)[1:-1]]
+    finer = _bracketed(problem, [best], base, (), [points])
+    return _bracketed(problem, finer, base, (), [_closer_probes(finer[0])])[0]
 
 
 def _searched(problem: Problem, fit: Fit, base: Array) -> Fit:

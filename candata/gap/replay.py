@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effect, flatten
 from candata.gap.recordings import Recordings
-from candata.gap.starts import Starts, is_toss
+from candata.gap.starts import Starts, is_toss, starts
+from candata.rotation import normalise
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate import Observer, rollout
+from candata.simulate import Observer, rollout, unread
 
 Array = NDArray[np.float64]
 EffectSet = tuple[EffectSetting, ...]
@@ -81,11 +82,12 @@ def _batch(
     observer = None if is_toss(scene) else Observer({n: _tile(v, copies) for n, v in shifted.items()})
     effects = [v for v in variants for _ in range(count)]
     commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
+    states = [true_start(scene, recs, begin, v) for v in variants]
     played = rollout(
         scene,
         commands,
-        _tile(begin.qpos, copies),
-        _tile(begin.qvel, copies),
+        np.concatenate([s.qpos for s in states]),
+        np.concatenate([s.qvel for s in states]),
         effects,
         observer=observer,
         instant_force=recs.instant_force,
@@ -97,6 +99,23 @@ def _batch(
     if keep_state:
         found["qpos"] = played.qpos
     return [{n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)]
+
+
+def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -> Starts:
+    """Return where a replay in a world with some effects starts: as read, with what the sensors add taken off.
+
+    An encoder that reads too much began at less; a tracker whose lengths are short saw a faster toss. Starts that were
+    perturbed stay so.
+    """
+    if all(effect(s.name).unread is None for s in some):
+        return begin
+    true = replace(recs, readings=recs.readings | unread(scene, recs.readings, some))
+    own, plain = starts(scene, true), starts(scene, recs)
+    qpos = begin.qpos + own.qpos - plain.qpos
+    if scene.object_id is not None:
+        turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)
+        qpos[:, turn] = normalise(qpos[:, turn])
+    return replace(begin, qpos=qpos, qvel=begin.qvel + own.qvel - plain.qvel)
 
 
 def _tile(values: Array, copies: int) -> Array:

@@ -66,9 +66,16 @@ class Scene:
         return np.array([self.model.actuator(a).id for a in self.file.actuator_names], int)
 
     @cached_property
+    def driven_joints(self) -> dict[int, int]:
+        """Joint id of each actuator id that drives a joint; actuators of tendons and bodies drive none."""
+        kinds = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+        model, ids = self.model, self.actuator_ids.tolist()
+        return {a: int(model.actuator_trnid[a, 0]) for a in ids if int(model.actuator_trntype[a]) in kinds}
+
+    @cached_property
     def driven_hinges(self) -> NDArray[np.int64]:
         """Indices into `file.joints` of hinge joints that have an actuator: where drive effects act."""
-        driven = set(self.model.actuator_trnid[self.actuator_ids, 0].tolist())
+        driven = set(self.driven_joints.values())
         hinge = mujoco.mjtJoint.mjJNT_HINGE
         return np.array(
             [i for i, j in enumerate(self.joint_ids) if j in driven and self.model.jnt_type[j] == hinge], int

@@ -3,5 +3,6 @@
 from candata.simulate.loop import Trajectory, at_rest, rollout
 from candata.simulate.observer import Observer
 from candata.simulate.seal import open_seal
+from candata.simulate.world import unread
 
-__all__ = ["Observer", "Trajectory", "at_rest", "open_seal", "rollout"]
+__all__ = ["Observer", "Trajectory", "at_rest", "open_seal", "rollout", "unread"]

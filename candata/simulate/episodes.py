@@ -81,6 +81,7 @@ def make_episodes(
         np.stack([p.qpos for p in plans]),
         np.stack([p.qvel for p in plans]),
         [j.effects for j in jobs],
+        settle=settle,
         threads=threads,
     )
     return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]

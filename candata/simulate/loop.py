@@ -13,6 +13,7 @@ from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Observer, correct
+from candata.simulate.timing import resampled, retimed, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
 Array = NDArray[np.float64]
@@ -52,6 +53,7 @@ def rollout(
     observer: Observer | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
+    settle: int = 0,
     threads: int = 1,
 ) -> Trajectory:
     """Return the readings of n simulations that play recorded commands.
@@ -72,6 +74,8 @@ def rollout(
         Report the force of the last physics step instead of the mean over the control step.
     keep_state : bool
         Also keep qpos and qvel of each row.
+    settle : int
+        Rows before the recording begins: a clock that drifts does so from there.
     threads : int
         Threads of the pool; results do not depend on it.
 
@@ -81,7 +85,7 @@ def rollout(
         When an effect cannot act in the scene.
     """
     run = _Run(scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads)
-    return run.play(np.asarray(commands, float), observer, instant_force, keep_state)
+    return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
 
 class _Run:
@@ -95,11 +99,15 @@ class _Run:
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.applied = self.batch.bind("qfrc_applied")
+        steps = steps_of(scene, worlds)
+        self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
         self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
 
-    def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool) -> Trajectory:
+    def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool, settle: int) -> Trajectory:
         """Step through all rows and collect the readings."""
         scene, count = self.scene, commands.shape[1]
+        drifting = np.flatnonzero(self.worlds.pace != 1)
+        own_time = retimed(commands[drifting], self.worlds.pace[drifting], scene.substeps, settle)
         tips = len(scene.force_sensors)
         force, touch = np.zeros((self.n, tips, 3)), np.zeros(self.n, bool)
         rows: dict[str, list[Array]] = {}
@@ -115,7 +123,9 @@ class _Run:
             if observer is not None:
                 correct(scene, observer, k, readings, touch, self.qpos)
             if k + 1 < count:
-                force, touch = self._step(commands[:, k], instant)
+                held = np.repeat(commands[:, k][:, None], scene.substeps, axis=1)
+                held[drifting] = own_time[:, k]
+                force, touch = self._step(held, instant)
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         return Trajectory({n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept)
 
@@ -139,23 +149,25 @@ class _Run:
             self.states[kind][i], x = f.apply(self.states[kind][i], x)
         return x
 
-    def _step(self, command: Array, instant: bool) -> tuple[Array, NDArray[np.bool_]]:
-        """Advance one control step; return the force on each fingertip `(n, F, 3)` and the touch flags."""
-        scene, steps = self.scene, self.scene.substeps
+    def _step(self, held: Array, instant: bool) -> tuple[Array, NDArray[np.bool_]]:
+        """Advance one row under commands `(n, S, A)`; return force `(n, F, 3)` and touch `(n,)` of each world."""
+        scene = self.scene
         control = None
         if len(scene.actuator_ids):
-            held = np.repeat(command[:, None], steps, axis=1)
-            control = np.zeros((self.n, steps, scene.model.nu))
+            control = np.zeros((self.n, held.shape[1], scene.model.nu))
             control[:, :, scene.actuator_ids] = self._filter("command", held)
         if self.worlds.force:
             self.applied[:] = self._filter("force", np.zeros((self.n, scene.model.nv)))
-        data = self.batch.rollout(steps, control, record=("sensordata",))["sensordata"]
-        if not len(scene.force_sensors):
-            return np.zeros((self.n, 0, 3)), np.zeros(self.n, bool)
-        world = data[:, :, scene.force_sensors]
-        local = rotate(conjugate(data[:, :, scene.frame_sensors]), world)
-        force = local[:, -1] if instant else local.mean(1)
-        return force, (data[:, :, scene.touch_sensors] > 0).any((1, 2))
+        force, touch = np.zeros((self.n, len(scene.force_sensors), 3)), np.zeros(self.n, bool)
+        for steps, ids in self.groups:
+            own = None if control is None else resampled(control[ids], steps)
+            data = self.batch.rollout(steps, own, record=("sensordata",), ids=ids)["sensordata"]
+            if len(scene.force_sensors):
+                world = data[:, :, scene.force_sensors]
+                local = rotate(conjugate(data[:, :, scene.frame_sensors]), world)
+                force[ids] = local[:, -1] if instant else local.mean(1)
+                touch[ids] = (data[:, :, scene.touch_sensors] > 0).any((1, 2))
+        return force, touch
 
 
 def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:

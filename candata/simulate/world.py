@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,11 +36,14 @@ class Worlds:
     ----------
     models : list of MjModel
         One a simulation; simulations without model edits share the scene's.
+    pace : (n,) float64
+        True time that passes during one recorded row, in nominal control steps.
     command, force, reading : tuple of Filter
         Hooks of the effects present, in the order of their names.
     """
 
     models: list[mujoco.MjModel]
+    pace: Array
     command: tuple[Filter, ...]
     force: tuple[Filter, ...]
     reading: tuple[Filter, ...]
@@ -62,7 +65,33 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
                 filters += _filters(scene, name, hook, effects)
-    return Worlds(models, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+    pace = np.array([_pace(scene, some) for some in effects])
+    return Worlds(models, pace, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+
+
+def _pace(scene: Scene, some: EffectList) -> float:
+    """Return the true time of one recorded row, in nominal control steps."""
+    hooks = [(effect(s.name).pace, s) for s in some]
+    return float(np.prod([hook(scene, flatten(s, scene)) for hook, s in hooks if hook is not None]))
+
+
+def unread(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dict[str, Array]:
+    """Return what is true where `readings` was read at rest in a world with some effects: where its replay starts.
+
+    Parameters
+    ----------
+    scene : Scene
+    readings : mapping of str to ndarray
+        `object_pose (..., 7)`, `joint_position (..., J)`; others pass through.
+    some : sequence of EffectSetting
+        Effects of the world.
+    """
+    out = dict(readings)
+    for s in sorted(some, key=lambda s: s.name, reverse=True):  # against the stepping loop's order
+        hook = effect(s.name).unread
+        if hook is not None:
+            out = hook(scene, flatten(s, scene), s.element, out)
+    return out
 
 
 def _filters(scene: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
@@ -91,7 +120,7 @@ def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoc
                 expected=f"a scene with what it acts on ({effect(s.name).acts_on})",
                 fix="remove it from the effects",
             )
-        if s.element is not None and effect(s.name).acts_on not in ("joint", "fingertip"):
+        if s.element is not None and not effect(s.name).elements(scene):
             raise UsageError(
                 f"effect {s.name} has no elements",
                 expected="element: null",

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
-from candata.effects import effect, effect_names, flatten, setting
+from candata.effects import active, effect, effect_names, flatten, setting
 from candata.errors import UnknownNameError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.world import build_worlds
+from tests.effects.gripper import XML, play_grip, write_scene
 
+#: A joint of the hand, and the fingertip that it moves.
 JOINT = "index2"
+NAMES = effect_names()
+TACTILE = ["tactile_gain", "tactile_bias", "tactile_dead_band", "tactile_lag"]
+CONTACT = ["sliding_friction", "torsional_friction", "rolling_friction", "contact_compliance", "contact_damping"]
+ELSEWHERE = [
+    "object_mass", "object_com", "object_size", "object_inertia", "anisotropic_friction", "friction_cone", "impratio",
+    "integrator", "time_step", "solimp_width", "gravity_tilt", "support_height", "pose_latency", "pose_bias",
+    "pose_rotation_bias", "pose_scale", "clock_drift",
+]  # fmt: skip
+LOCAL = [n for n in NAMES if n not in ELSEWHERE]
 EDITS = [n for n in effect_names() if effect(n).acts_on == "joint" and effect(n).edit]
-ELSEWHERE = [n for n in effect_names() if effect(n).acts_on in ("object", "world")]
 #: Fields of the model that a joint effect may change, one row a joint of freedom or an actuator.
 BY_DOF = ("dof_damping", "dof_frictionloss", "dof_armature")
 BY_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
@@ -24,9 +35,9 @@ def scene():
     return load_scene("xhand_tabletop")
 
 
-def probe(name: str, scene, element: str | None) -> EffectSetting:
+def probe(name: str, scene, element: str | None, nth: int = -1) -> EffectSetting:
     x = flatten(EffectSetting(name=name), scene)
-    x[:] = effect(name).parameters[0].probes(scene)[-1]
+    x[:] = effect(name).parameters[0].probes(scene)[nth]
     return setting(name, x, scene, element)
 
 
@@ -52,7 +63,7 @@ def test_a_joint_effect_edits_something(scene):
 
 def test_the_scene_s_own_model_stays_as_it_is(scene):
     before = scene.digest
-    build_worlds(scene, [(probe(name, scene, None),) for name in effect_names()])
+    build_worlds(scene, [(probe(name, scene, None),) for name in NAMES if effect(name).possible(scene)])
     assert load_scene("xhand_tabletop").digest == before
 
 
@@ -70,22 +81,120 @@ def test_a_delay_moves_the_commands_of_its_joint_only(scene, element, rng):
     assert {a for a, c in zip(scene.file.actuator_names, changed, strict=True) if c} == expected
 
 
-@pytest.mark.parametrize("name", ["tactile_gain", "tactile_bias"])
+@pytest.mark.parametrize("element", [JOINT, None])
+def test_backlash_moves_the_commands_of_its_joint_only(scene, element, rng):
+    hook = build_worlds(scene, [(probe("backlash", scene, element),)]).command[0]
+    commands = rng.standard_normal((1, scene.substeps, len(scene.actuator_ids)))
+    changed = (hook.apply(hook.state, commands)[1] != commands).any((0, 1))
+    expected = {JOINT} if element else {scene.file.joints[i] for i in scene.driven_hinges}
+    assert {a for a, c in zip(scene.file.actuator_names, changed, strict=True) if c} == expected
+
+
+@pytest.mark.parametrize("name", TACTILE)
 def test_a_tactile_effect_moves_its_fingertip_only(scene, name):
     hook = build_worlds(scene, [(probe(name, scene, JOINT),)]).reading[0]
-    force = np.ones((1, 5, 3))
-    _, readings = hook.apply(hook.state, {"fingertip_force": force})
+    state, _ = hook.apply(hook.state, {"fingertip_force": np.zeros((1, 5, 3))})
+    force = np.full((1, 5, 3), 0.05)
+    _, readings = hook.apply(state, {"fingertip_force": force})
     changed = (readings["fingertip_force"] != force).any((0, 2))
     assert [t for t, c in zip(scene.file.fingertips, changed, strict=True) if c] == [JOINT]
 
 
-@pytest.mark.parametrize("name", [*EDITS, "actuation_delay", "tactile_gain", "tactile_bias"])
+def test_an_offset_is_read_at_its_joint_only(scene):
+    hook = build_worlds(scene, [(probe("joint_offset", scene, JOINT),)]).reading[0]
+    _, readings = hook.apply(hook.state, {"joint_position": np.zeros((1, len(scene.file.joints)))})
+    changed = np.flatnonzero(readings["joint_position"][0])
+    assert [scene.file.joints[i] for i in changed] == [JOINT]
+
+
+@pytest.mark.parametrize(("name", "numbers"), [("joint_offset", 1), ("tactile_bias", 3)])
+def test_a_vector_on_one_element_holds_its_numbers_only(scene, name, numbers):
+    x = np.zeros(len(active(name, scene)))
+    x[active(name, scene, JOINT)] = 0.05
+    given = setting(name, x, scene, JOINT)
+    value = given.parameters[effect(name).parameters[0].name]
+    assert np.size(value) == numbers == active(name, scene, JOINT).sum()
+    assert np.array_equal(flatten(given, scene), x)
+
+
+def test_a_wrong_count_on_one_element_is_refused(scene):
+    with pytest.raises(UsageError, match=r"expected: 1 number\(s\)"):
+        flatten(EffectSetting(name="joint_offset", element=JOINT, parameters={"offset_rad": (0.1, 0.2)}), scene)
+
+
+def test_an_actuator_of_a_tendon_drives_no_joint(tmp_path):
+    # The tendon's id is 0, the id of the first joint, too.
+    tendon = '<tendon><fixed name="both"><joint joint="right" coef="1"/></fixed></tendon>'
+    xml = XML.replace("<actuator>", f"{tendon}<actuator>").replace(
+        '<position name="lift" joint="lift" kp="1500" kv="80" forcerange="-60 60"/>',
+        '<position name="lift" tendon="both"/>',
+    )
+    scene = write_scene(tmp_path, xml)
+    assert scene.driven_joints == {1: 1, 2: 2}
+
+
+@pytest.mark.parametrize("name", CONTACT)
+@pytest.mark.parametrize("element", ["left", "table"])
+def test_a_contact_effect_edits_the_pairs_of_its_element_only(gripper, name, element):
+    if element not in effect(name).elements(gripper):
+        pytest.skip("fingertips only")
+    model = build_worlds(gripper, [(probe(name, gripper, element),)]).models[0]
+    fields = ("pair_friction", "pair_solref")
+    changed = np.logical_or.reduce([(getattr(model, f) != getattr(gripper.model, f)).any(1) for f in fields])
+    geom = model.geom(element).id
+    assert changed.tolist() == ((model.pair_geom1 == geom) | (model.pair_geom2 == geom)).tolist()
+
+
+def contacts(scene, given):
+    """`(tip, friction, solref, solimp, dim)` of every contact of fingertips that press into the object."""
+    model = build_worlds(scene, [given]).models[0]
+    data = mujoco.MjData(model)
+    at = scene.object_qpos
+    found = []
+    for tip in scene.file.fingertips:
+        mujoco.mj_resetDataKeyframe(model, data, model.key("grasp").id)
+        mujoco.mj_kinematics(model, data)
+        geom = model.geom(tip).id
+        data.qpos[at : at + 3] = data.geom_xpos[geom] + (0.03, 0, 0)
+        mujoco.mj_forward(model, data)
+        own = set(scene.object_geoms.tolist())
+        for c in data.contact:
+            if geom in c.geom and own & set(c.geom.tolist()):
+                found.append((tip, *c.friction, *c.solref, *c.solimp, c.dim))
+    return found
+
+
+@pytest.mark.parametrize("name", CONTACT)
+def test_a_contact_effect_on_one_fingertip_changes_its_contacts_only(scene, name):
+    before, after = contacts(scene, ()), contacts(scene, (probe(name, scene, JOINT, 0),))
+    assert {c[0] for c in before} == set(scene.file.fingertips)
+    assert {b[0] for b, a in zip(before, after, strict=True) if a != b} == {JOINT}
+
+
+def test_one_fingertip_can_be_more_slippery_than_the_object(scene):
+    half = EffectSetting(name="sliding_friction", element=JOINT, parameters={"scale": 0.5})
+    for b, a in zip(contacts(scene, ()), contacts(scene, (half,)), strict=True):
+        assert a[1] == pytest.approx(b[1] * (0.5 if a[0] == JOINT else 1.0), rel=1e-12)
+        assert a[3:] == b[3:], "nothing else moves"
+
+
+@pytest.mark.parametrize("name", LOCAL)
 def test_an_unknown_element_is_refused(scene, name):
     with pytest.raises(UnknownNameError, match="index_2"):
         build_worlds(scene, [(probe(name, scene, "index_2"),)])
 
 
 @pytest.mark.parametrize("name", ELSEWHERE)
-def test_an_effect_without_elements_refuses_one(scene, name):
+def test_an_effect_without_elements_refuses_one(gripper, name):
     with pytest.raises(UsageError, match=f"effect {name} has no elements"):
-        build_worlds(scene, [(probe(name, scene, JOINT),)])
+        build_worlds(gripper, [(probe(name, gripper, "left"),)])
+
+
+@pytest.mark.parametrize("name", LOCAL)
+def test_every_element_that_is_offered_can_be_given(gripper, name):
+    elements = effect(name).elements(gripper)
+    assert elements
+    worlds = [(), *((probe(name, gripper, element, 0),) for element in elements)]
+    readings = play_grip(gripper, worlds).readings
+    for row in range(1, len(worlds)):
+        assert any(not np.array_equal(v[row], v[0]) for v in readings.values()), worlds[row]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.candidates import candidate, candidates, first_probes, probes
+from candata.gap.candidates import candidate, candidates, first_probes, local_candidates, probes
 from candata.schema.effect import EffectSetting
 
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -82,3 +82,27 @@ def test_a_label_names_the_element(hand):
     assert candidate("joint_damping", hand).label == "joint_damping"
     assert candidate("joint_damping", hand, "index2").label == "joint_damping index2"
     assert candidate("joint_damping", hand, "index2").setting(np.array([0.1]), hand).element == "index2"
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_a_local_variant_acts_on_its_element_alone(hand, name):
+    whole = candidate(name, hand)
+    variants = local_candidates(whole, hand)
+    elements = effect(name).elements(hand)
+    assert [c.element for c in variants] == (list(elements) if len(elements) > 1 else [])
+    for c in variants:
+        points = probes(c, hand)
+        assert points
+        for u in points:
+            setting = c.setting(u, hand)
+            assert setting.element == c.element
+            flatten(setting, hand)  # within bounds, of the right size
+        assert local_candidates(c, hand) == [], "an element has no elements"
+
+
+def test_one_number_of_a_vector_is_searched_to_both_sides(hand):
+    c = candidate("joint_offset", hand, "index2")
+    assert c.size == 1
+    assert {float(np.sign(u[0])) for u in probes(c, hand)} == {-1.0, 1.0}
+    x = flatten(c.setting(np.array([0.02]), hand), hand)
+    assert (x != 0).sum() == 1

@@ -51,6 +51,22 @@ def test_a_planted_damping_is_named(damped):
     assert report.ambiguous_class == ()
 
 
+@pytest.mark.parametrize(
+    ("name", "element", "parameters"),
+    [
+        ("joint_dry_friction", "elbow", {"frictionloss_Nm": 0.4}),
+        ("servo_gain", "shoulder", {"kp_scale": 0.6}),
+    ],
+)
+def test_a_fault_of_one_joint_is_named_there(arm, arm_episodes, planted, judge, name, element, parameters):
+    report = judge(arm, arm_episodes(planted(name, element, **parameters))).report
+    assert report.verdict == "explained"
+    assert [(e.name, e.element) for e in report.effects] == [(name, element)]
+    ((parameter, value),) = parameters.items()
+    # Half the data of a fault of both joints; a servo's gain also shifts with the damping that stays.
+    assert report.effects[0].parameters[parameter].value == pytest.approx(value, rel=0.05)
+
+
 def test_with_the_effect_switched_off_nothing_is_named(unchanged):
     report = unchanged.report
     assert report.verdict == "no_gap"

@@ -19,7 +19,9 @@ E, K = 12, 60
 def curve(level, rng, strength: float = 0.5) -> Curve:
     """A scalar whose residuals move along a random direction, neutral at 0."""
     at = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    who = Candidate("joint_damping", None, np.zeros(1), at[:1], at[-1:], np.zeros(1, bool), False)
+    who = Candidate(
+        "joint_damping", None, np.zeros(1), at[:1], at[-1:], np.zeros(1, bool), False, np.ones(1, bool), np.zeros(1)
+    )
     direction = strength * rng.standard_normal((E, K))
     return Curve(who, at, (level.null[0] + at[:, None, None] * direction).astype(np.float32))
 

@@ -13,7 +13,9 @@ E, K = 6, 300
 
 
 def candidate(choices: bool = False, low: float = -2.0, high: float = 4.0) -> Candidate:
-    return Candidate("joint_damping", None, np.zeros(1), np.array([low]), np.array([high]), np.zeros(1, bool), choices)
+    ends = np.array([low]), np.array([high])
+    own = np.ones(1, bool), np.zeros(1)
+    return Candidate("joint_damping", None, np.zeros(1), *ends, np.zeros(1, bool), choices, *own)
 
 
 @pytest.fixture

@@ -1,0 +1,131 @@
+"""Contacts with the object: which geoms and pairs make them, and how one geom comes to decide its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import _select
+from candata.effects._contract import Array
+from candata.errors import UnknownNameError
+from candata.scenes.assemble import Scene, subtree
+
+Ids = NDArray[np.int64]
+
+
+def names(scene: Scene) -> tuple[str, ...]:
+    """Return what can be slippery or soft on its own: every fingertip, and the support."""
+    if scene.object_id is None:
+        return ()
+    return (*scene.file.fingertips, *((scene.file.support,) if scene.file.support else ()))
+
+
+def geoms(scene: Scene, element: str | None) -> Ids:
+    """Return ids of the geoms that meet the object, its own among them; of one fingertip or the support alone.
+
+    Raises
+    ------
+    UnknownNameError
+        When `element` is neither a fingertip nor the support.
+    """
+    touching = np.array(_select.contact_geoms(scene), int)
+    if element is None:
+        return touching
+    if element not in names(scene):
+        raise UnknownNameError("fingertip or support", element, names(scene))
+    return touching[np.isin(touching, _own(scene, element))]
+
+
+def fingertip_geoms(scene: Scene, element: str | None) -> Ids:
+    """Return ids of the geoms of all fingertips, or of the one named, that meet the object."""
+    tips = [scene.file.fingertips[i] for i in _select.fingertips(scene, element)]
+    return np.concatenate([np.zeros(0, int), *(geoms(scene, tip) for tip in tips)])
+
+
+def _own(scene: Scene, element: str) -> list[int]:
+    """Return ids of the geoms that bear a name, or that a body of this name carries (a body wins)."""
+    model = scene.model
+    body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element)
+    if body < 0 or element == scene.file.support:
+        return [model.geom(element).id]
+    carried = subtree(model, body)
+    return [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in carried]
+
+
+def pairs(scene: Scene, element: str | None) -> Ids:
+    """Return ids of the explicit contact pairs of the object; of those with one fingertip or the support."""
+    model, own = scene.model, subtree(scene.model, scene.object_id or 0) if scene.object_id is not None else set()
+    ends = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
+    with_object = np.isin(model.geom_bodyid[ends], list(own)).any(1)
+    if element is not None:
+        with_object &= np.isin(ends, _own(scene, element)).any(1)
+    return np.flatnonzero(with_object)
+
+
+def lead(model: mujoco.MjModel, scene: Scene, ids: Ids) -> None:
+    """Let the geoms alone decide their contacts with the object, with the values that these have now.
+
+    A contact takes the larger friction of its two geoms and mixes their softness, unless one has the higher
+    priority (MuJoCo manual, "Contact parameters"): only so can one fingertip be more slippery than the object.
+    """
+    own = scene.object_geoms
+    for g in ids:
+        partners = [o for o in own if _select.collide(scene, int(g), int(o))]
+        if not partners or g in own:
+            continue
+        top = model.geom_priority[partners].max()
+        if model.geom_priority[g] > top:
+            continue
+        other = partners[int(np.argmax(model.geom_priority[partners]))]
+        equal = bool(model.geom_priority[g] == top)
+        share = model.geom_solmix[g] / max(model.geom_solmix[g] + model.geom_solmix[other], mujoco.mjMINVAL)
+        share = share if equal else 0.0
+        larger = np.maximum(model.geom_friction[g], model.geom_friction[partners].max(0))
+        model.geom_friction[g] = larger if equal else model.geom_friction[other]
+        model.geom_condim[g] = (
+            max(model.geom_condim[g], model.geom_condim[partners].max()) if equal else (model.geom_condim[other])
+        )
+        direct = equal and min(model.geom_solref[g, 0], model.geom_solref[other, 0]) <= 0
+        mixed = share * model.geom_solref[g] + (1 - share) * model.geom_solref[other]
+        model.geom_solref[g] = np.minimum(model.geom_solref[g], model.geom_solref[other]) if direct else mixed
+        model.geom_solimp[g] = share * model.geom_solimp[g] + (1 - share) * model.geom_solimp[other]
+        model.geom_priority[g] = top + 1
+
+
+def chosen(model: mujoco.MjModel, scene: Scene, element: str | None) -> Ids:
+    """Return the geoms to edit: all that meet the object, or those of one element, which then lead."""
+    ids = geoms(scene, element)
+    if element is not None:
+        lead(model, scene, ids)
+    return ids
+
+
+def resist(model: mujoco.MjModel, ids: Ids, condim: int) -> None:
+    """Raise the contact dimension of geoms; directions that were free before start without friction."""
+    three, four = model.geom_condim[ids] < 4, model.geom_condim[ids] < 6
+    if condim >= 4:
+        model.geom_friction[ids[three], 1] = 0.0
+    if condim >= 6:
+        model.geom_friction[ids[four], 2] = 0.0
+    model.geom_condim[ids] = np.maximum(model.geom_condim[ids], condim)
+
+
+def change_solref(model: mujoco.MjModel, scene: Scene, element: str | None, change: Callable[[Array], Array]) -> None:
+    """Replace solref `(m, 2)` of the contacts with the object by what `change` makes of it."""
+    ids, explicit = chosen(model, scene, element), pairs(scene, element)
+    model.geom_solref[ids] = change(model.geom_solref[ids])
+    model.pair_solref[explicit] = change(model.pair_solref[explicit])
+
+
+def time_form(solref: Array) -> Array:
+    """Return solref `(m, 2)` as (time constant [s], damping ratio), whichever form it has.
+
+    The direct form (-k, -b) has b = 2 / timeconst and k = 1 / (timeconst dampratio)^2 (MuJoCo manual, "Solver
+    parameters", with dmax 1).
+    """
+    stiffness, damping = np.maximum(-solref, 1e-9).T
+    direct = np.stack([2 / damping, damping / (2 * np.sqrt(stiffness))], axis=1)
+    return np.where(solref[:, :1] > 0, solref, direct)

@@ -1,0 +1,60 @@
+"""Gears have play: the joint follows its command only once the gap is closed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from candata.effects import _select
+from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, always, fixed, spans, values
+from candata.scenes.assemble import Scene
+
+
+class _Gears(NamedTuple):
+    """What the output side stands at `(n, A)` after the last step, half gaps `(n, A)`."""
+
+    output: Array | None
+    half: Array
+
+
+def _start(scene: Scene, x: Array, elements: Elements) -> _Gears:
+    """Return gears in the middle of their gap; joints that are not driven hinges have none."""
+    half = np.zeros((len(x), len(scene.actuator_ids)))
+    ids = scene.actuator_ids.tolist()
+    for row, element in enumerate(elements):
+        half[row, [ids.index(a) for a in _select.actuators(scene, element)]] = x[row, 0] / 2
+    return _Gears(None, half)
+
+
+def _apply(gears: _Gears, u: Array) -> tuple[_Gears, Array]:
+    """Return commands `(n, S, A)` of the output side: within half a gap of what is asked, at rest in between.
+
+    Source: the play operator (Visintin 1994, "Differential models of hysteresis", section III.2).
+    """
+    output = u[:, 0] if gears.output is None else gears.output
+    out = np.empty_like(u)
+    for step in range(u.shape[1]):
+        output = np.clip(output, u[:, step] - gears.half, u[:, step] + gears.half)
+        out[:, step] = output
+    return gears._replace(output=output), out
+
+
+EFFECT = Effect(
+    about="gears have play, a dead zone of the command",
+    parameters=(
+        Parameter(
+            "gap_rad",
+            "rad",
+            fixed(0.0, 0.3),
+            values(0.01, 0.03, 0.08, 0.16),
+            spans((0.03, 0.12)),
+            "small gear trains and tendons: 0.5 to 5 degrees at the joint",
+            always(0.0),
+        ),
+    ),
+    acts_on="joint",
+    possible=_select.has_driven_hinges,
+    elements=_select.joint_names,
+    command=Hook(_start, _apply),
+)

@@ -1,0 +1,48 @@
+"""The simulator integrates by another method: a discrete setting of the solver."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects._contract import Array, Effect, Parameter, fixed
+from candata.scenes.assemble import Scene
+
+#: Words in the order of `mjtIntegrator`.
+CHOICES = ("euler", "rk4", "implicit", "implicitfast", "discrete")
+#: The methods in use; `implicit` differs from `implicitfast` in Coriolis terms alone.
+USUAL = ("euler", "rk4", "implicitfast")
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Replace the integrator."""
+    model.opt.integrator = int(x[0])
+
+
+def _own(scene: Scene) -> float:
+    """Return the scene's integrator."""
+    return float(scene.model.opt.integrator)
+
+
+def _others(scene: Scene) -> tuple[float, ...]:
+    """Return the usual integrators that the scene does not have."""
+    return tuple(float(CHOICES.index(word)) for word in USUAL if CHOICES.index(word) != _own(scene))
+
+
+EFFECT = Effect(
+    about="integrator of the simulation is replaced",
+    parameters=(
+        Parameter(
+            "integrator",
+            "1",
+            fixed(0, len(CHOICES) - 1),
+            _others,
+            lambda scene: tuple((v, v) for v in _others(scene)),
+            "MuJoCo manual, option/integrator: Euler is the default, implicitfast is advised",
+            neutral=_own,
+            choices=CHOICES,
+        ),
+    ),
+    acts_on="world",
+    possible=lambda scene: True,
+    edit=_edit,
+)

@@ -1,0 +1,39 @@
+"""The servo damps more or less than modelled."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects import _select
+from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Scale the velocity gain; the position gain stays (`servo_gain` is another effect)."""
+    model.actuator_biasprm[_select.actuators(scene, element), 2] *= x[0]
+
+
+def _has_damping(scene: Scene) -> bool:
+    """Tell whether a driven hinge has a velocity gain that could be scaled."""
+    return bool(scene.model.actuator_biasprm[_select.actuators(scene, None), 2].any())
+
+
+EFFECT = Effect(
+    about="velocity gain of the servos is scaled",
+    parameters=(
+        Parameter(
+            "kv_scale",
+            "1",
+            fixed(0.05, 8.0),
+            values(0.2, 0.5, 2.0, 4.0),
+            spans((0.2, 0.6), (1.6, 3.0)),
+            "makers state stiffness more often than damping; public models of one hand differ severalfold",
+            always(1.0),
+        ),
+    ),
+    acts_on="joint",
+    possible=_has_damping,
+    elements=_select.joint_names,
+    edit=_edit,
+)

@@ -1,0 +1,46 @@
+"""Contacts reach their full stiffness deeper or shallower than modelled: a setting of the solver."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from candata.effects import _contact
+from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.scenes.assemble import Scene
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Replace the width of solimp: the depth over which the impedance grows to its full value."""
+    model.geom_solimp[_contact.geoms(scene, None), 2] = x[0]
+    model.pair_solimp[_contact.pairs(scene, None), 2] = x[0]
+
+
+def _own(scene: Scene) -> float:
+    """Return the median width of the object's geoms [m]."""
+    return float(np.median(scene.model.geom_solimp[scene.object_geoms, 2]))
+
+
+def _grows(scene: Scene) -> bool:
+    """Tell whether the object's impedance grows with depth at all."""
+    solimp = scene.model.geom_solimp[scene.object_geoms]
+    return bool((solimp[:, 0] != solimp[:, 1]).any() and (solimp[:, 2] > 0).all())
+
+
+EFFECT = Effect(
+    about="depth over which contacts reach their full stiffness is replaced",
+    parameters=(
+        Parameter(
+            "width_m",
+            "m",
+            scaled_bounds(_own, 0.02, 50.0),
+            scaled(_own, 0.15, 6.0),
+            scaled_spans(_own, (0.05, 0.15), (5.0, 20.0)),
+            "MuJoCo manual, solimp: 1 mm is a default; models in use have 0.1 to 20 mm",
+            neutral=_own,
+        ),
+    ),
+    acts_on="object",
+    possible=_grows,
+    edit=_edit,
+)

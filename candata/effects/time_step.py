@@ -1,0 +1,62 @@
+"""The simulator takes longer or shorter physics steps: a setting of the solver."""
+
+from __future__ import annotations
+
+import mujoco
+
+from candata.effects._contract import Array, Bounds, Effect, Parameter
+from candata.scenes.assemble import Scene
+
+#: Largest number of physics steps in one of the scene's, and of the scene's steps in one.
+FINER, COARSER = 8, 2.5
+
+
+def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
+    """Replace the physics step by the nearest one that divides the control step."""
+    model.opt.timestep *= _divided(scene, x[0]) / scene.model.opt.timestep
+
+
+def _divided(scene: Scene, step_s: float) -> float:
+    """Return the physics step nearest to `step_s` of which a whole number makes a control step [s]."""
+    control = scene.substeps * scene.model.opt.timestep
+    return float(control / max(1, round(control / step_s)))
+
+
+def _bounds(scene: Scene) -> Bounds:
+    """Return the range, the scene's own step inside."""
+    own = scene.model.opt.timestep
+    return Bounds(own / FINER, min(COARSER, scene.substeps) * own)
+
+
+def _probes(scene: Scene) -> tuple[float, ...]:
+    """Return half the step, and a coarser one where it fits."""
+    own, steps = scene.model.opt.timestep, scene.substeps
+    coarser = (_divided(scene, 1.7 * own),) if steps > 1 else ()
+    return (own / 2, *coarser)
+
+
+def _draws(scene: Scene) -> tuple[tuple[float, float], ...]:
+    """Return the finer and coarser steps that divide the control step."""
+    own, steps = scene.model.opt.timestep, scene.substeps
+    ends = _bounds(scene)
+    found = [_divided(scene, factor * own) for factor in (0.2, 0.25, 0.5, 1.6, 2.5)]
+    return tuple((v, v) for v in dict.fromkeys(found) if v != own and v <= ends.high and (v < own or steps > 1))
+
+
+EFFECT = Effect(
+    about="physics step of the simulation is replaced by the nearest that divides the control step",
+    parameters=(
+        Parameter(
+            "time_step_s",
+            "s",
+            _bounds,
+            _probes,
+            _draws,
+            "MuJoCo manual, option/timestep: 2 ms is the default, models in use have 0.5 to 5 ms",
+            neutral=lambda scene: float(scene.model.opt.timestep),
+        ),
+    ),
+    acts_on="world",
+    possible=lambda scene: True,
+    edit=_edit,
+)

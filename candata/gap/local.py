@@ -1,0 +1,109 @@
+"""Local causes: which effects on one joint, fingertip or geom alone are worth simulating."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate, local_candidates
+from candata.gap.response import Curve, Plane
+from candata.gap.score import NU, Compact
+from candata.gap.search import Problem, fit_one
+
+Array = NDArray[np.float64]
+#: Variants on one element that are simulated by their promise, and the largest number of one effect among them.
+LOCAL, LOCAL_EACH = 6, 2
+#: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated.
+STANDS_OUT = 1.5
+
+
+def promising(
+    problem: Problem, here: Compact, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array
+) -> list[Candidate]:
+    """Return the variants on one element that are worth simulating.
+
+    Parameters
+    ----------
+    problem : Problem
+    here : (E, K) float32
+        Normalised residuals without another effect.
+    responses : sequence of (Candidate, Curve or Plane)
+        Of the effects on all elements.
+    base : (E,) float64
+        Typical loss without another effect, in floors.
+
+    Notes
+    -----
+    What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
+    fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
+    along with its effect where that effect as a whole gains. All effects on the elements whose readings stand out most
+    come along too, as a strong fault spreads beyond what it sits on.
+    """
+    found: list[tuple[float, Candidate]] = []
+    worst = _standing_out(problem, here)
+    also: list[Candidate] = []
+    for c, response in responses:
+        variants = local_candidates(c, problem.replayer.scene)
+        if not variants:
+            continue
+        whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
+        gains = [_screened(problem, v, response, base, whole) for v in variants]
+        best = sorted(zip(gains, variants, strict=True), key=lambda pair: -pair[0])[:LOCAL_EACH]
+        found += [pair for pair in best if pair[0] > 0]
+        also += [v for v in variants if v.element in worst]
+    chosen = [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
+    taken = {c.label for c in chosen}
+    return chosen + [c for c in also if c.label not in taken]
+
+
+def _standing_out(problem: Problem, here: Compact) -> set[str]:
+    """Return the joint and the fingertip whose readings leave the nulls most, if they do so at all."""
+    found = set()
+    for channel in ("joint_position", "fingertip_force"):
+        elements = dict.fromkeys(_owner(c, e) for c, e, _ in problem.plan.columns if c == channel)
+        loss = {e: _own_loss(problem, here, e) for e in elements}
+        worst = max(loss, key=lambda e: loss[e], default=None)
+        if worst is not None and loss[worst] > STANDS_OUT:
+            found.add(worst)
+    return found
+
+
+def _own_loss(problem: Problem, here: Compact, element: str) -> float:
+    """Return the loss of an element's own readings over what the nulls have there."""
+    mine = _own_columns(problem, element) & problem.score.mask
+    size = [float(np.log1p(z[mine] ** 2 / NU).mean()) if mine.any() else 0.0 for z in (here, *problem.score.null)]
+    return size[0] / max(float(np.mean(size[1:])), 1e-9)
+
+
+def _screened(problem: Problem, variant: Candidate, response: Curve | Plane, base: Array, whole: float) -> float:
+    """Return the held-out gain that a variant on one element promises, from the response of its effect."""
+    columns = _columns(problem, variant)
+    if columns is None:
+        return whole
+    if isinstance(response, Curve):
+        kept = np.where(columns, response.z, response.neutral())
+        return fit_one(problem, variant, replace(response, z=kept), base).gain
+    mine = np.flatnonzero(variant.own)
+    slope = response.slope[mine] * columns
+    plane = Plane(variant.low, variant.high, variant.neutral, response.z, slope)
+    return fit_one(problem, variant, plane, base).gain
+
+
+def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
+    """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
+    mine = _own_columns(problem, str(variant.element))
+    return mine if mine.any() else None
+
+
+def _own_columns(problem: Problem, element: str) -> NDArray[np.bool_]:
+    """Return `(K,)` which block means are readings of a joint or fingertip."""
+    mine = np.array([_owner(channel, label) == element for channel, label, _ in problem.plan.columns])
+    return np.tile(mine, problem.plan.phase.shape[1])
+
+
+def _owner(channel: str, label: str) -> str:
+    """Return the joint or fingertip that a column belongs to; a force's label ends with its axis."""
+    return label.rsplit(" ", 1)[0] if channel == "fingertip_force" else label
