@@ -204,16 +204,14 @@ def fetch(
 ) -> None:
     """Fetch a public data set into a dataset, its hashes and licence checked."""
     from candata import __version__
+    from candata.datasets.durable import user_cache
     from candata.plugins import load
     from candata.schema.manifest import Lineage
 
     source = load("candata.fetch", "SOURCE", name.replace("-", "_"))
     _refuse_standing(out, append)
     console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
-    if folder is not None:
-        fetched = source.from_folder(folder)
-    else:
-        fetched = source.download(cache or _cache_folder(), console.note)
+    fetched = source.from_folder(folder) if folder is not None else source.download(cache or user_cache(), console.note)
     lineage = Lineage(
         operation=f"fetch {name}",
         config_digest=fetched.digest,
@@ -221,13 +219,6 @@ def fetch(
         details={"origin": source.origin, "licence": source.licence, "licence_text": fetched.notice},
     )
     _publish(out, fetched.episodes, lineage.operation, lambda: lineage)
-
-
-def _cache_folder() -> Path:
-    """Return the user's cache folder for downloads (XDG base directory specification)."""
-    import os
-
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "candata"
 
 
 def _refuse_standing(out: Path, append: bool) -> None:

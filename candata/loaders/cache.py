@@ -130,7 +130,7 @@ def open_cache(
         When the cache cannot be written.
     """
     name = f"windows-{_key(dataset, channels)}"
-    homes = [folder] if folder else [dataset.path / "cache", _user_folder()]
+    homes = [folder] if folder else [dataset.path / "cache", durable.user_cache()]
     found = next((cache for home in homes if (cache := _read(home / name))), None)
     if found is None:
         home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]
@@ -164,11 +164,6 @@ def reopen(folder: Path) -> Cache:
             fix="open the windows of the dataset again",
         )
     return found
-
-
-def _user_folder() -> Path:
-    """Return the user's cache folder (XDG base directories)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "candata"
 
 
 def _key(dataset: Dataset, channels: Sequence[str] | None) -> str:
