@@ -10,13 +10,15 @@ from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, local_candidates
 from candata.gap.response import Curve, Plane
-from candata.gap.score import NU, Compact
+from candata.gap.score import Compact, rho
 from candata.gap.search import Problem, fit_one
 
 Array = NDArray[np.float64]
-#: Variants on one element that are simulated by their promise, and the largest number of one effect among them.
+#: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
+#: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
-#: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated.
+#: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
+#: what is simulated, never what is named.
 STANDS_OUT = 1.5
 
 
@@ -74,7 +76,7 @@ def _standing_out(problem: Problem, here: Compact) -> set[str]:
 def _own_loss(problem: Problem, here: Compact, element: str) -> float:
     """Return the loss of an element's own readings over what the nulls have there."""
     mine = _own_columns(problem, element) & problem.score.mask
-    size = [float(np.log1p(z[mine] ** 2 / NU).mean()) if mine.any() else 0.0 for z in (here, *problem.score.null)]
+    size = [float(rho(z[mine]).mean()) if mine.any() else 0.0 for z in (here, *problem.score.null)]
     return size[0] / max(float(np.mean(size[1:])), 1e-9)
 
 

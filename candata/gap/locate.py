@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from candata.gap.evidence import HeatMap
 from candata.gap.residuals import Layout
-from candata.gap.score import NU, Compact, Score
+from candata.gap.score import Compact, Score, rho
 from candata.schema.report import Symptom
 
 Array = NDArray[np.float64]
@@ -50,13 +50,13 @@ def locate(plan: Layout, score: Score, nominal: Compact, rng: np.random.Generato
 def _cells(plan: Layout, z: Compact, score: Score) -> Array:
     """Return `(E, P D)` mean loss of each episode by phase and column; NaN where there is nothing."""
     count, blocks = plan.phase.shape
-    rho = (np.log1p(z * z / np.float32(NU)) * (NU + 1) / 2).reshape(count, blocks, -1).astype(float)
-    mask = score.mask.reshape(rho.shape)
-    out = np.full((count, len(plan.phases), rho.shape[2]), np.nan)
+    loss = rho(z).reshape(count, blocks, -1).astype(float)
+    mask = score.mask.reshape(loss.shape)
+    out = np.full((count, len(plan.phases), loss.shape[2]), np.nan)
     for p in range(len(plan.phases)):
         here = mask & (plan.phase == p)[:, :, None]
         n = here.sum(1)
-        out[:, p] = np.where(n > 0, np.where(here, rho, 0).sum(1) / np.maximum(n, 1), np.nan)
+        out[:, p] = np.where(n > 0, np.where(here, loss, 0).sum(1) / np.maximum(n, 1), np.nan)
     return out.reshape(count, -1)
 
 

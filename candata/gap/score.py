@@ -106,6 +106,11 @@ def _groups(plan: Layout) -> NDArray[np.int64]:
     return np.tile([order.index(kind) for kind in kinds], plan.phase.shape[1])
 
 
+def rho(z: Compact) -> Compact:
+    """Return the Student-t loss of each normalised residual, `(nu + 1) / 2 log(1 + z^2 / nu)`."""
+    return (np.log1p(z * z / np.float32(NU)) * np.float32((NU + 1) / 2)).astype(np.float32)
+
+
 def weights(z: Compact) -> Compact:
     """Return the weights of iteratively reweighted least squares, `(nu + 1) / (nu + z^2)`."""
     return (np.float32(NU + 1) / (np.float32(NU) + z * z)).astype(np.float32)
