@@ -35,7 +35,10 @@ def register(app: typer.Typer) -> None:
 def train(
     data: Annotated[Path, typer.Option("--data", metavar="DATASET", help="Dataset to train on.")],
     out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the run; one that stands goes on.")],
-    model: Annotated[str | None, typer.Option("--model", help="contact_diffusion, diffusion_unet or mlp.")] = None,
+    model: Annotated[
+        str | None,
+        typer.Option("--model", metavar="NAME", help="Such as contact_diffusion; an unknown name lists all."),
+    ] = None,
     preset: Annotated[str | None, typer.Option("--preset", help="small (default), base or paper.")] = None,
     config: Annotated[Path | None, typer.Option("--config", metavar="FILE", help="YAML: fields that differ.")] = None,
     steps: Annotated[int | None, typer.Option("--steps", min=1, help="Length; 20000 without --minutes.")] = None,
