@@ -3,81 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from candata.datasets import content_hash
 from candata.errors import DataError, UsageError
-from candata.record.calibration import Calibration
-from candata.record.companions import Companion, Stream, read_companion
-from candata.record.importing import Recipe, import_log
-from candata.record.logs import Log, LogMeta
-from candata.record.messages import descriptors, message
-from candata.schema.scene import SceneFile
-
-START = 1_760_000_000_000_000_000
-TIPS, JOINTS = ("thumb", "index"), ("j0", "j1", "j2")
-RECIPE = Recipe(episode="run")
-
-
-def make_log(seconds: float = 10.0, rate_hz: float = 83.0, reply_ns: int = 1_100_000, **changed) -> Log:
-    """A hand that swings each joint at its own speed; commands lead by nothing, forces rest at 1 count."""
-    n = round(seconds * rate_hz)
-    command_ns = START + np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64)
-    state_ns = command_ns + reply_ns
-    meta = LogMeta(
-        device="test", joint_names=JOINTS, fingertip_names=TIPS, taxels=4, newton_per_count=0.1,
-        count_low=(-128, -128, 0), count_high=(127, 127, 255), rate_hz=rate_hz,
-    )  # fmt: skip
-    bias = np.ones((2, 3))
-    rest = Calibration(bias, np.zeros((2, 4, 3)), round(3 * rate_hz), 3.0, np.zeros((2, 3)), np.zeros(3))
-    counts = np.ones((n, 2, 3), np.int16)
-    taxels = np.zeros((n, 2, 4, 3), np.int16)
-    taxels[..., 0, 0] = (np.arange(n) % 100)[:, None]
-    taxels[:, 1, 1, 1] = 7
-    fields = {
-        "meta": meta, "calibration": rest, "state_time_ns": state_ns, "joint_position": swing(state_ns),
-        "motor_current": np.zeros((n, 3)), "force_counts": counts, "taxel_counts": taxels,
-        "command_time_ns": command_ns, "joint_target": swing(command_ns), "statistics": (), "sha256": "0" * 64,
-    }  # fmt: skip
-    return Log(**{**fields, **changed})
-
-
-def swing(time_ns) -> np.ndarray:
-    return np.sin(((time_ns - START) * 1e-9)[:, None] * [1.0, 2.0, 3.0])
-
-
-def pose_stream(
-    rate_hz: float = 60.0, first_s: float = 0.0, last_s: float = 10.0, channel: str = "object_pose"
-) -> Stream:
-    time_ns = START + np.round(np.arange(first_s, last_s, 1 / rate_hz) * 1e9).astype(np.int64)
-    pose = np.zeros((len(time_ns), 7))
-    pose[:, 0], pose[:, 3] = (time_ns - START) * 1e-9, 1.0
-    return Stream(channel, (), time_ns, pose, "poses.parquet")
-
-
-def beside(*streams: Stream) -> Companion:
-    return Companion("map.yaml", streams, "1" * 64)
-
-
-def wrist(channel: str = "joint_position", names=("w0", "w1")) -> Stream:
-    time_ns = START + np.arange(0, 10_000, 10) * 1_000_000
-    return Stream(channel, names, time_ns, np.tile([5.0, 6.0], (len(time_ns), 1))[:, : len(names)], "wrist.parquet")
-
-
-def scene(**changed) -> SceneFile:
-    fields = {"model": "s.xml", "rate_hz": 80, "joints": ("w0", "w1", *JOINTS), "actuators": ("w0", "w1", *JOINTS)}
-    return SceneFile.model_validate({**fields, "fingertips": TIPS[::-1], **changed})
-
-
-def without(log: Log, lost: np.ndarray, commands: bool = False) -> Log:
-    """The log without the state frames (or the commands) in `lost`."""
-    if commands:
-        return replace(log, command_time_ns=log.command_time_ns[~lost], joint_target=log.joint_target[~lost])
-    names = ("state_time_ns", "joint_position", "motor_current", "force_counts", "taxel_counts")
-    return replace(log, **{name: getattr(log, name)[~lost] for name in names})
+from candata.record.importing import import_log
+from tests.record.made_logs import (
+    JOINTS,
+    RECIPE,
+    START,
+    TIPS,
+    beside,
+    make_log,
+    pose_stream,
+    scene,
+    swing,
+    without,
+    wrist,
+)  # fmt: skip
 
 
 def test_the_grid_has_the_rate_and_begins_when_all_have_begun():
@@ -362,113 +307,3 @@ def test_the_same_inputs_give_the_same_episode_and_digest():
         import_log("run.mcap", make_log(), RECIPE, [replace(beside(pose_stream()), digest="2" * 64)]),
     )
     assert len({first.digest, *(c.digest for c in changed)}) == 4
-
-
-def write_mcap(path: Path, topics: dict[str, tuple[str, list]]) -> Path:
-    from mcap.writer import Writer
-
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("", "test")
-        for topic, (name, messages) in topics.items():
-            schema = writer.register_schema(name, "protobuf", descriptors(name))
-            channel = writer.register_channel(topic, "protobuf", schema)
-            for time_ns, data in messages:
-                writer.add_message(channel, time_ns, data, time_ns)
-        writer.finish()
-    return path
-
-
-def pose_message(time_ns: int, stamped: bool = True, w: float = 1.0) -> tuple[int, bytes]:
-    found = message("foxglove.PoseInFrame")()
-    if stamped:
-        found.timestamp.FromNanoseconds(time_ns)
-    found.pose.position.x, found.pose.orientation.w = 0.25, w
-    return time_ns + (5_000_000 if stamped else 0), found.SerializeToString()
-
-
-def joints_message(time_ns: int, **positions: float) -> tuple[int, bytes]:
-    found = message("foxglove.JointStates")()
-    for name, position in positions.items():
-        found.joints.add(name=name, position=position)
-    return time_ns, found.SerializeToString()
-
-
-TIMES = [START + k * 10_000_000 for k in range(1000)]
-
-
-@pytest.mark.parametrize("stamped", [True, False])
-def test_an_mcap_file_brings_poses_joints_and_commands(tmp_path, stamped):
-    path = write_mcap(
-        tmp_path / "arm.mcap",
-        {
-            "/tracker/can": ("foxglove.PoseInFrame", [pose_message(t, stamped) for t in TIMES]),
-            "/arm/joint_states": ("foxglove.JointStates", [joints_message(t, w0=1.5) for t in TIMES]),
-            "/arm/joint_targets": ("foxglove.JointStates", [joints_message(t, w0=2.5) for t in TIMES]),
-        },
-    )
-    companion = read_companion(path)
-    assert all(stream.time_ns.tolist() == TIMES for stream in companion.streams)
-    episode = import_log("run.mcap", make_log(), RECIPE, [companion]).episode
-    assert episode.meta.joint_names == episode.meta.actuator_names == ("w0", *JOINTS)
-    assert (episode["joint_position"][:, 0] == 1.5).all()
-    assert (episode["action"][:, 0] == 2.5).all()
-    assert (episode["object_pose"] == [0.25, 0, 0, 1, 0, 0, 0]).all()
-
-
-def test_wrong_mcap_files_are_refused(tmp_path):
-    poses = [pose_message(t) for t in TIMES[:9]]
-    two = {f"/{name}": ("foxglove.PoseInFrame", poses) for name in "ab"}
-    with pytest.raises(DataError, match="several poses"):
-        read_companion(write_mcap(tmp_path / "two.mcap", two))
-    with pytest.raises(DataError, match="nothing to import"):
-        read_companion(write_mcap(tmp_path / "none.mcap", {}))
-    zero = {"/a": ("foxglove.PoseInFrame", [pose_message(TIMES[0], w=0.0)])}
-    with pytest.raises(DataError, match="not unit"):
-        read_companion(write_mcap(tmp_path / "zero.mcap", zero))
-    other = {"/a": ("foxglove.JointStates", [joints_message(1, a=1.0), joints_message(2, b=1.0)])}
-    with pytest.raises(DataError, match="change"):
-        read_companion(write_mcap(tmp_path / "other.mcap", other))
-    broken = {"/a": ("foxglove.JointStates", [(1, b"\xff\xff\xff")])}
-    with pytest.raises(DataError, match=r"no foxglove\.JointStates"):
-        read_companion(write_mcap(tmp_path / "broken.mcap", broken))
-    (tmp_path / "empty.mcap").write_bytes(b"")
-    with pytest.raises(DataError, match="empty"):
-        read_companion(tmp_path / "empty.mcap")
-
-
-def write_table(folder: Path, time_s, file: str = "t.csv", **fields) -> Path:
-    lines = ["t,px,py,pz,qw,qx,qy,qz,a_w0"] + [f"{t!r},{k},0,0,1,0,0,0,{k}" for k, t in enumerate(time_s)]
-    (folder / file).write_text("\n".join(lines))
-    head = f"file: {file}\ntime_s: t\nrate_hz: 100\n" + "".join(f"{k}: {v}\n" for k, v in fields.items())
-    (folder / "map.yaml").write_text(f"{head}channels: {{object_pose: [px, py, pz, qw, qx, qy, qz], action: [a_w0]}}\n")
-    return folder / file
-
-
-def test_a_table_is_found_by_itself_or_by_its_map(tmp_path):
-    table = write_table(tmp_path, [1.0, 1.01, 1.02], task="push", object="can")
-    for path in (table, tmp_path / "map.yaml"):
-        companion = read_companion(path)
-        assert [s.channel for s in companion.streams] == ["object_pose", "action"]
-        assert companion.streams[1].time_ns.tolist() == [1_000_000_000, 1_010_000_000, 1_020_000_000]
-        assert companion.streams[1].names == ("w0",)
-        assert (companion.task, companion.object) == ("push", "can")
-
-
-def test_an_action_of_the_step_before_bears_the_stamp_at_which_it_began(tmp_path):
-    companion = read_companion(write_table(tmp_path, [1.0, 1.01, 1.02], action="previous"))
-    action = companion.streams[1]
-    assert action.time_ns.tolist() == [1_000_000_000, 1_010_000_000]
-    assert action.values[:, 0].tolist() == [1, 2]
-
-
-def test_other_files_are_refused(tmp_path):
-    with pytest.raises(UsageError, match="cannot import a log with this file"):
-        read_companion(tmp_path / "poses.txt")
-    with pytest.raises(UsageError, match="the table has no map"):
-        read_companion(tmp_path / "poses.parquet")
-    write_table(tmp_path, [1.0, 1.01])
-    with pytest.raises(UsageError, match="a map of another file"):
-        read_companion(tmp_path / "poses.parquet")
-    with pytest.raises(UsageError, match="the map cannot be read"):
-        read_companion(tmp_path / "absent.yaml")
