@@ -197,7 +197,6 @@ class _Session:
             self._take([event for event in events if event.stamp_ns <= end_ns])
             if events[-1].stamp_ns > end_ns:
                 break
-        self._frames(self._framer.finish())
         if not self._tally.frames["state"]:
             raise self._no_state()
 
