@@ -266,6 +266,18 @@ def test_a_glitch_before_the_first_frame_ends_nothing(hand, tmp_path):
     assert report.facts["losses"]["garbage_bytes"] == 3
 
 
+def test_a_frame_that_the_end_cuts_is_no_loss(hand, tmp_path):
+    one = hand(silent=True)
+    whole = one.frames[0]
+
+    def begin():
+        os.write(one.master, whole + whole[: len(whole) // 2])
+
+    report, _ = run(one.port, tmp_path / "log.mcap", Watcher(lambda view: True, begin), duration_s=1.0)
+    assert report.facts["rows"] == 1
+    assert report.facts["losses"]["garbage_bytes"] == 0
+
+
 def test_a_hand_that_never_replies_is_said(hand, tmp_path):
     one = hand(frames=wire.command_frames(np.zeros((40, 12))))
     report, _ = run(one.port, tmp_path / "log.mcap", duration_s=0.5)
