@@ -115,21 +115,21 @@ def diagnose(
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
     replayer = Replayer(scene, jobs)
-    problem, nominal = _problem(replayer, everything.take(searched), rng, cache, progress)
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress)
     progress("searching effects")
-    found = attribute(problem, nominal)
+    found = attribute(problem)
     progress("measuring on held-out episodes")
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
-    return _concluded(_Findings(dataset, scene, problem, nominal, found, world, held, len(everything)), rng)
+    return _concluded(_Findings(dataset, scene, problem, found, world, held, len(everything)), rng)
 
 
 def _problem(
     replayer: Replayer, recs: Recordings, rng: np.random.Generator, cache: Path | None, progress: Progress
-) -> tuple[Problem, NDArray[np.float32]]:
-    """Return the search problem and the normalised residuals of the nominal scene."""
+) -> Problem:
+    """Return the search problem."""
     progress("replaying the nominal scene")
     begin = starts(replayer.scene, recs)
     readings = replay_all(replayer, recs, begin, [()])[0]
@@ -140,7 +140,7 @@ def _problem(
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf), level.normal(raw)
+    return Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
@@ -155,7 +155,7 @@ def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Pro
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
-    new = replace(problem, recs=recs, begin=begin, plan=plan, score=level)
+    new = replace(problem, recs=recs, begin=begin, plan=plan, score=level, before=before, raw=raw)
     return new, HeldOut(recs, before, after, sizes[0], sizes[1], points)
 
 
@@ -166,7 +166,6 @@ class _Findings:
     dataset: Dataset
     scene: Scene
     problem: Problem
-    nominal: NDArray[np.float32]
     found: Attribution
     world: Problem
     held: HeldOut
@@ -178,7 +177,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     chosen = f.found.chosen
     size = gap(f.held.size_before, f.held.size_after, rng, gap_left=chosen is not None or f.found.remains)
     word = verdict(f.found, size)
-    heat = locate(f.problem.plan, f.problem.score, f.nominal, rng)
+    heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     left = where
     if word == "partly_explained":

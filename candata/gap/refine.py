@@ -21,6 +21,8 @@ World = Callable[[Array], Members]
 FRONT, TRIES = 4, 3
 #: A scalar counts as simulated within this share of its distance from the neutral value, or of its range.
 CLOSE, CLOSE_RANGE = 0.1, 0.005
+#: How much farther from the neutral value a scalar is tried whose best is its farthest point.
+OUTWARDS = 0.7
 #: Shares of a Gauss-Newton step that are tried.
 SHARES = (1.0, 0.5)
 #: Most Gauss-Newton rounds of a joint fit; it ends earlier when no share of a step helps.
@@ -49,7 +51,17 @@ def _is_open(fit: Fit, tries: dict[str, int]) -> bool:
         return False
     if isinstance(fit.response, Plane):
         return fit.labels[0] not in tries or bool((np.abs(u - fit.response.at) > _close(c, u)).any())
-    return fit.response.nearest_sure(u) > float(_close(c, u)[0])
+    return len(_points(fit)) > 0
+
+
+def _points(fit: Fit) -> list[Array]:
+    """Return the coordinates `(1,)` at which a scalar should be simulated next: its best, and beyond an end."""
+    ((c, u),) = fit.members
+    curve = fit.curve
+    points = [u]
+    if not c.choices and u[0] in (curve.at[0], curve.at[-1]):
+        points.append(np.clip(u + OUTWARDS * (u - c.neutral), c.low, c.high))
+    return [p for p in points if curve.nearest_sure(p) > float(_close(c, p)[0])]
 
 
 def _close(c: Candidate, u: Array) -> Array:
@@ -60,7 +72,7 @@ def _close(c: Candidate, u: Array) -> Array:
 def _simulated(problem: Problem, fits: Sequence[Fit], base: Array, held: Members) -> list[Fit]:
     """Return fits after simulations at their coordinates: scalars in one batch, vectors by shares of their step."""
     curves = [f for f in fits if isinstance(f.response, Curve)]
-    out = _with_points(problem, curves, [[f.members[0][1]] for f in curves], base, held)
+    out = _with_points(problem, curves, [_points(f) for f in curves], base, held)
     return out + [_stepped(problem, f, base, held) for f in fits if isinstance(f.response, Plane)]
 
 
@@ -72,20 +84,20 @@ def _with_points(
     zs = iter(problem.residuals([problem.setting((*held, member)) for member in flat]))
     out = []
     for fit, some in zip(fits, points, strict=True):
-        response = fit.response.with_probes(np.concatenate(some), np.stack([next(zs) for _ in some]))
+        response = fit.curve.with_probes(np.concatenate(some), np.stack([next(zs) for _ in some]))
         out.append(fit_one(problem, fit.members[0][0], response, base))
     return out
 
 
 def _stepped(problem: Problem, fit: Fit, base: Array, held: Members) -> Fit:
     """Return a vector's fit moved to the best simulated share of its step; flat where no share helps."""
-    c, plane = fit.members[0][0], fit.response
+    c, plane = fit.members[0][0], fit.plane
     target = plane.best(np.arange(len(base)))
-    moved = _best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], lambda u: (*held, (c, u)))
+    moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], lambda u: (*held, (c, u)))
     return fit_one(problem, c, replace(moved, slope=np.zeros_like(moved.slope)) if moved is plane else moved, base)
 
 
-def _best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: World) -> Plane:
+def best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: World) -> Plane:
     """Return the plane moved to the simulated trial of least loss, if that is less than at the plane's own point."""
     zs = problem.residuals([problem.setting(world(u)) for u in trials])
     losses = [float(problem.score.loss(z).mean()) for z in zs]
@@ -97,27 +109,27 @@ def _best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: Wor
 
 def joint(problem: Problem, members: Members, base: Array) -> Fit:
     """Return a set refitted by Gauss-Newton: slopes from signatures, steps kept where rollouts lower the loss."""
-    fit = Fit(members, _around(problem, members), CrossFit(base, base, np.zeros((0, 0))))
-    plane = fit.response
+    plane = around(problem, members, members)
+    fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     for _ in range(ROUNDS):
         target = plane.best(np.arange(len(base)))
-        moved = _best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], fit.split)
+        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], fit.split)
         if moved is plane:
             break
-        plane = replace(moved, slope=_slopes(problem, fit.split(moved.at)))
+        plane = replace(moved, slope=slopes_of(problem, fit.split(moved.at)))
     evidence = cross_fit(plane, problem.score, problem.parts, base)
     return replace(fit, members=fit.split(plane.at), response=plane, evidence=evidence)
 
 
-def _around(problem: Problem, members: Members) -> Plane:
-    """Return the plane of a set around its members' coordinates."""
+def around(problem: Problem, members: Members, world: Members) -> Plane:
+    """Return the plane of candidates around their coordinates; `world` are those of them that act."""
     at = np.concatenate([u for _, u in members])
-    z = problem.residuals([problem.setting(members)])[0]
+    z = problem.residuals([problem.setting(world)])[0]
     low, high = (np.concatenate([getattr(c, side) for c, _ in members]) for side in ("low", "high"))
-    return Plane(low, high, at, z, _slopes(problem, members))
+    return Plane(low, high, at, z, slopes_of(problem, members))
 
 
-def _slopes(problem: Problem, members: Members) -> Compact:
+def slopes_of(problem: Problem, members: Members) -> Compact:
     """Return `(d, E, K)` how residuals change with each coordinate, from signatures; none for a choice."""
     return np.concatenate([slopes(problem, c, u) for c, u in members])
 
@@ -133,6 +145,10 @@ def polished(problem: Problem, best: Fit, base: Array) -> Fit:
     for share in BRACKETS:
         u = best.members[0][1]
         width = np.maximum(share * np.abs(u - c.neutral), CLOSE_RANGE * (c.high - c.low) / 2)
-        points = [p for p in (np.clip(u + side * width, c.low, c.high) for side in (-1, 1)) if best.response.nearest_sure(p) > 1e-9]
+        points = [
+            p
+            for p in (np.clip(u + side * width, c.low, c.high) for side in (-1, 1))
+            if best.response.nearest_sure(p) > 1e-9
+        ]
         best = _with_points(problem, [best], [points], base, ())[0] if points else best
     return best

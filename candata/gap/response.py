@@ -75,11 +75,11 @@ class Curve:
         """Return the curve with residuals times `factor (E, K)`: another floor's units."""
         return replace(self, z=self.z * factor)
 
-    def grid(self, between: int = BETWEEN) -> Array:
+    def grid(self) -> Array:
         """Return `(G,)` coordinates at which losses are read: the probes and points between them."""
         if self.who.choices:
             return self.at
-        steps = np.arange(between) / between
+        steps = np.arange(BETWEEN) / BETWEEN
         inner = (self.at[:-1, None] + np.diff(self.at)[:, None] * steps).ravel()
         return np.append(inner, self.at[-1])
 
@@ -98,10 +98,10 @@ class Curve:
         """Return `(E, K)` residuals without the effect."""
         return self.z[int(np.argmin(np.abs(self.at - self.who.neutral[0])))]
 
-    def table(self, score: Score, base: Compact | None = None, between: int = BETWEEN) -> Array:
+    def table(self, score: Score, base: Compact | None = None) -> Array:
         """Return `(G, E)` losses along the grid; with `base (E, K)`, of that residual moved by the response."""
         offset = np.float32(0) if base is None else base - self.neutral()
-        return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid(between)])
+        return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid()])
 
     def fitter(self, score: Score) -> Fitter:
         """Return the function that gives the coordinate `(1,)` with the least mean loss over training episodes."""

@@ -27,7 +27,7 @@ Members = tuple[tuple[Candidate, Array], ...]
 
 @dataclass(frozen=True)
 class Problem:
-    """What every step of the attribution needs."""
+    """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals."""
 
     replayer: Replayer
     recs: Recordings
@@ -39,6 +39,13 @@ class Problem:
     floor_kind: FloorKind
     rng: np.random.Generator
     library: Library
+    before: dict[str, Array]
+    raw: Array
+
+    @property
+    def nominal(self) -> Compact:
+        """Normalised residuals `(E, K)` of the nominal scene."""
+        return self.score.normal(self.raw)
 
     def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
@@ -81,6 +88,20 @@ class Fit:
     def labels(self) -> tuple[str, ...]:
         """Labels of the members."""
         return tuple(c.label for c, _ in self.members)
+
+    @property
+    def curve(self) -> Curve:
+        """The response of a scalar."""
+        if not isinstance(self.response, Curve):
+            raise TypeError(f"{self.labels} has no curve")
+        return self.response
+
+    @property
+    def plane(self) -> Plane:
+        """The response of a vector or of a set."""
+        if not isinstance(self.response, Plane):
+            raise TypeError(f"{self.labels} has no plane")
+        return self.response
 
     def split(self, u: Array) -> Members:
         """Return the members at stacked coordinates `u (d,)`."""
