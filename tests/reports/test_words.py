@@ -44,7 +44,7 @@ def test_summary_of_many_long_effects_stays_short(make_report):
     }  # fmt: skip
     text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
     assert len(text.splitlines()) <= 25
-    assert "and 5 more in report.json" in text
+    assert "and 6 more in report.json" in text
 
 
 def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
