@@ -20,7 +20,7 @@ from candata.schema.report import NamedEffect
 
 Array = NDArray[np.float64]
 #: Episodes of an element whose courses are kept, and points of a course: more cannot be told apart at their size.
-COURSES, POINTS = 3, 120
+COURSES, POINTS = 3, 100
 #: Candidates whose signatures are compared.
 COMPARED = 8
 
@@ -80,10 +80,15 @@ def _course(problem: Problem, held: HeldOut, column: int, e: int, repaired: bool
 def collinearity(fits: Sequence[Fit], most: int = COMPARED) -> Collinearity | None:
     """Return the cosines between what the first `most` candidates change; None for fewer than two.
 
+    Of an effect on several elements the best stands for all.
     1: alike up to their size, 0: nothing in common, -1: what one adds the other takes away. Of a vector it is the
     direction it was fitted with. Source: collinearity of sensitivities, Brun, Reichert & Kuensch 2001.
     """
-    changes = [(" + ".join(fit.labels), change(fit).ravel().astype(float)) for fit in fits[:most]]
+    best: dict[tuple[str, ...], Fit] = {}
+    for fit in fits:
+        best.setdefault(tuple(c.name for c, _ in fit.members), fit)
+    shown = list(best.values())[:most]
+    changes = [(" + ".join(fit.labels), change(fit).ravel().astype(float)) for fit in shown]
     lively = [(label, z / np.linalg.norm(z)) for label, z in changes if np.linalg.norm(z) > 0]
     if len(lively) < 2:
         return None

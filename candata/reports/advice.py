@@ -82,6 +82,8 @@ PHRASES: dict[str, tuple[str, str]] = {
 NO_ATTRIBUTE = "MJCF has no attribute for it: candata generate-sim --effects effects.yaml adds it"
 #: The record's words for a candidate that its probes could not bring to show.
 SILENT = "moves nothing in these motions"
+#: Such words where the page says more.
+REASONS = {"best left out": "tested: the recordings fit best without it", SILENT: f"not tested: it {SILENT}"}
 #: Longest vector that is spelled out.
 MOST_NUMBERS = 6
 
@@ -140,7 +142,7 @@ def untested(report: Report) -> list[tuple[str, str]]:
     for one in report.ranking:
         if one.reason:
             grouped.setdefault(one.reason, []).append(words.plain(one.name))
-    rows += [(words.listed(names), words.plain(reason)) for reason, names in grouped.items()]
+    rows += [(words.listed(names), REASONS.get(reason, reason)) for reason, names in grouped.items()]
     if not report.ranking:
         return rows
     blind: dict[str, list[str]] = {}

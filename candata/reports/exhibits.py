@@ -13,7 +13,7 @@ from candata.reports.numbers import digits
 from candata.schema.report import Report
 
 #: Episodes drawn as dots; of more, some are left out evenly from the worst to the best.
-MOST_DOTS = 64
+MOST_DOTS = 40
 #: SI unit to the unit of a small residual and the factor to it.
 SMALL = {"m": ("mm", 1e3), "rad": ("mrad", 1e3), "N": ("mN", 1e3)}
 
@@ -50,19 +50,19 @@ def _scatter(one: Element, ids: tuple[str, ...], after: str) -> str:
     if len(order) > MOST_DOTS:
         order = order[np.linspace(0, len(order) - 1, MOST_DOTS).round().astype(int)]
     unit, factor = _small(one)
-    sizes = [listing(factor * np.asarray(v)[order]) for v in (one.null, one.before) if v is not None]
+    null, before = (listing(factor * values[order]) for values in (one.null, one.before))
     repaired = [] if one.after is None else listing(factor * one.after[order])
     place = [float(k) for k in range(1, len(order) + 1)]
     x = Axis(0.4, len(order) + 0.6, ())
-    y = linear([*sizes[0], *sizes[1], *repaired], 3, around=(0.0,))
+    y = linear([*null, *before, *repaired], 3, around=(0.0,))
 
-    def named(kind: str, values: list[float]) -> list[str]:
-        return [f"{ids[e]}, {kind}: {digits(v)} {unit}" for e, v in zip(order, values, strict=True)]
+    def tip(kind: str, values: list[float], k: int) -> str:
+        return f"{ids[order[k]]}, {kind}: {digits(values[k])} {unit}"
 
-    marks = dots(x, y, place, sizes[0], "null", named("noise alone", sizes[0]).__getitem__)
-    marks += dots(x, y, place, sizes[1], "before", named("nominal", sizes[1]).__getitem__)
+    marks = dots(x, y, place, null, "null")
+    marks += dots(x, y, place, before, "before", lambda k: tip("nominal", before, k))
     if repaired:
-        marks += dots(x, y, place, repaired, "after", named(after, repaired).__getitem__)
+        marks += dots(x, y, place, repaired, "after", lambda k: tip(after, repaired, k))
     left = f" ({len(order)} of {len(ids)} drawn)" if len(order) < len(ids) else ""
     title = f"each held-out episode, worst first{left}"
     return chart(x, y, marks, f"mean error of {one.label} by episode", 120, title, f"mean error [{unit}]")

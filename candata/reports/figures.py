@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from html import escape
 
 import numpy as np
@@ -15,6 +16,8 @@ from candata.schema.report import Estimate, Gap, Ranked, Report
 
 #: Candidates drawn in the ranking.
 MOST_RANKED = 12
+#: Of an effect that was tried on several elements, this many are drawn.
+MOST_VARIANTS = 2
 #: Points drawn of a trace; more cannot be seen at the size shown.
 MOST_POINTS = 400
 
@@ -48,11 +51,16 @@ def ranking(report: Report) -> str:
 
 
 def shown_candidates(report: Report) -> list[Ranked]:
-    """Return the first candidates of the ranking that were tested, and named ones further down."""
+    """Return the best candidates that were tested, each effect on few of its elements, and those that are named."""
     named = {(effect.name, effect.element) for effect in report.effects}
     tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named]
-    head, tail = tested[:MOST_RANKED], tested[MOST_RANKED:]
-    return [*head, *(c for c in tail if (c.name, c.element) in named)]
+    met = Counter[str]()
+    first: list[Ranked] = []
+    for one in tested:
+        met[one.name] += 1
+        if met[one.name] <= MOST_VARIANTS and len(first) < MOST_RANKED:
+            first.append(one)
+    return [c for c in tested if c in first or (c.name, c.element) in named]
 
 
 def how_far(gap: Gap, after: str) -> str:

@@ -89,7 +89,8 @@ th,td { padding:7px 14px 7px 0; text-align:left; border-bottom:1px solid var(--r
 th { font-size:12.5px; font-weight:600; color:var(--muted); white-space:nowrap; }
 td.n,th.n { text-align:right; } td.n,th.n,td.u { white-space:nowrap; }
 td:last-child,th:last-child { padding-right:0; }
-.wrap td { overflow-wrap:anywhere; } .wrap th { white-space:normal; width:170px; }
+.wrap td { overflow-wrap:anywhere; } .terms td:first-child { white-space:nowrap; }
+.wrap th { white-space:normal; width:170px; }
 tr.now td { font-weight:600; } tr.now td:first-child { color:var(--tone); }
 .two { display:grid; grid-template-columns:minmax(0,1fr) minmax(0,1fr); gap:16px 32px;
   align-items:start; }
@@ -165,11 +166,15 @@ pre { margin:0; padding:14px 16px; overflow-x:auto; background:var(--card); bord
 @media (max-width:680px) { main { padding:16px 14px 40px; }
   .first,.answers,.two { grid-template-columns:minmax(0,1fr); }
   .answers div { border-bottom:1px solid var(--rule); } .answers { margin-bottom:16px; }
-  figure,.card { padding:12px 10px; } .film { grid-template-columns:repeat(var(--n),minmax(128px,1fr)); }
+  figure,.card { padding:12px 10px; } .heat:not(.alike) thead th { writing-mode:vertical-rl;
+  transform:rotate(180deg); text-align:left; vertical-align:bottom; padding:4px 0 0; }
+  .film { grid-template-columns:repeat(var(--n),minmax(128px,1fr)); }
   .film .corner { display:none; } .film .who { grid-column:1/-1; position:sticky; left:0;
   width:max-content; } }
 @media print { * { print-color-adjust:exact; -webkit-print-color-adjust:exact; }
-  .look .shown { position:static; } .pick th { text-decoration:none; } .change { break-inside:avoid; }
+  .look { grid-template-columns:1fr 1fr; } .look .shown { position:static; } .change { break-inside:avoid; }
+  .look figure { break-inside:auto; } .course,.chart { break-inside:avoid; } .heat td { height:13px; }
+  .heat th { font-size:10px; line-height:1.1; }
   main { max-width:none; padding:0; } .file button { display:none; }
   figure,.card,tr,.answers div { break-inside:avoid; } h2 { break-after:avoid; }
   .first { grid-template-columns:1fr 1fr; } .first figure:last-child { grid-column:1/-1; }

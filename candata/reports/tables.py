@@ -104,7 +104,8 @@ def untested(report: Report) -> str:
         return ""
     body = "".join(f"<tr><td>{escape(what)}</td><td>{escape(why)}</td></tr>" for what, why in rows)
     return (
-        '<h2>What could not be tested</h2><table class="wrap"><thead><tr><th>what</th><th>why</th></tr></thead>'
+        '<h2>What could not be tested, and what was best left out</h2><table class="wrap">'
+        "<thead><tr><th>what</th><th>why</th></tr></thead>"
         f"<tbody>{body}</tbody></table>"
     )
 
@@ -142,7 +143,7 @@ def verdicts(report: Report) -> str:
         for word in get_args(Verdict)
     )
     body += "".join(f"<tr><td>{term}</td><td>{escape(text)}</td></tr>" for term, text in words.TERMS.items())
-    return f'<table class="wrap"><tbody>{body}</tbody></table>'
+    return f'<table class="wrap terms"><tbody>{body}</tbody></table>'
 
 
 def data(report: Report) -> str:

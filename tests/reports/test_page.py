@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 
 from candata import reports
-from candata.gap.evidence import Evidence
+from candata.gap.evidence import Elements, Evidence
 from candata.reports import figures, words
 from candata.reports.heat import heat_map
-from candata.schema.report import Verdict
+from candata.schema.record import Record
+from candata.schema.report import Report, Verdict
 
 VOID = {"meta", "link", "img", "br", "hr", "input"}
 YAML = "scene: s\neffects:\n- name: a<b & c\n"
-#: Pictures and episodes included; what mail still takes.
-LARGEST_PAGE = 1_500_000
+#: Pictures and episodes included; what mail still takes. 18 pictures of full size are some 450 kB of it.
+LARGEST_PAGE, PICTURES = 1_500_000, 450_000
 
 
 #: What stands on a page only with a part of the evidence.
@@ -75,7 +76,9 @@ def test_every_verdict_is_written_with_its_sentences(tmp_path, make_report, full
     assert reports.explain(verdict) in text
 
 
-def test_the_page_is_well_formed_and_asks_for_nothing(tmp_path, make_report, full_evidence, hand, no_gl):
+def test_the_page_is_well_formed_and_asks_for_nothing(
+    tmp_path, make_report, full_evidence, hand, no_gl, small_pictures
+):
     path = reports.write_report(make_report(), full_evidence, hand, tmp_path, YAML)
     text = path.read_text(encoding="utf-8")
     page = Page(text)
@@ -84,7 +87,7 @@ def test_the_page_is_well_formed_and_asks_for_nothing(tmp_path, make_report, ful
     assert all(address.startswith("data:") for address in page.addresses)
     assert len(page.ids) == len(set(page.ids))
     assert not re.search(r"url\(|@import", text[: text.index("<body")])
-    assert path.stat().st_size < LARGEST_PAGE
+    assert path.stat().st_size < LARGEST_PAGE - PICTURES
 
 
 def test_every_element_of_the_heat_map_has_its_episodes(tmp_path, make_report, full_evidence):
@@ -169,9 +172,69 @@ def test_the_ranking_shows_a_named_effect_wherever_it_ranks(make_report):
     assert shown[-1].name == "tactile_bias"
 
 
+def test_the_ranking_is_not_filled_with_one_effect(make_report):
+    report = make_report()
+    local = tuple(report.ranking[1].model_copy(update={"element": f"joint{k}"}) for k in range(20))
+    shown = figures.shown_candidates(report.model_copy(update={"ranking": (*local, *report.ranking)}))
+    assert [c.name for c in shown].count("joint_damping") == figures.MOST_VARIANTS
+    assert len({c.name for c in shown}) > 8
+
+
 def test_losses_that_are_not_finite_are_left_out(full_evidence):
     values = replace(full_evidence.losses, after=np.full(24, np.nan))
     drawn = figures.losses(values)
     assert "nan" not in drawn
     assert drawn.count("nominal:") == 24
     assert "repaired:" not in drawn
+
+
+def test_the_page_says_what_to_change(tmp_path, make_report, full_evidence):
+    text = said(reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8"))
+    assert "Add joint dry friction of 0.0412 N m (0.0373 to 0.0458) to joint index2." in text
+    assert "In MJCF: add 0.0412 to frictionloss of the <joint>" in text
+    assert "0 to 0.3 N m" in text, "the range that was searched"
+
+
+def test_a_value_at_its_bound_is_marked(tmp_path, make_report, full_evidence):
+    report = make_report()
+    bound = report.effects[0].model_copy(update={"at_bound": True})
+    mark = ">at bound<"
+    assert mark not in reports.write_report(report, full_evidence, None, tmp_path, YAML).read_text("utf-8")
+    report = report.model_copy(update={"effects": (bound,)})
+    assert mark in reports.write_report(report, full_evidence, None, tmp_path, YAML).read_text("utf-8")
+
+
+def test_ambiguous_says_what_to_record_and_changes_nothing(tmp_path, make_report, make_unrepaired, full_evidence):
+    evidence = make_unrepaired(full_evidence)
+    text = said(reports.write_report(make_report("ambiguous"), evidence, None, tmp_path, "").read_text("utf-8"))
+    assert "Nothing yet" in text
+    assert "command filemotion.parquetseparatesjoint damping from joint dry friction" in text
+
+
+def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evidence):
+    class Edit(Record):
+        kept: float
+        about: str
+
+    class Newer(Report):
+        edit: Edit | None = None
+
+    newer = Newer.model_validate({**make_report().model_dump(), "edit": {"kept": 0.9, "about": "another object"}})
+    text = said(reports.write_report(newer, full_evidence, None, tmp_path, YAML).read_text("utf-8"))
+    assert "kept 0.9, about another object" in text
+
+
+def test_many_elements_and_episodes_stay_small(tmp_path, make_report, full_evidence):
+    one = full_evidence.elements.of[5]
+    time = np.linspace(0, 4, 120)
+    wave = np.sin(7 * time)
+    courses = tuple(replace(c, time_s=time, real=wave, before=wave + 0.1, after=wave + 0.01) for c in one.courses)
+    ids = tuple(f"episode-{k:06d}" for k in range(2000))
+    size = np.linspace(1e-3, 1e-2, 2000)
+    of = tuple(
+        replace(one, element=f"j{k}", before=size, after=size / 2, null=size / 3, courses=courses) for k in range(60)
+    )
+    evidence = replace(full_evidence, elements=Elements(ids, of))
+    path = reports.write_report(make_report(), evidence, None, tmp_path, YAML)
+    assert path.stat().st_size < LARGEST_PAGE - PICTURES
+    assert "40 of 2000 drawn" in path.read_text("utf-8")
