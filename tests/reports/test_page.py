@@ -13,6 +13,7 @@ import pytest
 
 from candata import reports
 from candata.gap.evidence import Elements, Evidence
+from candata.gap.exhibits import POINTS
 from candata.reports import figures, words
 from candata.reports.heat import heat_map
 from candata.schema.record import Record
@@ -226,7 +227,7 @@ def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evi
 
 def test_many_elements_and_episodes_stay_small(tmp_path, make_report, full_evidence):
     one = full_evidence.elements.of[5]
-    time = np.linspace(0, 4, 120)
+    time = np.linspace(0, 4, POINTS)
     wave = np.sin(7 * time)
     courses = tuple(replace(c, time_s=time, real=wave, before=wave + 0.1, after=wave + 0.01) for c in one.courses)
     ids = tuple(f"episode-{k:06d}" for k in range(2000))
