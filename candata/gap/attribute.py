@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, first_probes, local_candidates
+from candata.gap.candidates import Candidate, candidates, local_candidates
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
 from candata.gap.local import promising
@@ -17,11 +17,10 @@ from candata.gap.replay import replay_all
 from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score, score
+from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 
 Array = NDArray[np.float64]
-#: A candidate whose probes move residuals by less than this (RMS, in units of the floor) cannot be seen here.
-LIVELY = 0.05
 #: Largest number of effects in a set.
 LARGEST_SET = 3
 #: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
@@ -31,9 +30,9 @@ MATTERS = 0.05
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
 #: Null replays of each episode around an accepted set.
-NULLS_AGAIN = 12
+NULLS_AGAIN = 4
 #: Nominal replays from other starts, which show how much of a loss is luck.
-STARTS = 7
+STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -136,8 +135,8 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     taken = {c.name for c, _ in held}
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken]
     base, luck = _base(problem, here, held)
-    responses, dead = _respond(problem, here, found, held)
-    responses += _respond(problem, here, promising(problem, here, responses, base), held)[0]
+    responses, dead = respond(problem, here, found)
+    responses += respond(problem, here, promising(problem, here, responses, base))[0]
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     found_fits = refined(problem, _fits(problem, responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
@@ -152,7 +151,7 @@ def _narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
     """Return the stage with the best fit's effect tried on each of its elements alone: the fault may be one joint's."""
     known = {f.labels[0] for f in stage.fits}
     variants = local_candidates(stage.fits[0].members[0][0], problem.replayer.scene)
-    responses, _ = _respond(problem, here, [v for v in variants if v.label not in known], ())
+    responses, _ = respond(problem, here, [v for v in variants if v.label not in known])
     found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
     fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
     return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
@@ -166,39 +165,6 @@ def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]
     losses += [problem.score.loss(problem.residuals([world], begin)[0]) for begin in others]
     base = np.median(losses, axis=0)
     return base, base - np.stack(losses)
-
-
-def _respond(
-    problem: Problem, nominal: Compact, found: Sequence[Candidate], held: Members
-) -> tuple[list[tuple[Candidate, Curve | Plane]], list[str]]:
-    """Return responses to first probes of every candidate on top of `held`, and the labels of dead ones."""
-    scene = problem.replayer.scene
-    points = {c.label: first_probes(c, scene) for c in found}
-    flat = [(c, u) for c in found for u in points[c.label]]
-    zs = problem.residuals([problem.setting((*held, (c, u))) for c, u in flat])
-    out: list[tuple[Candidate, Curve | Plane]] = []
-    dead = []
-    for c in found:
-        mine = [(u, z) for (owner, u), z in zip(flat, zs, strict=True) if owner is c]
-        moved = max(float(np.sqrt(((z - nominal)[problem.score.mask] ** 2).mean())) for _, z in mine)
-        if moved < LIVELY:
-            dead.append(c.label)
-            continue
-        out.append((c, _first_response(c, nominal, mine)))
-    return out, dead
-
-
-def _first_response(c: Candidate, nominal: Compact, mine: list[tuple[Array, Compact]]) -> Curve | Plane:
-    """Return the response through the first probes: a curve for a scalar, a plane of secants for a vector."""
-    if c.size == 1:
-        start = Curve(c, c.neutral, nominal[None])
-        return start.with_probes(np.concatenate([u for u, _ in mine]), np.stack([z for _, z in mine]))
-    slope = []
-    for i in range(c.size):
-        pair = sorted(((u[i] - c.neutral[i], z) for u, z in mine if u[i] != c.neutral[i]), key=lambda p: p[0])
-        (a, low), (b, high) = pair[0], pair[-1]
-        slope.append((high - low) / np.float32(b - a) if a != b else (high - nominal) / np.float32(b))
-    return Plane(c.low, c.high, c.neutral, nominal, np.stack(slope))
 
 
 def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:

@@ -17,7 +17,7 @@ from candata.gap.attribute import Attribution, attribute
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
-from candata.gap.floor import floor
+from candata.gap.floor import floor, sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.recordings import Recordings, recordings
@@ -35,6 +35,7 @@ from candata.gap.shrink import (
     shares,
     support,
 )
+from candata.gap.signatures import library
 from candata.gap.starts import starts
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.scenes import Scene
@@ -75,7 +76,13 @@ class Diagnosis:
 
 
 def diagnose(
-    dataset: Dataset, scene: Scene, *, jobs: int = 1, seed: int = 0, progress: Progress = lambda stage: None
+    dataset: Dataset,
+    scene: Scene,
+    *,
+    jobs: int = 1,
+    seed: int = 0,
+    cache: Path | None = None,
+    progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
 
@@ -89,6 +96,8 @@ def diagnose(
         Threads that step simulations; the result does not depend on it.
     seed : int
         Seed of folds, null replays and resamples.
+    cache : Path, optional
+        Folder in which signatures are kept for the next diagnosis of the same commands; none are kept by default.
     progress : callable
         Called with the name of each stage.
 
@@ -107,7 +116,7 @@ def diagnose(
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
     replayer = Replayer(scene, jobs)
-    problem, nominal = _problem(replayer, everything.take(searched), rng, progress)
+    problem, nominal = _problem(replayer, everything.take(searched), rng, cache, progress)
     progress("searching effects")
     found = attribute(problem, nominal)
     progress("measuring on held-out episodes")
@@ -119,7 +128,7 @@ def diagnose(
 
 
 def _problem(
-    replayer: Replayer, recs: Recordings, rng: np.random.Generator, progress: Progress
+    replayer: Replayer, recs: Recordings, rng: np.random.Generator, cache: Path | None, progress: Progress
 ) -> tuple[Problem, NDArray[np.float32]]:
     """Return the search problem and the normalised residuals of the nominal scene."""
     progress("replaying the nominal scene")
@@ -128,10 +137,11 @@ def _problem(
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
-    spread = floor(replayer, recs, begin, plan, rng)
-    level = score(raw, spread, plan)
+    shelf = library(replayer, recs, begin, plan, cache)
+    kind, noise = sensor_noise(replayer.scene.file.noise, recs)
+    level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(raw)
+    return Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf), level.normal(raw)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:

@@ -16,6 +16,8 @@ FOLDS = 4
 #: Simulated points among which a vector's fit takes the best over all episodes, held-out ones included: its luck is
 #: the best of as many draws.
 TRIALS = 8
+#: Points between two probes at which nulls are read: their losses are flat.
+NULL_BETWEEN = 2
 #: Null sets from which the threshold is taken, and its quantile.
 NULL_SETS, NULL_QUANTILE = 240, 0.99
 
@@ -100,7 +102,7 @@ def _null_tables(curve: Curve, score: Score) -> Array:
     """Return `(R, G + 1, E)` losses of every null along the curve's grid, the unchanged null last."""
     rows = []
     for z in score.null:
-        rows.append(np.concatenate([curve.table(score, z), score.loss(z)[None]]))
+        rows.append(np.concatenate([curve.table(score, z, NULL_BETWEEN), score.loss(z)[None]]))
     return np.stack(rows)
 
 

@@ -16,6 +16,7 @@ from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
+from candata.gap.signatures import Library
 from candata.gap.starts import Starts
 from candata.schema.scene import Noise
 
@@ -37,11 +38,16 @@ class Problem:
     noise: Noise
     floor_kind: FloorKind
     rng: np.random.Generator
+    library: Library
 
     def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
         found = replay_all(self.replayer, self.recs, begin or self.begin, variants)
         return [self.score.normal(residual(self.recs, self.plan, r)) for r in found]
+
+    def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
+        """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene."""
+        return [self.score.normal(s) for s in self.library.signatures([self.setting([point]) for point in points])]
 
     def setting(self, members: Sequence[tuple[Candidate, Array]]) -> EffectSet:
         """Return the effect settings of candidates at coordinates."""

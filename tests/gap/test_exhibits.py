@@ -79,7 +79,7 @@ def curve(scene, name: str, direction: np.ndarray, at: float) -> Fit:
     c = candidate(name, scene)
     grid = np.array([c.neutral[0], c.neutral[0] + 1, c.neutral[0] + 2])
     z = np.stack([(u - c.neutral[0]) * direction for u in grid]).astype(np.float32)
-    return Fit(((c, c.neutral + at),), Curve(c, grid, z), NO_EVIDENCE)
+    return Fit(((c, c.neutral + at),), Curve(c, grid, z, np.ones(3, bool)), NO_EVIDENCE)
 
 
 def test_cosines_of_what_two_candidates_change(arm):
