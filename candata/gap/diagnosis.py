@@ -16,6 +16,7 @@ from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
+from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import floor, sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
@@ -206,7 +207,15 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         *(np.quantile(f.world.score.size(f.world.score.null), q, axis=0) for q in (0.05, 0.95)),
     )
     shown = example(f.world, f.held, chosen if named else None)
-    return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
+    evidence = Evidence(
+        heat,
+        shown,
+        losses,
+        elements(f.world, f.held, bool(named)),
+        collinearity(f.found.first.fits),
+        ranges(named, f.scene),
+    )
+    return Diagnosis(report, evidence, EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
 
 
 def _lasting(name: str) -> str:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from candata.reports.numbers import SUFFIX_UNITS, digits, percent, reading, unit_of
 from candata.schema.report import NamedEffect, Report, Symptom, Verdict
 
+#: A space at which no line ends.
+TIE = "\N{NO-BREAK SPACE}"
 #: The verdict as a headline.
 HEADLINES: dict[Verdict, str] = {
     "no_gap": "No gap found",
@@ -25,6 +28,16 @@ _MEANINGS: dict[Verdict, str] = {
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
+}
+
+#: Other words of the page.
+TERMS = {
+    "floor": "the mismatch that sensor noise and luck alone give; 1 floor is as good as it can get",
+    "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
+    "gain": "how much the robust loss falls on held-out episodes, in floors",
+    "share": "how much of the gain is lost when this effect alone is left out",
+    "support": "how often a candidate comes first when the episodes are resampled",
+    "p": "how likely chance alone would show a cell as strong, over all cells",
 }
 
 _CHANNELS = {
@@ -179,6 +192,17 @@ def times(ratio: float) -> str:
 def chance(p: float) -> str:
     """Return a p-value as `p = 0.004`, never as zero."""
     return f"p = {p:.3g}" if p >= 1e-4 else "p < 0.0001"
+
+
+def tied(text: str) -> str:
+    """Return the text with spaces that do not break between a number and its unit, and inside `p = 0.01`."""
+    units = r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))"
+    return (
+        re.sub(units, TIE, text)
+        .replace("p = ", f"p{TIE}={TIE}")
+        .replace("N m", f"N{TIE}m")
+        .replace(" m s/rad", f"{TIE}m{TIE}s/rad")
+    )
 
 
 def plain(name: str) -> str:
