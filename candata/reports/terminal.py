@@ -19,6 +19,7 @@ def summary(report: Report) -> str:
     lines += _entry("where", words.where(report), 3)
     lines += _which(report)
     lines += _entry("how far", words.how_far(report), 3)
+    lines += _entry("edit test", words.edit_test(report), 2)
     lines += _entry("not known", words.not_known(report), 4)
     lines += _entry("next", words.next_motion(report), 2)
     lines += _entry("data", _data(report), 2)
