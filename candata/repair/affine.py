@@ -36,6 +36,8 @@ SPEC = {
     "body_inertia": ("body", "inertia"),
     "body_ipos": ("body", "ipos"),
 }
+#: Attributes of which the model's array is the first number only: damping may grow with speed.
+FIRST = ("damping",)
 #: How far from a straight line still counts as one, of the largest change.
 STRAIGHT = 1e-9
 
@@ -143,4 +145,5 @@ def _place(names: mujoco.MjModel, field: str, row: int, column: int, offset: Arr
     if kind == "joint":
         row = int(names.dof_jntid[row])
     element = getattr(names, kind)(row)
-    return Place(kind=kind, name=element.name, attribute=attribute, index=column if wide else None, **numbers)
+    index = column if wide or attribute in FIRST else None
+    return Place(kind=kind, name=element.name, attribute=attribute, index=index, **numbers)

@@ -92,10 +92,7 @@ def _answers(report: Report) -> str:
     entries = (
         ("Where is the gap?", _lead(words.where_short(report)) + typeset(words.where(report))),
         ("Which effect makes it?", _lead(words.which_short(report)) + typeset(words.which(report))),
-        (
-            "How far does it close?",
-            _meter(report) + typeset(f"{words.how_far(report)} {words.edit_test(report)}".rstrip()),
-        ),
+        ("How far does it close?", _meter(report) + typeset(far)),
         ("What is not known?", typeset(unknown)),
     )
     return f'<dl class="answers">{"".join(f"<div><dt>{q}</dt><dd>{a}</dd></div>" for q, a in entries)}</dl>'

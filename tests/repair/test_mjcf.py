@@ -206,7 +206,8 @@ def test_half_of_an_encoder_offset_is_in_the_model(gripper, tmp_path):
     assert [h.name for h in found.held] == ["joint_offset"]
     assert [(entry.name, entry.whole) for entry in found.left] == [("joint_offset", False)]
     # Candata would turn the servos a second time.
-    assert found.effects is None and not (tmp_path / "out/effects.yaml").exists()
+    assert found.effects is None
+    assert not (tmp_path / "out/effects.yaml").exists()
 
 
 def test_an_effect_that_cannot_be_written_exactly_is_left_with_the_reason(tmp_path):
@@ -216,7 +217,7 @@ def test_an_effect_that_cannot_be_written_exactly_is_left_with_the_reason(tmp_pa
     scene = load_scene(tmp_path / "rig/scene.yaml")
     effects = [drawn("support_height", scene), drawn("servo_gain", scene)]
     found, written = export(scene, effects, tmp_path / "out")
-    target, names = touched(scene, effects[1:])
+    target, _ = touched(scene, effects[1:])
     assert (found.way, [h.name for h in found.held]) == ("patch", ["servo_gain"])
     assert agree(written.model, target, target, TWELVE)
     (entry,) = found.left
