@@ -38,12 +38,17 @@ def is_file(scene: Scene) -> bool:
 
 def ways(scene: Scene) -> tuple[Way, ...]:
     """Return how a scene can be exported: MJCF of a user's as a patch, all else as a whole model."""
-    return ("patch", "whole") if is_file(scene) and _source(scene).suffix == ".xml" else ("whole",)
+    return ("patch", "whole") if is_file(scene) and _source(scene).suffix.lower() == ".xml" else ("whole",)
 
 
 def _source(scene: Scene) -> Path:
     """Return the model file of a user's scene."""
-    return Path(scene.name).resolve().parent / scene.file.model
+    return _absolute(Path(scene.name)).parent / scene.file.model
+
+
+def _absolute(path: str | Path) -> Path:
+    """Return a path from the root; links stay, as what lies beside them is named relative to them."""
+    return Path(os.path.abspath(path))
 
 
 def copied(scene: Scene, way: Way, folder: Path) -> Copy:
@@ -51,14 +56,14 @@ def copied(scene: Scene, way: Way, folder: Path) -> Copy:
     folder.mkdir(parents=True)
     if not is_file(scene):
         return _saved(scene, folder, folder / "scene.xml", folder / "scene.yaml")
-    own, source = Path(scene.name).resolve(), _source(scene)
-    needed = [own, *(Path(p).resolve() for p in mujoco.mju_getXMLDependencies(str(source)))]
+    own, source = _absolute(scene.name), _absolute(_source(scene))
+    needed = [own, source, *(_absolute(p) for p in mujoco.mju_getXMLDependencies(str(source)))]
     top = Path(os.path.commonpath([p.parent for p in needed]))
     for path in dict.fromkeys(needed):
         to = folder / path.relative_to(top)
         to.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path, to)
-    at, model = folder / own.relative_to(top), folder / source.resolve().relative_to(top)
+    at, model = folder / own.relative_to(top), folder / source.relative_to(top)
     return Copy(folder, at, model) if way == "patch" else _saved(scene, folder, model.with_suffix(".xml"), at)
 
 

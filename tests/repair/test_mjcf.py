@@ -16,7 +16,7 @@ from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.world import build_worlds
 from tests.effects.gripper import play_grip
-from tests.repair.conftest import EDITS, MAIN, drawn, write_rig
+from tests.repair.rig import EDITS, MAIN, drawn, write_rig
 
 #: Twelve digits are written; meshes are stored in single precision; MuJoCo saves whole models with six digits.
 TWELVE, SINGLE, SIX = 1e-9, 1e-6, 2e-5

@@ -19,7 +19,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.world import build_worlds
-from tests.repair.conftest import EDITS, drawn
+from tests.repair.rig import EDITS, drawn
 
 TRUE = (
     EffectSetting(name="servo_gain", parameters={"kp_scale": 0.7}),
