@@ -216,20 +216,28 @@ def _changes(edit: Edit, copy: Copy) -> list[Change]:
     return out
 
 
-def _diff(copy: Copy, before: dict[Path, bytes]) -> str:
+def _diff(copy: Copy, before: dict[Path, bytes]) -> bytes:
     """Return the unified diff of all files that changed, paths from the copy's folder."""
-    text = ""
+    out = b""
     for path, raw in sorted(before.items()):
-        old, new = (b.decode("utf-8", "replace").splitlines(keepends=True) for b in (raw, path.read_bytes()))
-        name = path.relative_to(copy.folder).as_posix()
-        text += "".join(difflib.unified_diff(old, new, f"a/{name}", f"b/{name}"))
-    return text
+        name = path.relative_to(copy.folder).as_posix().encode()
+        lines = difflib.diff_bytes(
+            difflib.unified_diff, _lines(raw), _lines(path.read_bytes()), b"a/" + name, b"b/" + name
+        )
+        out += b"".join(lines)
+    return out
 
 
-def _write(found: Exported, copy: Copy, diff: str) -> None:
+def _lines(raw: bytes) -> list[bytes]:
+    """Return lines with their ends; one that ends with the file says so, as diffs do."""
+    *whole, last = raw.split(b"\n")
+    return [line + b"\n" for line in whole] + ([last + b"\n\\ No newline at end of file\n"] if last else [])
+
+
+def _write(found: Exported, copy: Copy, diff: bytes) -> None:
     """Write the diff, the listing, and the effects that are left beside the model."""
     if found.diff:
-        (copy.folder / found.diff).write_text(diff)
+        (copy.folder / found.diff).write_bytes(diff)
     if found.effects:
         file = EffectsFile(scene=os.path.relpath(copy.scene, copy.folder), effects=outside(found.left))
         (copy.folder / found.effects).write_text(yaml.safe_dump(file.model_dump(mode="json"), sort_keys=False))

@@ -114,10 +114,12 @@ def test_all_text_but_the_changed_tags_is_kept(rig, tmp_path):
         assert differing == {line for file, line in places if file == name}
 
 
-def test_the_diff_patches_the_users_own_files(rig, tmp_path):
+def test_the_diff_patches_the_users_own_files(tmp_path):
     if shutil.which("patch") is None:
         pytest.skip("no patch program")
-    effects = [drawn("servo_damping", rig), drawn("object_mass", rig)]
+    # No line ends with the file.
+    rig = write_rig(tmp_path / "rig", MAIN.rstrip())
+    effects = [drawn(name, rig) for name in ("servo_damping", "object_mass", "gravity_tilt", "support_height")]
     found, _ = export(rig, effects, tmp_path / "out")
     mine = tmp_path / "mine"
     shutil.copytree(Path(rig.name).parent, mine)
