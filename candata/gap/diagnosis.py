@@ -14,6 +14,7 @@ from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
+from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
@@ -54,8 +55,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 #: Episodes on which effects are searched; what a larger dataset holds beyond is left untouched until the end.
 SEARCHED = 64
-#: Null replays of each untouched episode.
-REST_REPLICAS = 4
 
 
 @dataclass(frozen=True)
@@ -146,18 +145,13 @@ def _problem(
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
     """Return the problem and the evidence on episodes that took no part in the search."""
-    replayer = problem.replayer
-    begin = starts(replayer.scene, recs)
     world = problem.setting(fit.members) if fit else ()
-    before, after = replay_all(replayer, recs, begin, [(), world])
-    plan = layout(replayer.scene, recs, begin, before)
-    raw = residual(recs, plan, before)
-    level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world), plan)
-    sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
+    r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
-    new = replace(problem, recs=recs, begin=begin, plan=plan, score=level, before=before, raw=raw)
-    return new, HeldOut(recs, before, after, sizes[0], sizes[1], points)
+    raw = residual(recs, r.plan, r.before)
+    new = replace(problem, recs=recs, begin=r.begin, plan=r.plan, score=r.score, before=r.before, raw=raw)
+    return new, HeldOut(recs, r.before, r.after, r.size_before, r.size_after, points)
 
 
 @dataclass(frozen=True)

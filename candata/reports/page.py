@@ -91,10 +91,11 @@ def _head(report: Report) -> str:
 def _answers(report: Report) -> str:
     """Return where, which, how far and what is not known, one sentence each."""
     unknown = " ".join(filter(None, (words.not_known(report), words.next_motion(report))))
+    far = " ".join(filter(None, (words.how_far(report), words.edit_test(report))))
     entries = (
         ("Where is the gap?", _lead(words.where_short(report)) + typeset(words.where(report))),
         ("Which effect makes it?", _lead(words.which_short(report)) + typeset(words.which(report))),
-        ("How far does it close?", _meter(report) + typeset(words.how_far(report))),
+        ("How far does it close?", _meter(report) + typeset(far)),
         ("What is not known?", typeset(unknown)),
     )
     return f'<dl class="answers">{"".join(f"<div><dt>{q}</dt><dd>{a}</dd></div>" for q, a in entries)}</dl>'

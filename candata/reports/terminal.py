@@ -11,7 +11,9 @@ from candata.schema.report import NamedEffect, Report
 #: Columns of the text, lines of the whole, and effects shown before the rest is counted.
 WIDTH, MOST_LINES, MOST_EFFECTS = 98, 25, 3
 #: Most lines of each entry; with two of the headline and one of space they are `MOST_LINES`.
-LINES = {"where": 3, "which": 4, "how far": 3, "change": 4, "not known": 3, "untested": 1, "next": 2, "data": 2}
+LINES = {
+    "where": 2, "which": 4, "how far": 3, "edit test": 2, "change": 3, "not known": 3, "untested": 1, "next": 2, "data": 2,
+}  # fmt: skip
 
 
 def summary(report: Report) -> str:
@@ -21,6 +23,7 @@ def summary(report: Report) -> str:
     lines += _entry("where", words.where(report), LINES["where"])
     lines += _which(report)
     lines += _entry("how far", words.how_far(report), LINES["how far"])
+    lines += _entry("edit test", words.edit_test(report), LINES["edit test"])
     lines += _change(report)
     lines += _entry("not known", words.not_known(report), LINES["not known"])
     lines += _entry("untested", _untested(report), LINES["untested"])

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from candata.reports.numbers import SUFFIX_UNITS, digits, percent, reading, unit_of
-from candata.schema.report import NamedEffect, Report, Symptom, Verdict
+from candata.schema.report import EditTest, NamedEffect, Report, Symptom, Verdict
 
 #: A space at which no line ends.
 TIE = "\N{NO-BREAK SPACE}"
@@ -118,6 +118,22 @@ def how_far(report: Report) -> str:
         f"{doer} {verb} {percent(gap.closed)} of the gap on held-out episodes{span}: "
         f"the mismatch goes from {before} to {after} times the floor."
     )
+
+
+def edit_test(report: Report) -> str:
+    """Return the sentence that says whether the shrinkage is kept in another world; empty when not tested."""
+    return edit_words(report.edit) if report.edit else ""
+
+
+def edit_words(edit: EditTest) -> str:
+    """Return the sentence of an edit test."""
+    numbers = f"from {digits(edit.before)} to {digits(edit.after)} times the floor, nothing refitted"
+    if edit.closed is None:
+        word = "opens a gap" if edit.kept is False else "finds no gap to close"
+        return f"In {edit.dataset} it {word}: {numbers}."
+    span = "" if edit.low is None or edit.high is None else f" (90 % interval {_span(edit.low, edit.high)})"
+    word = "It is kept" if edit.kept else "It is not kept"
+    return f"{word} in {edit.dataset}: {percent(edit.closed)} closes there{span}, {numbers}."
 
 
 def not_known(report: Report) -> str:
@@ -242,7 +258,7 @@ def _nothing_more(report: Report) -> str:
     if report.gap is not None and report.gap.closed is not None:
         left, carries = (
             report.gap.after - report.gap.floor,
-            "whether the repair carries over to other objects and motions",
+            f"whether the repair carries over to {'yet ' if report.edit else ''}other objects and motions",
         )
         return (
             f"What makes up the remaining {digits(left)} floors, and {carries}"
