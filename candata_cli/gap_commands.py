@@ -1,0 +1,208 @@
+"""`candata gap bench` and `candata gap score`: the sealed self-check, on cases of our own or made elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from candata.gap.blind.sanity import Fitness
+    from candata.schema.bench import BenchFile, CaseResult, Kind, Row
+
+KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
+BENCH_EXAMPLE = """\b
+Examples:
+  candata gap bench --out out/bench
+  candata gap bench --out out/small --kinds one,null --counts one=40,null=10 --jobs 2
+  candata gap bench --out out/mine --scene my/scene.yaml --episodes 12
+"""
+SCORE_EXAMPLE = """\b
+Example: candata gap score cases --labels sealed.json --out out/score
+
+\b
+A case is a folder: a candata dataset with a case.json beside its files,
+  {"name": "case-0001", "scene": "scene.yaml or built-in", "episodes": 20, "sealed": "sha256(label + salt)"}
+and all labels are one file, {"salt": "64 hex digits", "labels": {"case-0001": "label as JSON text"}}, a label being
+  {"case": "case-0001", "kind": "one", "effects": [{"name": "object_mass", "parameters": {"mass_scale": 1.4}}]}
+See schemas/case.schema.json, labels.schema.json and label.schema.json for every field.
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group."""
+    group = typer.Typer(help="Check the diagnosis itself, blind.", no_args_is_help=True, rich_markup_mode=None)
+    group.command("bench", epilog=BENCH_EXAMPLE)(bench)
+    group.command("score", epilog=SCORE_EXAMPLE)(score)
+    app.add_typer(group, name="gap")
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
+    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = "xhand_tabletop",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
+    duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 3.2,
+    kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
+    counts: Annotated[str, typer.Option(help="Cases of a kind, like one=120,quarter=40.")] = "",
+    only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
+) -> None:
+    """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
+
+    Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
+    5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
+    """
+    from candata.gap.blind.cases import CASES, LABELS, make_cases, seal_labels
+    from candata.gap.blind.sanity import check_scene
+    from candata.scenes import load_scene
+    from candata_cli import console
+
+    wanted, names = _counts(kinds, counts), _words(only)
+    world = load_scene(scene)
+
+    def live() -> tuple[str, ...]:
+        fit = check_scene(world, seed=seed, duration_s=duration_s, only=names)
+        for line in _fitness(fit):
+            console.note(line)
+        return fit.live
+
+    sealed = seal_labels(
+        out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
+    )  # fmt: skip
+    with console.progress("making cases", len(sealed.labels)) as advance:
+        make_cases(
+            out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, jobs=jobs,
+            told=lambda _name: advance(1),
+        )  # fmt: skip
+    _diagnose_and_score(out, out / CASES, out / LABELS, jobs, seed, None, json)
+
+
+def score(
+    cases: Annotated[Path, typer.Argument(help="Folder of cases.")],
+    labels: Annotated[Path, typer.Option(help="The sealed labels.")],
+    out: Annotated[Path, typer.Option(help="Folder for results and score; an interrupted run goes on.")],
+    scene: Annotated[str | None, typer.Option(help="Nominal simulator, instead of the one each case names.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of each diagnosis.")] = 0,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
+) -> None:
+    """Diagnose and score cases that were made elsewhere."""
+    _diagnose_and_score(out, cases, labels, jobs, seed, scene, json)
+
+
+def _diagnose_and_score(
+    out: Path, folder: Path, labels: Path, jobs: int, seed: int, scene: str | None, json: bool
+) -> None:
+    """Diagnose what is not yet, open the labels, write and print the score."""
+    from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
+    from candata.gap.blind.outcomes import Outcome
+    from candata.gap.blind.running import run_cases
+    from candata.gap.blind.scoring import score_run
+    from candata_cli import console
+
+    cases = read_cases(folder)
+    places = [(path, scene or scene_of(path, case)) for path, case in cases.items()]
+    with _cases_bar(len(places)) as told:
+        results = run_cases(out, places, jobs=jobs, seed=seed, told=told)
+    opened = open_labels(cases, read_labels(labels))
+    outcomes = [Outcome(opened[r.case], r) for r in results]
+    found = score_run(outcomes, scene=places[0][1], cases=len(places))
+    path = out / "bench.json"
+    path.write_text(found.model_dump_json(indent=1) + "\n")
+    console.out(found.model_dump_json(indent=2)) if json else _print(found)
+    console.note(f"score: {path}")
+
+
+def _counts(kinds: str, counts: str) -> dict[Kind, int]:
+    """Return how many cases of each kind are asked for."""
+    from candata.errors import UnknownNameError, UsageError
+    from candata.gap.blind.draws import COUNTS
+
+    given: dict[str, int] = {}
+    for word in _words(counts):
+        name, _, number = word.partition("=")
+        if not number.isdigit():
+            raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
+        given[name] = int(number)
+    wanted = _words(kinds)
+    for name in (*wanted, *given):
+        if name not in KINDS:
+            raise UnknownNameError("kind of case", name, KINDS)
+    return {kind: given.get(kind, number) for kind, number in COUNTS.items() if kind in wanted}
+
+
+def _words(text: str) -> list[str]:
+    """Return the words of a comma-separated list."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _fitness(fit: Fitness) -> list[str]:
+    """Return what to say about the scene, a line each."""
+    lines = []
+    if fit.moving:
+        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f}")
+    if fit.live:
+        least = min(fit.live, key=lambda name: fit.moved[name])
+        lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
+    if fit.dead:
+        lines.append(f"not drawn, since they move nothing in these motions: {', '.join(fit.dead)}")
+    return lines
+
+
+@contextmanager
+def _cases_bar(total: int) -> Iterator[Callable[[CaseResult], None]]:
+    """Yield what hears of each result and says on stderr how many are done and the time left."""
+    from candata_cli import console
+
+    begun, done = time.monotonic(), 0
+
+    def told(result: CaseResult) -> None:
+        nonlocal done
+        done += 1
+        left = (time.monotonic() - begun) / done * (total - done) / 60
+        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left:.0f} min left")
+
+    yield told
+
+
+def _print(found: BenchFile) -> None:
+    """Print the table, rows below target first, then the cases that were missed."""
+    from candata_cli import console
+
+    console.out(f"{found.scene}: {found.done} of {found.cases} cases, {len(found.misses)} missed")
+    console.out("")
+    marks = {True: "met", False: "MISSED", None: ""}
+    rows = [(r.measure, _value(r.value, r.unit), r.n, _target(r), marks[r.met]) for r in found.rows]
+    console.out_table(("measure", "measured", "n", "target", ""), rows)
+    if found.misses:
+        console.out("")
+        header = ("missed", "kind", "truth", "verdict", "named", "gap before", "why")
+        lines = [(m.case, m.kind, m.truth, m.verdict, m.named, _number(m.gap), m.why) for m in found.misses]
+        console.out_table(header, lines)
+
+
+def _number(value: float | None) -> str:
+    """Return three digits, or a dash."""
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _value(value: float | None, unit: str) -> str:
+    """Return a value with its unit."""
+    if value is None:
+        return "-"
+    return f"{value:.1f} {unit}" if unit else f"{value:.3f}"
+
+
+def _target(row: Row) -> str:
+    """Return the target of a row in words."""
+    low, high = ("" if v is None else f"{v:g}" for v in (row.low, row.high))
+    unit = f" {row.unit}" if row.unit else ""
+    if low and high:
+        return f"{low} to {high}{unit}"
+    return f">= {low}{unit}" if low else (f"<= {high}{unit}" if high else "")
