@@ -12,7 +12,7 @@ import typer
 
 if TYPE_CHECKING:
     from candata.gap.blind.sanity import Fitness
-    from candata.schema.bench import BenchFile, CaseResult, Kind, Row
+    from candata.schema.bench import CaseResult, Kind
 
 KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
 BENCH_EXAMPLE = """\b
@@ -102,21 +102,25 @@ def _diagnose_and_score(
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
     from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import run_cases
+    from candata.gap.blind.running import Place, run_cases
     from candata.gap.blind.scoring import score_run
+    from candata.gap.blind.shares import measure_shares
+    from candata.reports.bench import bench_text, write_bench
     from candata_cli import console
 
     cases = read_cases(folder)
-    places = [(path, scene or scene_of(path, case)) for path, case in cases.items()]
+    places = [Place(path, scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
     with _cases_bar(len(places)) as told:
         results = run_cases(out, places, jobs=jobs, seed=seed, told=told)
     opened = open_labels(cases, read_labels(labels))
-    outcomes = [Outcome(opened[r.case], r) for r in results]
-    found = score_run(outcomes, scene=places[0][1], cases=len(places))
-    path = out / "bench.json"
-    path.write_text(found.model_dump_json(indent=1) + "\n")
-    console.out(found.model_dump_json(indent=2)) if json else _print(found)
-    console.note(f"score: {path}")
+    several = sum(len(opened[path.name].effects) > 1 for path in cases)
+    with console.progress("weighing true causes", several) as advance:
+        shares = measure_shares(out, places, opened, jobs=jobs, told=advance)
+    outcomes = [Outcome(opened[r.case], r, shares.get(r.case)) for r in results]
+    found = score_run(outcomes, scene=places[0].scene, cases=len(places))
+    page = write_bench(found, out)
+    console.out(found.model_dump_json(indent=2) if json else bench_text(found))
+    console.note(f"score: {out / 'bench.json'}, {page}")
 
 
 def _counts(kinds: str, counts: str) -> dict[Kind, int]:
@@ -169,40 +173,3 @@ def _cases_bar(total: int) -> Iterator[Callable[[CaseResult], None]]:
         console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left:.0f} min left")
 
     yield told
-
-
-def _print(found: BenchFile) -> None:
-    """Print the table, rows below target first, then the cases that were missed."""
-    from candata_cli import console
-
-    console.out(f"{found.scene}: {found.done} of {found.cases} cases, {len(found.misses)} missed")
-    console.out("")
-    marks = {True: "met", False: "MISSED", None: ""}
-    rows = [(r.measure, _value(r.value, r.unit), r.n, _target(r), marks[r.met]) for r in found.rows]
-    console.out_table(("measure", "measured", "n", "target", ""), rows)
-    if found.misses:
-        console.out("")
-        header = ("missed", "kind", "truth", "verdict", "named", "gap before", "why")
-        lines = [(m.case, m.kind, m.truth, m.verdict, m.named, _number(m.gap), m.why) for m in found.misses]
-        console.out_table(header, lines)
-
-
-def _number(value: float | None) -> str:
-    """Return three digits, or a dash."""
-    return "-" if value is None else f"{value:.3g}"
-
-
-def _value(value: float | None, unit: str) -> str:
-    """Return a value with its unit."""
-    if value is None:
-        return "-"
-    return f"{value:.1f} {unit}" if unit else f"{value:.3f}"
-
-
-def _target(row: Row) -> str:
-    """Return the target of a row in words."""
-    low, high = ("" if v is None else f"{v:g}" for v in (row.low, row.high))
-    unit = f" {row.unit}" if row.unit else ""
-    if low and high:
-        return f"{low} to {high}{unit}"
-    return f">= {low}{unit}" if low else (f"<= {high}{unit}" if high else "")

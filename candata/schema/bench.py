@@ -57,15 +57,17 @@ class LabelsFile(Record):
 
 
 class CaseResult(Record):
-    """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not.
+    """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not; `sealed` is the case's own.
 
-    `cold` marks the first case of a process in a fresh folder, where nothing is cached.
+    `cold` marks the first case of a process (by its number, `process`) in a fresh folder, where nothing is cached.
     """
 
     case: str
+    sealed: str
     method: str = "candata"
     cpu_s: float
     cold: bool
+    process: int = 0
     report: Report | None = None
     error: str | None = None
 
@@ -77,6 +79,7 @@ class Shares(Record):
     """
 
     case: str
+    sealed: str
     rises: dict[str, float]
     alike: float | None = None
 
@@ -122,7 +125,8 @@ class Bin(Record):
 class BenchFile(Record):
     """`bench.json`: the table, the misses, the confusion matrix and the calibration curve of one method.
 
-    `confusion` maps a true cause to what was said first and how often.
+    `confusion` maps a true cause to what was said first and how often; `baselines` are other methods, and this one,
+    on the cases that the others were given.
     """
 
     method: str = "candata"
@@ -133,3 +137,4 @@ class BenchFile(Record):
     misses: tuple[Miss, ...]
     confusion: dict[str, dict[str, int]]
     calibration: tuple[Bin, ...]
+    baselines: tuple[BenchFile, ...] = ()

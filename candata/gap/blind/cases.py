@@ -172,12 +172,17 @@ def read_cases(folder: Path) -> dict[Path, CaseFile]:
     Raises
     ------
     UsageError
-        When there is none, or a `case.json` is not valid.
+        When there is none, or a `case.json` is not valid or not its folder's.
     """
     found = sorted(path.parent for path in folder.glob(f"*/{CASE}") if not path.parent.name.startswith("."))
     if not found:
         raise UsageError("no cases", expected=f"folders with a dataset and a {CASE}", where=Where(path=str(folder)))
-    return {path: CaseFile.parse(_json(path / CASE), path / CASE) for path in found}
+    cases = {path: CaseFile.parse(_json(path / CASE), path / CASE) for path in found}
+    for path, case in cases.items():
+        if case.name != path.name:
+            raise UsageError("a case bears another name than its folder", expected=path.name, found=case.name,
+                             where=Where(path=str(path / CASE)))  # fmt: skip
+    return cases
 
 
 def scene_of(folder: Path, case: CaseFile) -> str:

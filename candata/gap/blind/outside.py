@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from candata.effects._select import drive_damping, drive_torque
 from candata.errors import UnknownNameError
 from candata.scenes import Scene
 from candata.schema.bench import Outside
@@ -24,10 +25,10 @@ from candata.simulate.world import Filter, Worlds
 
 Array = NDArray[np.float64]
 Values = dict[str, float]
-#: Speed over which a friction force turns round [rad/s]: forces held over a control step must not make joints chatter.
-TURNING_RADPS = 1.0
+#: Speed at which friction has half its size [rad/s].
+TURNING_RADPS = 0.3
 #: Force at which a fingertip counts as touching [N], and how long a pull lasts after it let go [s].
-TOUCHING_N, SUCTION_S = 0.3, 0.12
+TOUCHING_N, SUCTION_S = 0.3, 0.08
 
 
 @dataclass(frozen=True)
@@ -98,15 +99,6 @@ def _weight(scene: Scene) -> float:
     return float(scene.model.body_subtreemass[scene.object_id] * np.linalg.norm(scene.model.opt.gravity))
 
 
-def _torque(scene: Scene) -> float:
-    """Return the median torque limit of the driven hinges; an unlimited servo counts as kp x 0.3 rad [N m]."""
-    model = scene.model
-    hinges = set(scene.joint_ids[scene.driven_hinges].tolist())
-    ids = [a for a, joint in scene.driven_joints.items() if joint in hinges]
-    limited = model.actuator_forcelimited[ids].astype(bool)
-    return float(np.median(np.where(limited, model.actuator_forcerange[ids, 1], 0.3 * model.actuator_gainprm[ids, 0])))
-
-
 def _hinges(scene: Scene) -> list[str]:
     """Return the names of the driven hinges."""
     return [scene.file.joints[i] for i in scene.driven_hinges]
@@ -143,7 +135,7 @@ def _has_forces(scene: Scene) -> bool:
 
 # A constant push on the object.
 def _draw_wind(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
-    size, turn = rng.uniform(0.15, 0.4) * _weight(scene), rng.uniform(0, 2 * np.pi)
+    size, turn = rng.uniform(0.08, 0.2) * _weight(scene), rng.uniform(0, 2 * np.pi)
     return None, {"x_N": size * np.cos(turn), "y_N": size * np.sin(turn)}
 
 
@@ -178,7 +170,7 @@ def _apply_magnet(state: Any, x: Array) -> tuple[Any, Array]:
 def _draw_coupling(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
     first, second = rng.choice(_hinges(scene), 2, replace=False)
     other = float(scene.file.joints.index(str(second)))
-    return str(first), {"stiffness_Nm_rad": rng.uniform(0.3, 0.8) * _torque(scene), "other": other}
+    return str(first), {"stiffness_Nm_rad": rng.uniform(0.3, 0.8) * drive_torque(scene), "other": other}
 
 
 def _start_coupling(scene: Scene, outside: Outside, batch: Batch) -> Any:
@@ -197,7 +189,7 @@ def _apply_coupling(state: Any, x: Array) -> tuple[Any, Array]:
 
 # A torque that waves with the angle, as of a motor with strong magnets.
 def _draw_cogging(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
-    values = {"torque_Nm": rng.uniform(0.15, 0.35) * _torque(scene), "waves_rad": float(rng.integers(6, 15))}
+    values = {"torque_Nm": rng.uniform(0.15, 0.35) * drive_torque(scene), "waves_rad": float(rng.integers(6, 15))}
     return str(rng.choice(_hinges(scene))), values | {"phase_rad": rng.uniform(0, 2 * np.pi)}
 
 
@@ -214,17 +206,20 @@ def _apply_cogging(state: Any, x: Array) -> tuple[Any, Array]:
 
 # Friction in the gears that grows with what the motor pulls.
 def _draw_load(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
-    return None, {"share": rng.uniform(0.25, 0.45)}
+    return None, {"share": rng.uniform(0.5, 0.9)}
 
 
 def _start_load(scene: Scene, outside: Outside, batch: Batch) -> Any:
     dofs = scene.joint_dof[scene.driven_hinges]
-    return batch.bind("qvel"), batch.bind("qfrc_actuator"), dofs, outside.values["share"]
+    fields = batch.bind("qvel"), batch.bind("qfrc_actuator")
+    return *fields, dofs, outside.values["share"], drive_damping(scene)
 
 
 def _apply_load(state: Any, x: Array) -> tuple[Any, Array]:
-    qvel, motor, dofs, share = state
-    x[:, dofs] -= share * np.abs(motor[:, dofs]) * np.tanh(qvel[:, dofs] / TURNING_RADPS)
+    qvel, motor, dofs, share, damping = state
+    speed, limit = qvel[:, dofs], share * np.abs(motor[:, dofs])
+    # Never steeper than the joints' own damping: a steeper force, held over a control step, makes them chatter.
+    x[:, dofs] -= limit * speed / (np.abs(speed) + TURNING_RADPS + limit / damping)
     return state, x
 
 
@@ -242,7 +237,7 @@ def _start_fading(scene: Scene, outside: Outside, batch: Batch) -> Any:
         dofs,
         outside.values["loss"],
         rate,
-        _torque(scene),
+        drive_torque(scene),
     )
 
 
@@ -310,7 +305,7 @@ def _apply_creep(state: Any, x: dict[str, Array]) -> tuple[Any, dict[str, Array]
 
 # Fingertips that hold on to the object for a moment after they let go.
 def _draw_suction(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
-    return None, {"pull_N": rng.uniform(0.5, 1.2) * _weight(scene)}
+    return None, {"pull_N": rng.uniform(0.3, 0.6) * _weight(scene)}
 
 
 def _start_suction(scene: Scene, outside: Outside, batch: Batch) -> Any:
@@ -330,12 +325,13 @@ def _apply_suction(state: Any, x: Array) -> tuple[Any, Array]:
     return (left, (sensors, places), scene, pull), x
 
 
-# A cable that drags at one rail of the wrist.
+# A taut cable at one rail of the wrist, tighter the farther the wrist goes.
 def _draw_cable(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
     joint = str(rng.choice(_driven_slides(scene)))
     servo = next(a for a, j in scene.driven_joints.items() if j == scene.model.joint(joint).id)
-    stiffness = rng.uniform(0.08, 0.2) * float(scene.model.actuator_gainprm[servo, 0])
-    return joint, {"stiffness_N_m": stiffness, "slack_m": rng.uniform(0.0, 0.01)}
+    kp = float(scene.model.actuator_gainprm[servo, 0])
+    # The tension alone displaces the wrist by 4 to 10 mm.
+    return joint, {"stiffness_N_m": rng.uniform(0.08, 0.2) * kp, "tension_N": rng.uniform(0.004, 0.01) * kp}
 
 
 def _start_cable(scene: Scene, outside: Outside, batch: Batch) -> Any:
@@ -345,7 +341,7 @@ def _start_cable(scene: Scene, outside: Outside, batch: Batch) -> Any:
 
 def _apply_cable(state: Any, x: Array) -> tuple[Any, Array]:
     qpos, at, dof, v = state
-    x[:, dof] -= v["stiffness_N_m"] * np.maximum(qpos[:, at] - v["slack_m"], 0)
+    x[:, dof] -= np.maximum(v["tension_N"] + v["stiffness_N_m"] * qpos[:, at], 0)
     return state, x
 
 

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
@@ -24,6 +24,14 @@ Judge = Callable[[Dataset, Scene, int], Report]
 R = TypeVar("R", bound=Record)
 
 
+class Place(NamedTuple):
+    """Where a case lies: its folder, what `load_scene` takes for its scene, and the hash of its label."""
+
+    folder: Path
+    scene: str
+    sealed: str
+
+
 def judged(dataset: Dataset, scene: Scene, seed: int) -> Report:
     """Return candata's own report of a dataset."""
     return diagnose(dataset, scene, jobs=1, seed=seed).report
@@ -31,7 +39,7 @@ def judged(dataset: Dataset, scene: Scene, seed: int) -> Report:
 
 def run_cases(
     out: Path,
-    cases: Sequence[tuple[Path, str]],
+    cases: Sequence[Place],
     *,
     jobs: int = 1,
     seed: int = 0,
@@ -45,8 +53,8 @@ def run_cases(
     ----------
     out : Path
         Folder of the results.
-    cases : sequence of (Path, str)
-        Folder of each case, and what `load_scene` takes for its scene.
+    cases : sequence of Place
+        Where each case lies.
     jobs : int
         Processes; with one the work is done here.
     seed : int
@@ -59,40 +67,65 @@ def run_cases(
         Hears of each new result.
     """
     log = out / RESULTS
-    standing = {r.case: r for r in read_lines(log, CaseResult) if r.method == method}
-    tasks = [(str(f), scene, seed, method, not standing, judge) for f, scene in cases if f.name not in standing]
-    out.mkdir(parents=True, exist_ok=True)
+    standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
+    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, not standing, judge) for p in cases
+             if p.sealed not in standing]  # fmt: skip
+    processes: set[int] = set()
+
+    def first_only(result: CaseResult) -> CaseResult:
+        """Return a result that is cold only where it is the first of its process."""
+        known = result.process in processes
+        processes.add(result.process)
+        return result.model_copy(update={"cold": result.cold and not known})
+
+    for result in spread(log, run_case, tasks, jobs, first_only):
+        standing[result.sealed] = result
+        told(result)
+    return [standing[p.sealed] for p in cases]
+
+
+def spread(
+    log: Path,
+    work: Callable[..., R],
+    tasks: Sequence[tuple[Any, ...]],
+    jobs: int,
+    last: Callable[[R], R] = lambda record: record,
+) -> Iterator[R]:
+    """Yield a record for each task as it comes, each written to the log first: what is yielded outlives a kill.
+
+    Parameters
+    ----------
+    log : Path
+        File of JSON lines.
+    work : callable
+        Makes a record of a task; with several processes a function of a module.
+    tasks : sequence of tuple
+        Arguments of `work`.
+    jobs : int
+        Processes; with one the work is done here.
+    last : callable
+        Completes a record here, in the order of the log.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as file:
-        for result in _spread(tasks, jobs):
-            file.write(result.model_dump_json() + "\n")
+        for record in map(last, _made(work, tasks, jobs)):
+            file.write(record.model_dump_json() + "\n")
             file.flush()
             os.fsync(file.fileno())
-            standing[result.case] = result
-            told(result)
-    return [standing[folder.name] for folder, _ in cases]
+            yield record
 
 
-def _spread(tasks: list[tuple[str, str, int, str, bool, Judge]], jobs: int) -> Iterator[CaseResult]:
-    """Yield results as they come, from here or from worker processes."""
-    seen: set[int] = set()
+def _made(work: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[R]:
+    """Yield records as they come, from here or from worker processes."""
     if jobs == 1 or len(tasks) < 2:
-        for task in tasks:
-            yield _cold(*run_case(*task), seen)
+        yield from (work(*task) for task in tasks)
         return
     with spawned(min(jobs, len(tasks))) as pool:
-        for done in as_completed([pool.submit(run_case, *task) for task in tasks]):
-            yield _cold(*done.result(), seen)
+        yield from (done.result() for done in as_completed([pool.submit(work, *task) for task in tasks]))
 
 
-def _cold(result: CaseResult, process: int, seen: set[int]) -> CaseResult:
-    """Return a result that is cold only where it is the first of its process."""
-    first = process not in seen
-    seen.add(process)
-    return result.model_copy(update={"cold": result.cold and first})
-
-
-def run_case(folder: str, scene: str, seed: int, method: str, fresh: bool, judge: Judge) -> tuple[CaseResult, int]:
-    """Return the result of one case, and which process made it.
+def run_case(folder: str, scene: str, sealed: str, seed: int, method: str, fresh: bool, judge: Judge) -> CaseResult:
+    """Return the result of one case.
 
     A method that fails on a case has not solved it: the failure is the result.
     """
@@ -104,11 +137,19 @@ def run_case(folder: str, scene: str, seed: int, method: str, fresh: bool, judge
     except CandataError as problem:
         error = problem.problem
     spent = time.process_time() - start
-    result = CaseResult(case=path.name, method=method, cpu_s=spent, cold=fresh, report=report, error=error)
-    return result, os.getpid()
+    return CaseResult(
+        case=path.name,
+        sealed=sealed,
+        method=method,
+        cpu_s=spent,
+        cold=fresh,
+        process=os.getpid(),
+        report=report,
+        error=error,
+    )
 
 
-def read_lines(path: Path, record: type[R]) -> list[R]:
+def finished(path: Path, record: type[R]) -> list[R]:
     """Return the records of a file of JSON lines; a last line that a kill cut short is no record."""
     if not path.exists():
         return []

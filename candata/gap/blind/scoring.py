@@ -14,6 +14,8 @@ from candata.schema.bench import BenchFile, Bin, Kind, Miss, Row
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
 BINS = 5
+#: Worth below which a miss mentions it [floors], and cosine above which two causes are said to look alike.
+FAINT, ALIKE = 0.1, 0.8
 #: Kinds whose hidden effects are all in the library.
 KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
 
