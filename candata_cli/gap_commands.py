@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from candata.gap.blind.outcomes import Outcome
+    from candata.gap.blind.running import Place
     from candata.gap.blind.sanity import Fitness
-    from candata.schema.bench import CaseResult, Kind
+    from candata.schema.bench import BenchFile, CaseResult, Kind
 
 KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
+BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
 BENCH_EXAMPLE = """\b
 Examples:
   candata gap bench --out out/bench
   candata gap bench --out out/small --kinds one,null --counts one=40,null=10 --jobs 2
   candata gap bench --out out/mine --scene my/scene.yaml --episodes 12
+  candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
+
+\b
+Baselines: lowest_error (smallest training error), bic, one_se (forward and one standard error, no floor),
+commonest (the same answer always), oracle (told the cause). Not among them: mujoco.sysid with everything free,
+which needs the packages of mujoco[sysid] and a parameter written for each effect.
 """
 SCORE_EXAMPLE = """\b
 Example: candata gap score cases --labels sealed.json --out out/score
@@ -50,6 +60,8 @@ def bench(
     kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
     counts: Annotated[str, typer.Option(help="Cases of a kind, like one=120,quarter=40.")] = "",
     only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
+    baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
+    baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
@@ -63,7 +75,7 @@ def bench(
     from candata.scenes import load_scene
     from candata_cli import console
 
-    wanted, names = _counts(kinds, counts), _words(only)
+    wanted, names, beside = _counts(kinds, counts), _words(only), _known(baselines, BASELINES, "baseline")
     world = load_scene(scene)
 
     def live() -> tuple[str, ...]:
@@ -80,7 +92,8 @@ def bench(
             out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, jobs=jobs,
             told=lambda _name: advance(1),
         )  # fmt: skip
-    _diagnose_and_score(out, out / CASES, out / LABELS, jobs, seed, None, json)
+    run = _Run(out, out / CASES, out / LABELS, jobs, seed, None, beside, baseline_cases)
+    _diagnose_and_score(run, json)
 
 
 def score(
@@ -89,16 +102,31 @@ def score(
     out: Annotated[Path, typer.Option(help="Folder for results and score; an interrupted run goes on.")],
     scene: Annotated[str | None, typer.Option(help="Nominal simulator, instead of the one each case names.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of each diagnosis.")] = 0,
+    baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
+    baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
-    _diagnose_and_score(out, cases, labels, jobs, seed, scene, json)
+    run = _Run(out, cases, labels, jobs, seed, scene, _known(baselines, BASELINES, "baseline"), baseline_cases)
+    _diagnose_and_score(run, json)
 
 
-def _diagnose_and_score(
-    out: Path, folder: Path, labels: Path, jobs: int, seed: int, scene: str | None, json: bool
-) -> None:
+@dataclass(frozen=True)
+class _Run:
+    """What is diagnosed and scored, and how."""
+
+    out: Path
+    cases: Path
+    labels: Path
+    jobs: int
+    seed: int
+    scene: str | None
+    baselines: list[str]
+    baseline_cases: int
+
+
+def _diagnose_and_score(run: _Run, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
     from candata.gap.blind.outcomes import Outcome
@@ -108,24 +136,45 @@ def _diagnose_and_score(
     from candata.reports.bench import bench_text, write_bench
     from candata_cli import console
 
-    cases = read_cases(folder)
-    places = [Place(path, scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
-    with _cases_bar(len(places)) as told:
-        results = run_cases(out, places, jobs=jobs, seed=seed, told=told)
-    opened = open_labels(cases, read_labels(labels))
-    several = sum(len(opened[path.name].effects) > 1 for path in cases)
+    cases = read_cases(run.cases)
+    places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
+    with _countdown(len(places)) as told:
+        results = run_cases(run.out, places, jobs=run.jobs, seed=run.seed, told=told)
+    labels = open_labels(cases, read_labels(run.labels))
+    several = sum(len(labels[path.name].effects) > 1 for path in cases)
     with console.progress("weighing true causes", several) as advance:
-        shares = measure_shares(out, places, opened, jobs=jobs, told=advance)
-    outcomes = [Outcome(opened[r.case], r, shares.get(r.case)) for r in results]
+        shares = measure_shares(run.out, places, labels, jobs=run.jobs, told=advance)
+    outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
     found = score_run(outcomes, scene=places[0].scene, cases=len(places))
-    page = write_bench(found, out)
+    if run.baselines:
+        found = found.model_copy(update={"baselines": _beside(run, places, outcomes)})
+    page = write_bench(found, run.out)
     console.out(found.model_dump_json(indent=2) if json else bench_text(found))
-    console.note(f"score: {out / 'bench.json'}, {page}")
+    console.note(f"score: {run.out / 'bench.json'}, {page}")
+
+
+def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
+    """Return the score of the diagnosis and of each baseline on the first cases."""
+    from candata.gap.blind.baselines import run_baselines
+    from candata.gap.blind.scoring import score_run
+    from candata_cli import console
+
+    some, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
+    labels = {o.label.case: o.label for o in outcomes}
+    with console.progress("baselines", count) as advance:
+        found = run_baselines(
+            run.out, places[:count], labels, run.baselines, jobs=run.jobs, seed=run.seed, told=advance
+        )  # fmt: skip
+    scores = [score_run(some, scene=places[0].scene, cases=count)]
+    for method, results in found.items():
+        theirs = [replace(o, result=r) for o, r in zip(some, results, strict=True)]
+        scores.append(score_run(theirs, scene=places[0].scene, cases=count, method=method))
+    return tuple(scores)
 
 
 def _counts(kinds: str, counts: str) -> dict[Kind, int]:
     """Return how many cases of each kind are asked for."""
-    from candata.errors import UnknownNameError, UsageError
+    from candata.errors import UsageError
     from candata.gap.blind.draws import COUNTS
 
     given: dict[str, int] = {}
@@ -135,15 +184,23 @@ def _counts(kinds: str, counts: str) -> dict[Kind, int]:
             raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
         given[name] = int(number)
     wanted = _words(kinds)
-    for name in (*wanted, *given):
-        if name not in KINDS:
-            raise UnknownNameError("kind of case", name, KINDS)
+    _known(",".join((*wanted, *given)), KINDS, "kind of case")
     return {kind: given.get(kind, number) for kind, number in COUNTS.items() if kind in wanted}
 
 
 def _words(text: str) -> list[str]:
     """Return the words of a comma-separated list."""
     return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _known(text: str, names: Sequence[str], kind: str) -> list[str]:
+    """Return the words of a comma-separated list, each one of `names`."""
+    from candata.errors import UnknownNameError
+
+    for word in _words(text):
+        if word not in names:
+            raise UnknownNameError(kind, word, names)
+    return _words(text)
 
 
 def _fitness(fit: Fitness) -> list[str]:
@@ -160,7 +217,7 @@ def _fitness(fit: Fitness) -> list[str]:
 
 
 @contextmanager
-def _cases_bar(total: int) -> Iterator[Callable[[CaseResult], None]]:
+def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
     """Yield what hears of each result and says on stderr how many are done and the time left."""
     from candata_cli import console
 

@@ -72,6 +72,13 @@ class CaseResult(Record):
     error: str | None = None
 
 
+class CaseResults(Record):
+    """One line of `baselines.jsonl`: what each baseline said of a case."""
+
+    sealed: str
+    results: tuple[CaseResult, ...]
+
+
 class Shares(Record):
     """One line of `shares.jsonl`: by how much the loss rises, in floors, when a true contributor is left out.
 

@@ -129,7 +129,7 @@ def background(scene: Scene, rng: np.random.Generator, spare: str) -> tuple[Effe
     """Return every parameter of joints, motors, object and contacts about 5 % wrong, except the effect `spare`.
 
     What scales or replaces a value of the model is off by a normal 5 % of it; what the model lacks (identity 0) is
-    there with a normal 5 % of the largest value a clear fault is drawn with.
+    there with a normal 5 % of the smallest value a clear fault is drawn with.
     """
     found = []
     for name in continuous(scene, ()):
@@ -147,8 +147,8 @@ def _off(p: Parameter, scene: Scene, rng: np.random.Generator) -> Array:
     shift = BACKGROUND * rng.standard_normal(p.size(scene))
     if own > 0:
         return np.clip(own * np.exp(shift), low, high)
-    largest = float(np.abs(p.draws(scene)).max())
-    return np.clip(np.abs(shift) * largest if low >= 0 else shift * largest, low, high)
+    clear = float(np.abs(p.draws(scene)).min())
+    return np.clip(np.abs(shift) * clear if low >= 0 else shift * clear, low, high)
 
 
 def _one(scene: Scene, name: str, i: int, rng: np.random.Generator, pool: Sequence[str]) -> Label:
