@@ -158,10 +158,10 @@ def report_of(dataset: Dataset, bed: Bed, members: Members) -> Report:
     before, after, *without = bed.residuals([(), world, *(tuple(e for e in world if e is not left) for left in world)])
     sizes = [float(bed.score.size(z).mean()) for z in (before, after)]
     losses = [float(bed.score.loss(z).mean()) for z in (before, after, *without)]
-    whole = max(losses[0] - losses[1], 1e-9)
+    whole = losses[0] - losses[1]
     named = [
         NamedEffect(
-            name=e.name, element=e.element, share=(loss - losses[1]) / whole, support=1.0,
+            name=e.name, element=e.element, share=(loss - losses[1]) / whole if whole > 0 else 0.0, support=1.0,
             parameters={name: Estimate(value=value) for name, value in e.parameters.items()},
         )
         for e, loss in zip(world, losses[2:], strict=True)

@@ -207,7 +207,19 @@ def miss(o: Outcome) -> Miss | None:
     if o.kind == "background":
         truth = f"{o.label.main} in a background, largest {o.largest}"
     gap = report.gap.before if report and report.gap else None
+    why = "; ".join((why, *_excuses(o)))
     return Miss(case=o.label.case, kind=o.kind, truth=truth or "none", verdict=o.verdict, named=named, why=why, gap=gap)
+
+
+def _excuses(o: Outcome) -> list[str]:
+    """Return what makes a set of causes hard: one that is worth little, two that look alike."""
+    if o.shares is None or o.kind == "background":
+        return []
+    left = {name: rise for name, rise in o.shares.rises.items() if name not in o.named}
+    found = [f"{name} is worth {rise:.2g} floors" for name, rise in left.items() if rise < FAINT]
+    if o.shares.alike is not None and o.shares.alike > ALIKE:
+        found.append(f"two look alike, cosine {o.shares.alike:.2f}")
+    return found
 
 
 def _why(o: Outcome) -> str | None:
