@@ -15,7 +15,7 @@ _EXAMPLE = "Example: candata gap edit-test other --effects out/report/effects.ya
 
 def register(app: typer.Typer) -> None:
     """Add the command to the group `gap`."""
-    group = console.group(app, "gap", "Test what a diagnosis found.")
+    group = console.group(app, "gap", console.GAP)
     group.command("edit-test", epilog=_EXAMPLE)(edit_test)
 
 

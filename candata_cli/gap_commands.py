@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli import console
+
 if TYPE_CHECKING:
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
@@ -45,10 +47,9 @@ See schemas/case.schema.json, labels.schema.json and label.schema.json for every
 
 def register(app: typer.Typer) -> None:
     """Add the group."""
-    group = typer.Typer(help="Check the diagnosis itself, blind.", no_args_is_help=True, rich_markup_mode=None)
+    group = console.group(app, "gap", console.GAP)
     group.command("bench", epilog=BENCH_EXAMPLE)(bench)
     group.command("score", epilog=SCORE_EXAMPLE)(score)
-    app.add_typer(group, name="gap")
 
 
 def bench(
@@ -73,7 +74,6 @@ def bench(
     from candata.gap.blind.cases import CASES, LABELS, make_cases, seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
-    from candata_cli import console
 
     wanted, names, beside = _counts(kinds, counts), _words(only), _known(baselines, BASELINES, "baseline")
     world = load_scene(scene)
@@ -134,7 +134,6 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     from candata.gap.blind.scoring import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
-    from candata_cli import console
 
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
@@ -157,7 +156,6 @@ def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[Be
     """Return the score of the diagnosis and of each baseline on the first cases."""
     from candata.gap.blind.baselines import run_baselines
     from candata.gap.blind.scoring import score_run
-    from candata_cli import console
 
     some, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
     labels = {o.label.case: o.label for o in outcomes}
@@ -219,8 +217,6 @@ def _fitness(fit: Fitness) -> list[str]:
 @contextmanager
 def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
     """Yield what hears of each result and says on stderr how many are done and the time left."""
-    from candata_cli import console
-
     begun, done = time.monotonic(), 0
 
     def told(result: CaseResult) -> None:

@@ -18,7 +18,7 @@ from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
-from candata.gap.floor import floor, sensor_noise, spread
+from candata.gap.floor import sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.recordings import Recordings, recordings

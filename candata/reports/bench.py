@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
-from candata.reports.document import document, figure, plot
-from candata.reports.figures import Spec
+from candata.reports.document import document, figure, plot, plotly
 from candata.schema.bench import BenchFile, Bin, Row
 
+Spec = dict[str, Any]
 #: What the last column of the table says.
 MARKS = {True: "met", False: "MISSED", None: ""}
 HEAD = ("measure", "measured", "n", "target", "")
@@ -53,7 +54,7 @@ def bench_page(found: BenchFile) -> str:
     ]
     if found.baselines:
         parts.append("<h2>Baselines, on the same cases</h2>" + _table(*_beside(found)))
-    return document(f"Blind check: {found.scene}", "bad" if missed else "good", "".join(parts), specs)
+    return document(f"Blind check: {found.scene}", "bad" if missed else "good", "".join(parts), plotly(specs))
 
 
 def _headline(found: BenchFile, missed: Sequence[Row]) -> str:

@@ -12,7 +12,8 @@ from candata.schema.report import NamedEffect, Report
 WIDTH, MOST_LINES, MOST_EFFECTS = 98, 25, 3
 #: Most lines of each entry; with two of the headline and one of space they are `MOST_LINES`.
 LINES = {
-    "where": 2, "which": 4, "how far": 3, "edit test": 2, "change": 3, "not known": 3, "untested": 1, "next": 2, "data": 2,
+    "where": 2, "which": 4, "how far": 3, "edit test": 2, "change": 3, "not known": 3, "untested": 1, "next": 2,
+    "data": 2,
 }  # fmt: skip
 
 

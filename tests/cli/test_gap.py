@@ -32,7 +32,7 @@ def run(*arguments: object) -> SimpleNamespace:
 def quiet(monkeypatch):
     """Put a diagnosis that finds nothing in the place of the real one."""
 
-    def nothing(dataset, scene, seed):
+    def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
         return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
 

@@ -45,7 +45,7 @@ def places(run):
     return [Place(p, SCENE, c.sealed) for p, c in read_cases(run / CASES).items()]
 
 
-def silent(dataset, scene, seed):
+def silent(dataset, scene, seed, cache):
     """Find nothing."""
     counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
     return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
@@ -117,7 +117,7 @@ def test_a_case_whose_making_was_cut_short_is_made_anew(tmp_path, cube):
 def test_a_killed_run_goes_on_where_it_stopped(run, tmp_path):
     heard: list[str] = []
 
-    def killed(dataset, scene, seed):
+    def killed(dataset, scene, seed, cache):
         if len(heard) == 2:
             raise KeyboardInterrupt
         return silent(dataset, scene, seed)
@@ -141,7 +141,7 @@ def test_results_of_other_cases_are_not_taken_for_these(run, tmp_path):
 
 
 def test_a_diagnosis_that_fails_is_a_result(run, tmp_path):
-    def failing(dataset, scene, seed):
+    def failing(dataset, scene, seed, cache):
         raise DataError("nothing to compare")
 
     (result,) = run_cases(tmp_path, places(run)[:1], judge=failing)

@@ -19,8 +19,8 @@ from candata.schema.record import Record
 from candata.schema.report import Report
 from candata.simulate.pool import spawned
 
-RESULTS = "results.jsonl"
-Judge = Callable[[Dataset, Scene, int], Report]
+RESULTS, CACHE = "results.jsonl", "cache"
+Judge = Callable[[Dataset, Scene, int, Path], Report]
 R = TypeVar("R", bound=Record)
 
 
@@ -32,9 +32,9 @@ class Place(NamedTuple):
     sealed: str
 
 
-def judged(dataset: Dataset, scene: Scene, seed: int) -> Report:
-    """Return candata's own report of a dataset."""
-    return diagnose(dataset, scene, jobs=1, seed=seed).report
+def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path) -> Report:
+    """Return candata's own report of a dataset; signatures are kept in `cache`."""
+    return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache).report
 
 
 def run_cases(
@@ -60,7 +60,7 @@ def run_cases(
     seed : int
         Seed of each diagnosis.
     judge : callable
-        `(dataset, scene, seed) -> Report`; with several processes a function of a module.
+        `(dataset, scene, seed, cache) -> Report`; with several processes a function of a module.
     method : str
         What the results are filed under.
     told : callable
@@ -68,7 +68,7 @@ def run_cases(
     """
     log = out / RESULTS
     standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
-    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, not standing, judge) for p in cases
+    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, not standing, judge, str(out / CACHE)) for p in cases
              if p.sealed not in standing]  # fmt: skip
     processes: set[int] = set()
 
@@ -124,7 +124,9 @@ def _made(work: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) -
         yield from (done.result() for done in as_completed([pool.submit(work, *task) for task in tasks]))
 
 
-def run_case(folder: str, scene: str, sealed: str, seed: int, method: str, fresh: bool, judge: Judge) -> CaseResult:
+def run_case(
+    folder: str, scene: str, sealed: str, seed: int, method: str, fresh: bool, judge: Judge, cache: str
+) -> CaseResult:
     """Return the result of one case.
 
     A method that fails on a case has not solved it: the failure is the result.
@@ -133,7 +135,7 @@ def run_case(folder: str, scene: str, sealed: str, seed: int, method: str, fresh
     world = load_scene(scene)
     start, report, error = time.process_time(), None, None
     try:
-        report = judge(open_dataset(path), world, seed)
+        report = judge(open_dataset(path), world, seed, Path(cache))
     except CandataError as problem:
         error = problem.problem
     spent = time.process_time() - start
