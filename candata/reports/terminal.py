@@ -20,7 +20,7 @@ def summary(report: Report) -> str:
     lines += _which(report)
     lines += _entry("how far", words.how_far(report), 3)
     lines += _entry("not known", words.not_known(report), 4)
-    lines += _entry("next", words.next_motion(report), 2)
+    lines += _entry("next", words.next_motion(report), 3)
     lines += _entry("data", _data(report), 2)
     return "\n".join(lines[:MOST_LINES])
 
