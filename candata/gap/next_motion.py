@@ -32,10 +32,12 @@ from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
 
 Array = NDArray[np.float64]
-#: Tied candidates that are told apart at most: the time grows with the square of their number.
-RIVALS = 3
-#: Plays of each motion from other starts in the first look, and of the `FINALISTS` best in the second.
-PLAYS, PLAYS_AGAIN, FINALISTS = 3, 6, 3
+#: Plays of each motion from other starts in the first look, and of the `FINALISTS` best in the second, by the number
+#: of rivals: the time grows with its square (16 and 20 CPU s in `xhand_tabletop`).
+PLAYS = {2: (3, 6), 3: (2, 3)}
+FINALISTS = 3
+#: Tied candidates that are told apart at most.
+RIVALS = max(PLAYS)
 #: Largest fingertip force of a proposed motion, over the largest one recorded.
 FORCE_MARGIN = 1.5
 #: Shortest and longest proposed motion [s]: time to grasp, carry and let go, whatever the recordings' length.
@@ -54,7 +56,7 @@ class Rivals:
     ----------
     replayer : Replayer
     sets : tuple of tuple of EffectSetting
-        The fitted candidates, two or more.
+        The fitted candidates, two or three.
     noise : Noise
         Sensor noise of the recordings.
     channels : tuple of str
@@ -191,14 +193,15 @@ def separating_motion(rivals: Rivals, duration_s: float, rng: np.random.Generato
     usual = len(usual_motions(scene, length, first))
     if not motions:
         return None
-    apart, force = separations(rivals, motions, PLAYS, seeds[0])
+    plays, plays_again = PLAYS[len(rivals.sets)]
+    apart, force = separations(rivals, motions, plays, seeds[0])
     limit = rivals.force_limit_n
     within = np.flatnonzero(force <= (FORCE_MARGIN * force[:usual].max(initial=0.0) if limit is None else limit))
     if not len(within):
         return None
     best = within[np.argsort(-apart[within])][:FINALISTS]
     # What won by luck in the first look is seen again with other starts and other noise.
-    again, hard = separations(rivals, [motions[i] for i in best], PLAYS_AGAIN, seeds[1])
+    again, hard = separations(rivals, [motions[i] for i in best], plays_again, seeds[1])
     allowed = hard <= max(force[best].max(), 0.0 if limit is None else limit)
     chosen = int(np.argmax(np.where(allowed, again, -1.0)))
     return Choice(motions[best[chosen]], float(again[chosen]), float(np.median(apart[:usual])), len(within))
