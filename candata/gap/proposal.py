@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from candata.errors import DataError
 from candata.gap.attribute import Attribution
 from candata.gap.next_motion import RIVALS, Choice, rivals_of, separating_motion, usual_motions
 from candata.gap.recordings import Recordings
@@ -37,12 +38,7 @@ def separating(problem: Problem, found: Attribution) -> Proposal:
         Two or more tied, the best first.
     """
     labels = tuple(t.labels[0] for t in found.tied[:RIVALS])
-    choice = None
-    if len(problem.replayer.scene.actuator_ids):
-        rivals = rivals_of(problem, [problem.setting(t.members) for t in found.tied])
-        rate_hz = problem.replayer.scene.file.rate_hz
-        # A stream of its own: what is drawn here changes no other number of the report.
-        choice = separating_motion(rivals, float(np.median(problem.recs.lengths)) / rate_hz, problem.rng.spawn(1)[0])
+    choice = _choice(problem, found)
     if choice is None:
         task = separating_task(problem, found)
         return NextMotion(name=task or "more of the same motion", separates=labels[:2]), ()
@@ -54,6 +50,19 @@ def separating(problem: Problem, found: Attribution) -> Proposal:
         reason=_reason(choice),
     )
     return words, (choice.motion,)
+
+
+def _choice(problem: Problem, found: Attribution) -> Choice | None:
+    """Return the motion that separates what is tied; None where there is none."""
+    scene = problem.replayer.scene
+    rivals = rivals_of(problem, [problem.setting(t.members) for t in found.tied])
+    length = float(np.median(problem.recs.lengths)) / scene.file.rate_hz
+    try:
+        # A stream of its own: what is drawn here changes no other number of the report.
+        return separating_motion(rivals, length, problem.rng.spawn(1)[0])
+    except DataError:
+        # A candidate at its bound may leave the finite numbers in a motion that was never recorded.
+        return None
 
 
 def _reason(found: Choice) -> str:
