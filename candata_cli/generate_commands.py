@@ -13,7 +13,9 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
-    app.command("generate-sim")(generate_sim)
+    app.command("generate-sim", epilog="Example: candata generate-sim --scene xhand_tabletop --episodes 8 --out sim")(
+        generate_sim
+    )
 
 
 def generate_sim(
@@ -28,7 +30,13 @@ def generate_sim(
         Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")
     ] = None,
     policies: Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")] = None,
-    duration_s: Annotated[float, typer.Option("--duration-s", metavar="S", help="Length of an episode.")] = 3.2,
+    policy_file: Annotated[
+        Path | None,
+        typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
+    ] = None,
+    duration_s: Annotated[
+        float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
+    ] = 3.2,
     noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")] = True,
     jobs: Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")] = None,
     withhold: Annotated[
@@ -56,8 +64,8 @@ def generate_sim(
     with progress("episodes", episodes) as advance:
         version = generate(
             out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
-            policies=tuple(policies.split(",")) if policies else (), duration_s=duration_s, noise=noise,
-            withheld=hidden, workers=jobs, progress=advance,
+            policies=tuple(policies.split(",")) if policies else (), policy_file=policy_file,
+            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance,
         )  # fmt: skip
     if hidden:
         note(f"withheld effect sealed in {hidden.seal}")

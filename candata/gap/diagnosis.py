@@ -21,6 +21,7 @@ from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
+from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
@@ -32,13 +33,13 @@ from candata.gap.shrink import (
     held_out,
     intervals,
     measures,
-    separating_task,
     shares,
     support,
 )
 from candata.gap.signatures import library
 from candata.gap.starts import starts
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
+from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile, Value
 from candata.schema.report import (
@@ -46,7 +47,6 @@ from candata.schema.report import (
     EpisodeCount,
     Estimate,
     NamedEffect,
-    NextMotion,
     Ranked,
     Report,
 )
@@ -67,11 +67,14 @@ class Diagnosis:
     evidence : Evidence
     effects : EffectsFile
         Ready to be written as `effects.yaml`; empty where nothing is named.
+    motion : tuple of Motion
+        What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
     """
 
     report: Report
     evidence: Evidence
     effects: EffectsFile
+    motion: tuple[Motion, ...] = ()
 
 
 def diagnose(
@@ -179,6 +182,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
+    proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
     named = _named(f, rng) if word in ("explained", "partly_explained") else ()
     report = Report(
         verdict=word,
@@ -188,7 +192,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         ranking=_ranking(f, rng),
         gap=size,
         where=where,
-        next_motion=_next_motion(f) if word == "ambiguous" else None,
+        next_motion=proposed,
         data=_data_used(f),
         measures=measures(f.held, np.isin(f.scene.file.joints, _slides(f.scene))),
         provenance=provenance(f.scene),
@@ -209,7 +213,8 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         collinearity(f.found.first.fits),
         ranges(named, f.scene),
     )
-    return Diagnosis(report, evidence, EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
+    file = EffectsFile(scene=_lasting(f.scene.name), effects=repaired)
+    return Diagnosis(report, evidence, file, motion)
 
 
 def _lasting(name: str) -> str:
@@ -297,10 +302,9 @@ def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
     return (*out, *dead)
 
 
-def _next_motion(f: _Findings) -> NextMotion:
-    """Return the recorded motion in which the tied candidates differ most."""
-    task = separating_task(f.problem, f.found)
-    return NextMotion(name=task or "more of the same motion", separates=tuple(t.labels[0] for t in f.found.tied[:2]))
+def _judged(f: _Findings) -> Problem:
+    """Return the problem in units of the floor by which the candidates were judged."""
+    return replace(f.problem, score=f.found.score)
 
 
 def _data_used(f: _Findings) -> DataUsed:
@@ -319,6 +323,7 @@ def _data_used(f: _Findings) -> DataUsed:
 
 def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
     """Return the verdict that there are too few episodes."""
+    proposed, motion = more(scene, recs, FEWEST)
     report = Report(
         verdict="too_little_data",
         data=DataUsed(
@@ -327,9 +332,10 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
             channels=tuple(recs.readings),
             notes=(f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out",),
         ),
+        next_motion=proposed,
         provenance=provenance(scene),
     )
-    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name))
+    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name), motion)
 
 
 def provenance(scene: Scene) -> dict[str, str]:

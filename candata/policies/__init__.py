@@ -1,11 +1,24 @@
 """Policies: one file each; the folder is the registry."""
 
 from candata.plugins import load, names
-from candata.policies._contract import Plan, Policy
+from candata.policies._contract import Motion, Plan, Policy, Variant
+from candata.policies._motion_file import MotionFile, command_limits, motion_plan, read_motions, write_motions
 
 PACKAGE = "candata.policies"
 
-__all__ = ["Plan", "Policy", "policy", "policy_names"]
+__all__ = [
+    "Motion",
+    "MotionFile",
+    "Plan",
+    "Policy",
+    "Variant",
+    "command_limits",
+    "motion_plan",
+    "policy",
+    "policy_names",
+    "read_motions",
+    "write_motions",
+]
 
 
 def policy_names() -> tuple[str, ...]:

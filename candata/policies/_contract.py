@@ -25,12 +25,34 @@ class Plan:
         State before settling.
     settle_s : float
         Time for which the first command is held before row 0, so that the episode begins at rest [s].
+    object_shift_m : (3,) float64, optional
+        Where the object is put on purpose, from its place in the model [m].
     """
 
     commands: Array
     qpos: Array
     qvel: Array
     settle_s: float
+    object_shift_m: Array | None = None
+
+
+Planner = Callable[[Scene, np.random.Generator, float], Plan]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A policy with other parameters: speed, amplitude, levels.
+
+    Attributes
+    ----------
+    words : str
+        What is played, for people.
+    plan : callable
+        `(scene, rng, duration_s) -> Plan`.
+    """
+
+    words: str
+    plan: Planner
 
 
 @dataclass(frozen=True)
@@ -45,8 +67,30 @@ class Policy:
         `scene -> bool`.
     plan : callable
         `(scene, rng, duration_s) -> Plan`.
+    variants : tuple of Variant
+        The same kind of motion, made to show one thing; never part of the usual mix.
     """
 
     about: str
     possible: Callable[[Scene], bool]
-    plan: Callable[[Scene, np.random.Generator, float], Plan]
+    plan: Planner
+    variants: tuple[Variant, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Commands that are at hand, to be played as they are.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    commands : (T, A) float64
+        What the actuators take, at the scene's rate.
+    object_shift_m : (3,) float64
+        Where the object stands, from its place in the model [m].
+    """
+
+    name: str
+    commands: Array
+    object_shift_m: Array

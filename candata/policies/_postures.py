@@ -84,7 +84,9 @@ def has_hand_and_object(scene: Scene) -> bool:
     return has_hand(scene) and scene.object_id is not None
 
 
-def finish(scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Array | None = None) -> Plan:
+def finish(
+    scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Array | None = None, dither: bool = True
+) -> Plan:
     """Return the plan with command noise, the object placed at random, and the joints at the first command.
 
     Parameters
@@ -93,13 +95,15 @@ def finish(scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Ar
         Noise-free commands.
     shift : (3,) float64, optional
         Where the object stands besides its random place [m].
+    dither : bool
+        Add the command noise; without it the commands are only kept within the actuators' ranges.
     """
     ranges = command_range(scene)
-    noise = _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz)
-    noise *= (
-        NOISE_SHARE * (ranges[:, 1] - ranges[:, 0]) * blend(np.arange(len(commands), dtype=np.float64), 0, 20)[:, None]
-    )
-    commands = np.clip(commands + noise, ranges[:, 0], ranges[:, 1])
+    if dither:
+        size = NOISE_SHARE * (ranges[:, 1] - ranges[:, 0])
+        rise = blend(np.arange(len(commands), dtype=np.float64), 0, 20)[:, None]
+        commands = commands + _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz) * (size * rise)
+    commands = np.clip(commands, ranges[:, 0], ranges[:, 1])
     qpos = np.array(scene.model.qpos0, float)
     joints = scene.model.actuator_trnid[scene.actuator_ids, 0]
     qpos[scene.model.jnt_qposadr[joints]] = commands[0]
@@ -107,7 +111,7 @@ def finish(scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Ar
         at = scene.object_qpos
         qpos[at : at + 2] += PLACE_SD_M * rng.standard_normal(2)
         qpos[at : at + 3] += 0 if shift is None else shift
-    return Plan(commands, qpos, np.zeros(scene.model.nv), SETTLE_S)
+    return Plan(commands, qpos, np.zeros(scene.model.nv), SETTLE_S, shift)
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, ...], correlation: float) -> Array:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Policy
+from candata.policies._contract import Array, Plan, Planner, Policy, Variant
 from candata.scenes import Scene
 
 #: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
@@ -20,14 +20,55 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     slow, fast = rng.uniform(0.3, 0.6, len(travel)), rng.uniform(1.5, 3.0, len(travel))
     phase = 2 * np.pi * (slow * t[:, None] + (fast - slow) * t[:, None] ** 2 / (2 * duration_s))
     commands += p.blend(t, 0, 0.3)[:, None] * 0.5 * (1 - np.cos(phase)) * travel
-    shift = None
+    shift = _apart(scene, hand, commands)
     if len(hand.slides):
-        commands[:, hand.slides[0]] -= AWAY_M
         waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(hand.slides)) * t[:, None])
         commands[:, hand.slides] += p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves
-    elif scene.object_id is not None:
-        shift = np.array([2 * AWAY_M, 0, 0])
     return p.finish(scene, commands, rng, shift=shift)
 
 
-POLICY = Policy("sweep all joints free of the object", p.has_hand, _plan)
+def _apart(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
+    """Move the wrist back in place; without one, return how far the object is put away [m]."""
+    if len(hand.slides):
+        commands[:, hand.slides[0]] -= AWAY_M
+        return None
+    return None if scene.object_id is None else np.array([2 * AWAY_M, 0, 0])
+
+
+def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) -> Planner:
+    """Return a planner of reversals about the middle of each joint's travel.
+
+    Parameters
+    ----------
+    share : float
+        Stroke over the travel from open to closed.
+    low_hz, high_hz : float
+        Rates at the start and at the end; the rate grows by equal factors.
+    sharp : float
+        Above 0 the wave has flat tops: steps between two places.
+    """
+
+    def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+        hand, t = p.postures(scene), p.times(scene, duration_s)
+        growth = np.log(high_hz / low_hz)
+        turns = low_hz * duration_s * np.expm1(growth * t / duration_s) / growth if growth else low_hz * t
+        # Joints half a turn apart or less: their torques on each other do not repeat from stroke to stroke.
+        wave = np.sin(2 * np.pi * turns[:, None] + rng.uniform(0, np.pi, len(hand.open)))
+        wave = np.tanh(sharp * wave) / np.tanh(sharp) if sharp else wave
+        travel = hand.closed - hand.open
+        commands = hand.open + 0.5 * travel + 0.5 * share * p.blend(t, 0, 0.3)[:, None] * wave * travel
+        return p.finish(scene, commands, rng, shift=_apart(scene, hand, commands), dither=False)
+
+    return plan
+
+
+#: Small slow reversals show backlash and dry friction, several speeds tell friction from damping, fast ones show
+#: delays, and strokes that the motors cannot follow tell a servo's damping from the joint's.
+VARIANTS = (
+    Variant("small reversals in the air, slow to fast", _reversals(0.06, 0.4, 4.0)),
+    Variant("slow reversals in the air", _reversals(0.5, 0.3, 0.5)),
+    Variant("reversals in the air at rising speed", _reversals(0.5, 0.25, 3.0)),
+    Variant("fast reversals in the air", _reversals(0.9, 2.5, 4.0)),
+    Variant("large steps in the air", _reversals(0.9, 1.0, 1.6, sharp=6.0)),
+)
+POLICY = Policy("sweep all joints free of the object", p.has_hand, _plan, VARIANTS)

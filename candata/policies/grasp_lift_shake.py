@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Policy
+from candata.policies._contract import Plan, Planner, Policy, Variant
 from candata.scenes import Scene
 
 
@@ -26,4 +26,32 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     return p.finish(scene, commands, rng)
 
 
-POLICY = Policy("grasp, lift, shake, put down, release", p.has_hand_and_object, _plan)
+def _carry(lift_m: float, side_m: float) -> Planner:
+    """Return a planner that lifts by `lift_m`, carries to both sides by `side_m` along each level rail, and puts down.
+
+    Without a wrist the object is held where it stands.
+    """
+
+    def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+        hand, t = p.postures(scene), p.times(scene, duration_s)
+        unit = duration_s / 3.2
+        closed = p.blend(t, 0.1 * unit, 0.6 * unit) - p.blend(t, 2.85 * unit, 0.25 * unit)
+        commands = hand.open + 1.05 * closed[:, None] * (hand.closed - hand.open)
+        if len(hand.slides):
+            lift = p.blend(t, 0.8 * unit, 0.4 * unit) - p.blend(t, 2.4 * unit, 0.4 * unit)
+            there = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
+            back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
+            commands[:, hand.slides[:-1]] += side_m * (there - back)[:, None]
+            commands[:, hand.slides[-1]] += lift_m * lift
+        return p.finish(scene, commands, rng, dither=False)
+
+    return plan
+
+
+#: A carried object tells what grows with its place (lengths) from what does not (offsets), and what the support does
+#: from what the sensors add.
+VARIANTS = (
+    Variant("lift and carry to both sides", _carry(0.06, 0.08)),
+    Variant("lift high and put down", _carry(0.12, 0.0)),
+)
+POLICY = Policy("grasp, lift, shake, put down, release", p.has_hand_and_object, _plan, VARIANTS)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Policy
+from candata.policies._contract import Plan, Policy, Variant
 from candata.scenes import Scene
 
 #: How far the hand stands back before the first stroke [m].
 CLEAR_M = 0.035
 #: How far the last rail lowers the hand [m].
 LOW_M = 0.03
+#: Length of the long stroke [m].
+FAR_M = 0.15
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -37,4 +39,19 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     return p.finish(scene, commands, rng)
 
 
-POLICY = Policy("push the object over its support", p.has_hand_and_object, _plan)
+def _far(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+    """Return the plan of one long even stroke and a slow way back; as `_plan` without a wrist."""
+    hand, t = p.postures(scene), p.times(scene, duration_s)
+    if not len(hand.slides):
+        return _plan(scene, rng, duration_s)
+    unit = duration_s / 3.2
+    commands = np.repeat((hand.open + 0.1 * (hand.closed - hand.open))[None], len(t), axis=0)
+    stroke = np.clip((t / unit - 0.2) / 2.0, 0, 1) - p.blend(t, 2.4 * unit, 0.7 * unit)
+    commands[:, hand.slides[-1]] -= LOW_M
+    commands[:, hand.slides[0]] -= 0.05
+    commands[:, hand.slides[min(1, len(hand.slides) - 1)]] += (FAR_M + CLEAR_M) * stroke - CLEAR_M
+    return p.finish(scene, commands, rng, dither=False)
+
+
+VARIANTS = (Variant("push the object far at an even speed", _far),)
+POLICY = Policy("push the object over its support", p.has_hand_and_object, _plan, VARIANTS)

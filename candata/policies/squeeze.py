@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Policy
+from candata.policies._contract import Plan, Planner, Policy, Variant
 from candata.scenes import Scene
 
 
@@ -23,4 +23,23 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     return p.finish(scene, commands, rng)
 
 
-POLICY = Policy("hold and squeeze harder and softer", p.has_hand_and_object, _plan)
+def _levels(*grips: float) -> Planner:
+    """Return a planner that holds the object at one grip after the other; 1 is the grasping posture."""
+
+    def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+        hand, t = p.postures(scene), p.times(scene, duration_s)
+        each = duration_s / (len(grips) + 1)
+        steps = np.diff([0.0, *grips, 0.0])
+        closed = sum(step * p.blend(t, (k + 0.1) * each, 0.5 * each) for k, step in enumerate(steps))
+        commands = hand.open + np.asarray(closed)[:, None] * (hand.closed - hand.open)
+        return p.finish(scene, commands, rng, dither=False)
+
+    return plan
+
+
+#: Light holds show dead bands and biases, firm ones gains and limits, both together tell them apart.
+VARIANTS = (
+    Variant("hold lightly, then firmly", _levels(0.8, 0.9, 1.0, 1.2)),
+    Variant("hold lightly", _levels(0.8, 0.85, 0.9)),
+)
+POLICY = Policy("hold and squeeze harder and softer", p.has_hand_and_object, _plan, VARIANTS)

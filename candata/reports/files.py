@@ -1,4 +1,4 @@
-"""A diagnosis as files: report.json, effects.yaml, report.html."""
+"""A diagnosis as files: report.json, effects.yaml, report.html, and motion.parquet where one is proposed."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from pathlib import Path
 import yaml
 
 from candata.gap import Diagnosis
+from candata.gap.proposal import MOTION_FILE
+from candata.policies import write_motions
 from candata.reports.page import write_report
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
@@ -16,13 +18,18 @@ from candata.schema.effect import EffectsFile
 def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
     """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
 
-    Each file appears whole or not at all.
+    `motion.parquet` stands beside them where a motion is proposed; that of an earlier diagnosis goes. Each file
+    appears whole or not at all.
     """
     out.mkdir(parents=True, exist_ok=True)
     text = effects_text(diagnosis.effects)
     page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text)
     _replace(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n")
     _replace(out / "effects.yaml", text)
+    if diagnosis.motion:
+        write_motions(out / MOTION_FILE, scene, diagnosis.motion)
+    else:
+        (out / MOTION_FILE).unlink(missing_ok=True)
     return page
 
 

@@ -169,7 +169,8 @@ def next_motion(report: Report) -> str:
         return ""
     separates = listed([plain(name) for name in motion.separates], "from")
     text = f"Record {plain(motion.name)}" + (f" ({motion.file})" if motion.file else "")
-    return f"{text}: it separates {separates}." if separates else f"{text}."
+    text = f"{text}: it separates {separates}." if separates else f"{text}."
+    return f"{text} {capital(motion.reason)}." if motion.reason else text
 
 
 def place(symptom: Symptom) -> str:

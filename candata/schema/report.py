@@ -98,11 +98,17 @@ class Symptom(Record):
 
 
 class NextMotion(Record):
-    """The motion that best separates what is tied."""
+    """The motion that best separates what is tied.
+
+    `expected_separation` is what a wrong candidate leaves of it after a refit, RMS in floors; `reason` says in words
+    why this motion, or what else to record.
+    """
 
     name: str
     file: str | None = None
     separates: tuple[str, ...] = ()
+    expected_separation: float | None = None
+    reason: str | None = None
 
 
 class EpisodeCount(Record):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.policies import Plan, policy
+from candata.policies import Motion, Plan, motion_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.schema.contact import fingertip_contact
@@ -33,7 +33,7 @@ class Job:
     index : int
         Number in its set; seeds its random streams together with `seed`.
     policy : str
-        Name of the policy.
+        Name of the policy, or of the motion.
     seed : int
         Seed of the set.
     effects : tuple of EffectSetting
@@ -44,6 +44,8 @@ class Job:
         Name of the object's cloud in the dataset.
     noise_seed : int, optional
         Seed of the sensor noise, where it is not `seed`.
+    motion : Motion, optional
+        What to play instead of a policy.
     """
 
     id: str
@@ -54,6 +56,7 @@ class Job:
     hidden: bool = False
     point_cloud: str | None = None
     noise_seed: int | None = None
+    motion: Motion | None = None
 
 
 def make_episodes(
@@ -74,7 +77,7 @@ def make_episodes(
     jobs : sequence of Job
         What to make.
     duration_s : float
-        Length of each episode after settling.
+        Length of each episode after settling; a motion has its own.
     noise : Noise, optional
         Sensor noise to add; none when omitted.
     threads : int
@@ -82,7 +85,7 @@ def make_episodes(
     alter : callable, optional
         As in `rollout`.
     """
-    plans = [policy(j.policy).plan(scene, _rng(j, PLAN_STREAM), duration_s) for j in jobs]
+    plans = [_plan(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_settling(p, settle, rows) for p in plans])
@@ -97,6 +100,12 @@ def make_episodes(
         alter=alter,
     )
     return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
+
+
+def _plan(scene: Scene, job: Job, duration_s: float) -> Plan:
+    """Return the plan of one job."""
+    rng = _rng(job, PLAN_STREAM)
+    return motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
 
 
 def _rng(job: Job, stream: int) -> np.random.Generator:

@@ -14,6 +14,7 @@ from candata import __version__
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
 from candata.datasets.versions import DATASET, index_of, newest
 from candata.errors import UsageError, Where
+from candata.policies import read_motions
 from candata.scenes import Scene, load_scene
 from candata.scenes.clouds import surface_cloud
 from candata.schema.effect import EffectSetting
@@ -50,6 +51,7 @@ def generate(
     *,
     effects: Sequence[EffectSetting] = (),
     policies: Sequence[str] = (),
+    policy_file: str | Path | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
     withheld: Withheld | None = None,
@@ -73,8 +75,10 @@ def generate(
         Effects of every episode.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
+    policy_file : str or Path, optional
+        Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
     duration_s : float
-        Length of an episode.
+        Length of an episode; what a policy file holds has its own.
     noise : bool
         Add the sensor noise that the scene declares.
     withheld : Withheld, optional
@@ -97,6 +101,8 @@ def generate(
         scene=scene, seed=seed, effects=tuple(effects), policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s, noise=noise,
     )  # fmt: skip
+    if policy_file is not None:
+        recipe = _with_file(recipe, model, policy_file, policies)
     check(recipe, model)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
@@ -126,6 +132,15 @@ def _complete(
     progress(episodes - sum(len(c.numbers) for c in missing))
     made = run_chunks(missing, workers or len(os.sched_getaffinity(0)), progress)
     return publish(root, [*(part.id for part in ours), *made], history)
+
+
+def _with_file(recipe: Recipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> Recipe:
+    """Return the recipe that plays the motions of a file."""
+    if policies:
+        raise UsageError("policies and a policy file at once", fix="leave one of them out")
+    found = read_motions(path, scene)
+    names = tuple(m.name for m in found.motions)
+    return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": found.digest})
 
 
 def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> Recipe:

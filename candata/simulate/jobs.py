@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 
 from candata import __version__
-from candata.errors import UsageError
-from candata.policies import policy, policy_names
+from candata.errors import DataError, UsageError, Where
+from candata.policies import Motion, policy, policy_names, read_motions
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
@@ -28,13 +28,16 @@ class Recipe(Record):
     """What a set is made from; plain values, so that any process can be told.
 
     `scene` is what `load_scene` takes; `seed` feeds the episodes' random streams; `sealed` is null for a set
-    whose effects everybody may know, else the commitment of a withheld one.
+    whose effects everybody may know, else the commitment of a withheld one. With a `policy_file` (its content named
+    by `policy_digest`) the motions of the file take turns, and `policies` are their names.
     """
 
     scene: str
     seed: int
     effects: tuple[EffectSetting, ...] = ()
     policies: tuple[str, ...]
+    policy_file: str | None = None
+    policy_digest: str | None = None
     duration_s: float
     noise: bool
     point_cloud: str | None = None
@@ -49,7 +52,7 @@ def check(recipe: Recipe, scene: Scene) -> None:
     UsageError
         When a policy or an effect cannot act in the scene, or an episode would have fewer than 2 rows.
     """
-    for name in recipe.policies:
+    for name in () if recipe.policy_file else recipe.policies:
         if not policy(name).possible(scene):
             raise UsageError(
                 f"policy {name} cannot act in scene {scene.name}",
@@ -71,13 +74,30 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
     return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
 
 
-def job(recipe: Recipe, index: int) -> Job:
-    """Return the job of episode `index`; policies take turns."""
+def job(recipe: Recipe, index: int, motions: Sequence[Motion] = ()) -> Job:
+    """Return the job of episode `index`; policies, or the motions of a file, take turns."""
+    turn = index % len(recipe.policies)
     return Job(
-        id=episode_id(recipe, index), index=index, policy=recipe.policies[index % len(recipe.policies)],
+        id=episode_id(recipe, index), index=index, policy=recipe.policies[turn],
         seed=recipe.seed, effects=recipe.effects, hidden=recipe.sealed is not None,
-        point_cloud=recipe.point_cloud,
+        point_cloud=recipe.point_cloud, motion=motions[turn] if motions else None,
     )  # fmt: skip
+
+
+def motions_of(recipe: Recipe, scene: Scene) -> tuple[Motion, ...]:
+    """Return the motions of the recipe's policy file; none without one.
+
+    Raises
+    ------
+    DataError
+        When the file is no longer what the recipe was made from.
+    """
+    if recipe.policy_file is None:
+        return ()
+    found = read_motions(recipe.policy_file, scene)
+    if found.digest != recipe.policy_digest:
+        raise DataError("the policy file has changed while it was played", where=Where(path=recipe.policy_file))
+    return found.motions
 
 
 def episode_id(recipe: Recipe, index: int) -> str:
@@ -106,6 +126,8 @@ def lineage(recipe: Recipe, scene: Scene, tools: dict[str, str]) -> Lineage:
         "scene": scene.name, "scene_digest": scene.digest, "policies": list(recipe.policies),
         "duration_s": recipe.duration_s, "noise": recipe.noise,
     }  # fmt: skip
+    if recipe.policy_digest is not None:
+        details["policy_file"] = recipe.policy_digest
     if not hidden:
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
     seeds = () if hidden else (recipe.seed,)

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from functools import lru_cache
 
 from candata.scenes import Scene, load_scene
-from candata.simulate.jobs import OPERATION, Recipe, job
+from candata.simulate.jobs import OPERATION, Recipe, job, motions_of
 
 Told = Callable[[int], None]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -54,8 +54,9 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
 
     plan = Recipe.model_validate_json(recipe)
     scene = _scene(plan.scene)
+    motions = motions_of(plan, scene)
     episodes = make_episodes(
-        scene, [job(plan, n) for n in numbers], duration_s=plan.duration_s,
+        scene, [job(plan, n, motions) for n in numbers], duration_s=plan.duration_s,
         noise=scene.file.noise if plan.noise else None,
     )  # fmt: skip
     return write_part(out, episodes, producer(config)).id

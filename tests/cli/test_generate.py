@@ -74,6 +74,67 @@ def test_effects_come_from_a_file_that_may_name_the_scene(tmp_path, capsys):
     assert episode.meta.effects[0].parameters == {"mass_scale": 1.5}
 
 
+ARM = """<mujoco><worldbody><body name="arm"><joint name="arm" axis="0 0 1"/><geom size=".1"/></body></worldbody>
+  <actuator><position name="arm" joint="arm" kp="9" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """Words that generate two episodes of a one-joint arm, and a function that writes its policy file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "scene.yaml").write_text("model: arm.xml\nrate_hz: 50\njoints: [arm]\nactuators: [arm]\n")
+
+    def save(name="motion.parquet", **columns):
+        pq.write_table(pa.table(columns), tmp_path / name)
+        return tmp_path / name
+
+    words = (
+        "generate-sim",
+        "--scene",
+        tmp_path / "scene.yaml",
+        "--episodes",
+        2,
+        "--jobs",
+        1,
+        "--out",
+        tmp_path / "set",
+    )
+    return words, save
+
+
+def test_a_policy_file_is_played_as_it_is(arm, tmp_path, capsys):
+    from candata.datasets import open_dataset
+
+    words, save = arm
+    wave = [0.0, 0.2, 0.4, 0.2]
+    path = save("wave.parquet", time_s=[0.0, 0.02, 0.04, 0.06], arm=wave)
+    assert run(*words, "--policy-file", path) == 0
+    episodes = list(open_dataset(tmp_path / "set"))
+    assert [e.meta.task for e in episodes] == ["wave", "wave"]
+    assert all(e["action"][:, 0].tolist() == pytest.approx(wave) for e in episodes)
+    first = capsys.readouterr().out
+    assert run(*words, "--policy-file", path) == 0
+    assert capsys.readouterr().out == first, "nothing twice"
+    save("wave.parquet", time_s=[0.0, 0.02, 0.04, 0.06], arm=[0.0, 0.2, 0.5, 0.2])
+    assert run(*words, "--policy-file", path) == 2
+    assert capsys.readouterr().err.startswith(
+        "the dataset holds episodes of these ids, made from another configuration"
+    )
+
+
+def test_a_bad_policy_file_is_a_usage_error(arm, tmp_path, capsys):
+    words, save = arm
+    path = save(time_s=[0.0, 0.02], arm=[0.0, 1.5])
+    assert run(*words, "--policy-file", path) == 2
+    assert capsys.readouterr().err.startswith("motion 'motion' goes beyond a limit\n  expected: -1 to 1 rad\n")
+    assert run(*words, "--policy-file", path, "--policies", "free_sweep") == 2
+    assert capsys.readouterr().err.startswith("policies and a policy file at once\n")
+    assert not (tmp_path / "set").exists()
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [

@@ -55,6 +55,36 @@ def test_plans_repeat_and_stay_within_limits(name):
         assert np.isfinite(plan.qpos).all()
 
 
+@pytest.mark.parametrize("name", policy_names())
+def test_variants_repeat_stay_within_limits_and_have_their_own_words(name, hand):
+    low, high = command_range(hand).T
+    usual = policy(name).plan(hand, np.random.default_rng(1), 2.0) if policy(name).possible(hand) else None
+    for variant in policy(name).variants:
+        plan, again = (variant.plan(hand, np.random.default_rng(1), 2.0) for _ in range(2))
+        assert np.array_equal(plan.commands, again.commands)
+        assert plan.commands.shape == usual.commands.shape
+        assert ((low <= plan.commands) & (plan.commands <= high)).all()
+        assert np.abs(plan.commands - usual.commands).max() > 0.05, "another motion"
+    words = [v.words for v in policy(name).variants]
+    assert len(set(words)) == len(words)
+
+
+def test_reversals_in_the_air_touch_nothing_and_the_carry_goes_far(hand):
+    from candata.policies import Motion
+
+    made = {}
+    for name in ("free_sweep", "grasp_lift_shake"):
+        for v in policy(name).variants:
+            plan = v.plan(hand, np.random.default_rng(2), 3.2)
+            made[v.words] = Job(v.words, 0, v.words, 1, motion=Motion(v.words, plan.commands, np.zeros(3)))
+    played = dict(zip(made, make_episodes(hand, list(made.values()), duration_s=3.2), strict=True))
+    for words, e in played.items():
+        if "air" in words:
+            assert not e["contact"].any(), words
+    assert lift([played["lift high and put down"]])[0] > 0.08
+    assert travel([played["lift and carry to both sides"]])[0] > 0.08
+
+
 def test_every_policy_can_act_somewhere():
     scenes = [load_scene("cube_toss"), load_scene("xhand_tabletop")]
     assert all(any(policy(p).possible(s) for s in scenes) for p in policy_names())

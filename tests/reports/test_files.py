@@ -43,6 +43,24 @@ def test_three_files_are_written_into_a_folder_that_is_made(tmp_path, diagnosis,
     assert sorted(p.name for p in out.iterdir()) == FILES
 
 
+def test_a_proposed_motion_stands_beside_them_and_goes_with_the_next_diagnosis(tmp_path, diagnosis):
+    from dataclasses import replace
+
+    import numpy as np
+
+    from candata.policies import Motion, read_motions
+    from candata.scenes import load_scene
+
+    world = load_scene("xhand_tabletop")
+    motion = Motion("slow reversals", np.repeat(world.model.key_ctrl[:1], 4, axis=0), np.zeros(3))
+    write_diagnosis(replace(diagnosis, motion=(motion,)), world, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*FILES, "motion.parquet"])
+    (found,) = read_motions(tmp_path / "motion.parquet", world).motions
+    assert (found.name, found.commands.shape) == ("slow reversals", (4, 15))
+    write_diagnosis(diagnosis, world, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == FILES
+
+
 def test_the_record_reads_back_as_it_was(tmp_path, diagnosis, scene):
     write_diagnosis(diagnosis, scene, tmp_path)
     text = (tmp_path / "report.json").read_text()
