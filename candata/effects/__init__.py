@@ -1,6 +1,6 @@
 """Effects: one file each; the folder is the registry."""
 
-from candata.effects._contract import Bounds, Effect, Hook, Parameter
+from candata.effects._contract import Bounds, Effect, Forces, Hook, Parameter
 from candata.effects._lookup import active, effect, effect_names, flatten, setting
 
-__all__ = ["Bounds", "Effect", "Hook", "Parameter", "active", "effect", "effect_names", "flatten", "setting"]
+__all__ = ["Bounds", "Effect", "Forces", "Hook", "Parameter", "active", "effect", "effect_names", "flatten", "setting"]
