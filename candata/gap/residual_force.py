@@ -70,7 +70,7 @@ class Residual:
 
 @dataclass(frozen=True)
 class _Target:
-    """Smoothed recording: joints `(E, T, J)`, their rates, pose `(E, T, 7)`, its velocity `(E, T, 6)`, what was seen."""
+    """The smoothed recording: joints `(E, T, J)` and pose `(E, T, 7)` with their rates, and what was seen."""
 
     joints: Array
     rates: Array
@@ -122,10 +122,11 @@ def _target(scene: Scene, readings: dict[str, Array], recs: Recordings) -> _Targ
     seen = np.zeros((count, rows, joints.shape[2] + dictionary.AXES), bool)
     rates, velocity = np.zeros_like(joints), np.zeros((count, rows, 6))
     if "joint_position" in readings:
-        seen[:, :, :-6] = np.isfinite(readings["joint_position"])
+        seen[:, :, : -dictionary.AXES] = np.isfinite(readings["joint_position"])
         joints, rates = _smooth(scene, _filled(readings["joint_position"]))
     if "object_pose" in readings:
-        seen[:, :, -6:] = np.isfinite(readings["object_pose"]).all(2)[:, :, None]
+        whole: NDArray[np.bool_] = np.asarray(np.isfinite(readings["object_pose"]).all(2))
+        seen[:, :, -dictionary.AXES :] = whole[:, :, None]
         pose, velocity = _smooth_pose(scene, _filled(readings["object_pose"]))
     return _Target(joints, rates, pose, velocity, seen)
 
@@ -196,7 +197,8 @@ def _error(scene: Scene, target: _Target, row: int, x: Forces) -> tuple[Array, A
         return shift, speed
     at, dof = scene.object_qpos, scene.object_dof
     pose, now = target.pose[:, row], x.qpos[:, at : at + 7]
-    turn = difference(np.where(pose[:, 3:].any(1)[:, None], pose[:, 3:], now[:, 3:]), now[:, 3:])
+    recorded = (pose[:, 3:] ** 2).sum(1, keepdims=True) > 0
+    turn = difference(np.where(recorded, pose[:, 3:], now[:, 3:]), now[:, 3:])
     turn = rotate(conjugate(now[:, 3:]), turn)
     shift = np.concatenate([shift, pose[:, :3] - now[:, :3], turn], axis=1)
     return shift, np.concatenate([speed, target.velocity[:, row] - x.qvel[:, dof : dof + 6]], axis=1)

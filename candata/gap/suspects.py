@@ -1,4 +1,4 @@
-"""Where a residual force acts: every joint, the object and every fingertip, each with the few terms that describe it."""
+"""Where a residual force acts: every joint, the object, every fingertip, each with the few terms that describe it."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _object(scene: Scene, axes: slice, real: Residual, null: Residual, parts: Se
         force = np.where(_free(scene, r)[:, :, None], r.force[:, :, wanted], np.nan)
         terms = np.moveaxis(r.object[..., axes], 2, 3)
         pair.append(Sample(_blocks(force, rows), _blocks(terms, rows), (), np.ones(axes.stop - axes.start)))
-    sample = _against(*pair, [(k,) for k in range(len(OBJECT_TERMS))])
+    sample = _against(pair[0], pair[1], [(k,) for k in range(len(OBJECT_TERMS))])
     return Suspect("object", "object", axes, sample, describe_force(sample, parts), 1.0, OBJECT_TERMS)
 
 
@@ -131,7 +131,7 @@ def _tip(scene: Scene, tip: int, real: Residual, null: Residual, parts: Sequence
     rows = _rows(scene)
     pair = [Sample(_blocks(r.tip[:, :, tip], rows), _blocks(tip_terms(scene, r.felt[:, :, tip]), rows), (), np.ones(3))
             for r in (real, null)]  # fmt: skip
-    sample = _against(*pair, [(k,) for k in range(len(TIP_TERMS))])
+    sample = _against(pair[0], pair[1], [(k,) for k in range(len(TIP_TERMS))])
     name = scene.file.fingertips[tip]
     return Suspect("fingertip", name, slice(0), sample, describe_force(sample, parts), 1.0, TIP_TERMS)
 

@@ -1,4 +1,4 @@
-"""A diagnosis as files: report.json, effects.yaml, report.html."""
+"""A diagnosis as files: report.json, effects.yaml, report.html, and learned_residual.yaml where a cause is unknown."""
 
 from __future__ import annotations
 
@@ -12,17 +12,25 @@ from candata.reports.page import write_report
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
 
+#: The repaired simulator with a force for what is not known: runs like `effects.yaml`.
+STOPGAP = "learned_residual.yaml"
+
 
 def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
     """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
 
-    Each file appears whole or not at all.
+    Where a force was fitted to what no effect explains, `learned_residual.yaml` holds it;
+    else no such file stays. Each file appears whole or not at all.
     """
     out.mkdir(parents=True, exist_ok=True)
     text = effects_text(diagnosis.effects)
     page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text)
     _replace(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n")
     _replace(out / "effects.yaml", text)
+    if diagnosis.stopgap is None:
+        (out / STOPGAP).unlink(missing_ok=True)
+    else:
+        _replace(out / STOPGAP, effects_text(diagnosis.stopgap))
     return page
 
 

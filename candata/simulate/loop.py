@@ -97,9 +97,7 @@ def rollout(
 class _Run:
     """The state of one batch while it is played."""
 
-    def __init__(
-        self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int, push: Push | None
-    ) -> None:
+    def __init__(self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int, push: Push | None) -> None:
         self.scene, self.worlds, self.push, self.n = scene, worlds, push, len(qpos)
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.batch.set_models(worlds.models)
