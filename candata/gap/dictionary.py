@@ -65,7 +65,8 @@ def describe_force(sample: Sample, parts: Sequence[Index]) -> Description:
     """Return the few terms that describe a force best on held-out episodes; none where none helps.
 
     Forward selection by held-out gain; a term is added while it gains more than one standard error over episodes and
-    `ADDS` of what the first gained (Breiman et al. 1984, section 3.4.3; Pati, Rezaiifar & Krishnaprasad 1993).
+    `ADDS` of what the first gained. Where the first group, the plainest, gains as much as the best within one standard
+    error, it begins (Breiman et al. 1984, section 3.4.3; Pati, Rezaiifar & Krishnaprasad 1993).
     """
     chosen: tuple[int, ...] = ()
     gain = np.zeros(len(sample.force))
@@ -73,12 +74,18 @@ def describe_force(sample: Sample, parts: Sequence[Index]) -> Description:
     while left and len(chosen) < MOST_TERMS:
         found = [held_out_gain(sample, parts, (*chosen, *group)) for group in left]
         best = int(np.argmax([g.sum() for g in found]))
+        if not chosen and (found[best] - found[0]).sum() <= _error(found[best] - found[0]):
+            best = 0
         more = found[best] - gain
-        error = more.std(ddof=1) * np.sqrt(len(more))
-        if more.sum() <= max(error, ADDS * gain.sum(), 0.0):
+        if more.sum() <= max(_error(more), ADDS * gain.sum(), 0.0):
             break
         chosen, gain = (*chosen, *left.pop(best)), found[best]
     return Description(chosen, fitted(sample, chosen), gain)
+
+
+def _error(more: Array) -> float:
+    """Return the standard error of a sum over episodes."""
+    return float(more.std(ddof=1) * np.sqrt(len(more))) if len(more) > 1 else 0.0
 
 
 def held_out_gain(sample: Sample, parts: Sequence[Index], chosen: tuple[int, ...]) -> Array:

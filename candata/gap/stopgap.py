@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,12 +98,20 @@ def _reading(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
     before = replay_all(problem.replayer, problem.recs, problem.begin, [world])[0]
     tip = scene.file.fingertips.index(suspect.element)
     terms = tip_terms(scene, np.nan_to_num(before["fingertip_force"][:, :, tip]))[..., list(suspect.found.terms)]
-    force = before["fingertip_force"].copy()
-    for fold, test in enumerate(problem.parts):
-        own = fitted(suspect.sample, suspect.found.terms, rest(problem.parts, fold))
-        force[test, :, tip] += np.einsum("etak,ka->eta", terms[test], own)
-    loss, size = _judged(problem, before | {"fingertip_force": force})
-    return Stopgap(suspect, 1.0, None, loss, size, _judged(problem, before)[1])
+
+    def corrected(scales: Sequence[float], fits: Sequence[Array]) -> tuple[Array, Array]:
+        """Return loss and discrepancy with each fold's readings corrected by its own fit."""
+        force = before["fingertip_force"].copy()
+        for test, scale, own in zip(problem.parts, scales, fits, strict=True):
+            force[test, :, tip] += scale * np.einsum("etak,ka->eta", terms[test], own)
+        return _judged(problem, before | {"fingertip_force": force})
+
+    folds = len(problem.parts)
+    losses = np.stack([corrected([s] * folds, [suspect.found.coefficients] * folds)[0] for s in (0.0, *SCALES)])
+    trains = [rest(problem.parts, fold) for fold in range(folds)]
+    fits = [fitted(suspect.sample, suspect.found.terms, train) for train in trains]
+    loss, size = corrected([_best_scale(losses[:, train].mean(1)) for train in trains], fits)
+    return Stopgap(suspect, _best_scale(losses.mean(1)), None, loss, size, _judged(problem, before)[1])
 
 
 def _judged(problem: Problem, readings: dict[str, Array]) -> tuple[Array, Array]:

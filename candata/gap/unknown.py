@@ -70,7 +70,7 @@ def describe(
         return None
     near = [s for s in found[:PLAYED] if s.gain >= NEAR * found[0].gain]
     best = min((stopgap(some, world, s) for s in near), key=lambda s: float(s.loss.mean()))
-    return Described(_unknown(some, best, where, nearest), best.setting)
+    return Described(_unknown(some, best, where, nearest), best.setting if best.closed > 0 else None)
 
 
 def _some(problem: Problem) -> Problem:
@@ -136,9 +136,10 @@ def _unit(suspect: Suspect) -> str:
 
 
 def _typical(best: Stopgap) -> tuple[Array, float]:
-    """Return the mean force `(A,)` and the median size while it acts."""
+    """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
     sample, found = best.suspect.sample, best.suspect.found
-    force = best.scale * np.einsum("ebak,ka->eba", sample.terms[..., list(found.terms)], found.coefficients)
+    scale = best.scale if best.closed > 0 else 1.0
+    force = scale * np.einsum("ebak,ka->eba", sample.terms[..., list(found.terms)], found.coefficients)
     force = force[np.isfinite(sample.force).all(2)]
     size = np.sqrt((force**2).sum(1))
     acting = size > ACTS * np.quantile(size, 0.95)
