@@ -41,8 +41,10 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Residual:
     count, joints = dictionary.sizes(scene)[0], len(scene.joint_ids)
     total = sum(dictionary.sizes(scene))
     kept = np.stack([_mine(scene, element) for element in elements])
-    joint = np.where(kept[:, :count], x[:, :count], 0.0).reshape(len(x), joints, -1)
-    rest = np.where(kept[:, count:], x[:, count:total], 0.0).reshape(len(x), -1, dictionary.AXES)
+    joint = np.where(kept[:, :count], x[:, :count], 0.0).reshape(len(x), joints, len(dictionary.JOINT_TERMS))
+    rest = np.where(kept[:, count:], x[:, count:total], 0.0).reshape(
+        len(x), (total - count) // dictionary.AXES, dictionary.AXES
+    )
     return _Residual(scene, joint, rest, x[:, total:], None)
 
 

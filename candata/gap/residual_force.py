@@ -12,6 +12,7 @@ section III, with known inertia and servo gains.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -259,35 +260,36 @@ def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Arr
     """
     model, data = scene.model, mujoco.MjData(scene.model)
     out = np.zeros((*extra.shape[:2], len(_dofs(scene))))
+    frames, dofs = [_frame(scene, tip) for tip in range(extra.shape[2])], _dofs(scene)
+    own, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
     felt = np.abs(extra).sum((2, 3)) > 0
     for e, row in zip(*np.nonzero(felt[:, 1:]), strict=True):
         data.qpos[:] = log[row][0].qpos[e]
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         for tip in np.flatnonzero(extra[e, row + 1].any(1)).tolist():
-            out[e, row] += _generalised(scene, data, tip, extra[e, row + 1, tip])[_dofs(scene)]
+            frame, body = frames[tip], int(scene.fingertip_bodies[tip])
+            point = data.geom_xpos[frame.geoms].mean(0) if len(frame.geoms) else data.xipos[body]
+            mujoco.mj_jac(model, data, own, None, point, body)
+            mujoco.mj_jac(model, data, other, None, point, scene.object_id)
+            axes = (data.site_xmat if frame.site else data.xmat)[frame.index].reshape(3, 3)
+            out[e, row] += ((own - other).T @ (axes @ extra[e, row + 1, tip]))[dofs]
     return out
 
 
-def _generalised(scene: Scene, data: mujoco.MjData, tip: int, local: Array) -> Array:
-    """Return `(nv,)` the generalised force of a force on a fingertip `local (3,)` and of its reaction on the object.
+class _Frame(NamedTuple):
+    """The body or site in whose axes a fingertip's force is read, and the geoms in whose middle it is taken to act."""
 
-    It is taken to act at the middle of the fingertip's geoms.
-    """
-    model, body = scene.model, int(scene.fingertip_bodies[tip])
-    world = _frame(scene, data, tip) @ local
-    geoms = np.flatnonzero(model.geom_bodyid == body)
-    point = data.geom_xpos[geoms].mean(0) if len(geoms) else data.xipos[body]
-    own, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, own, None, point, body)
-    mujoco.mj_jac(model, data, other, None, point, scene.object_id)
-    return (own - other).T @ world
+    index: int
+    site: bool
+    geoms: NDArray[np.int64]
 
 
-def _frame(scene: Scene, data: mujoco.MjData, tip: int) -> Array:
-    """Return `(3, 3)` the axes in which a fingertip's force is read."""
+def _frame(scene: Scene, tip: int) -> _Frame:
+    """Return the frame of a fingertip."""
     model = scene.model
     sensor = int(np.flatnonzero(model.sensor_adr == scene.frame_sensors[tip, 0])[0])
-    index = int(model.sensor_objid[sensor])
-    site = model.sensor_objtype[sensor] == mujoco.mjtObj.mjOBJ_SITE
-    return (data.site_xmat[index] if site else data.xmat[index]).reshape(3, 3)
+    site = bool(model.sensor_objtype[sensor] == mujoco.mjtObj.mjOBJ_SITE)
+    return _Frame(
+        int(model.sensor_objid[sensor]), site, np.flatnonzero(model.geom_bodyid == scene.fingertip_bodies[tip])
+    )

@@ -25,7 +25,9 @@ TIP_TERMS: tuple[tuple[str, ...], ...] = (("constant",), ("load",), ("sign of lo
 #: Change of a reading over which its direction is known [N].
 TURN_N = 0.3
 #: Wave numbers that are tried for a force that repeats with position [rad per rad], as many per travel of a slide.
-WAVES = np.arange(2.0, 61.0)
+WAVES = np.arange(2.0, 61.0, 0.5)
+#: Means over which waves are sought, in parts of a block.
+FINER = 4
 #: Index of the first of the two periodic terms.
 _PERIODIC = len(JOINT_TERMS) - 2
 
@@ -43,6 +45,9 @@ class Suspect:
     axes : slice
         Which of the object's six forces; empty otherwise.
     sample : Sample
+        Block means.
+    by_row : (E, T, A, K) float64
+        The terms of every row in which a force could show; NaN in others.
     found : Description
     wave : float
         Wave number of the periodic terms.
@@ -54,6 +59,7 @@ class Suspect:
     element: str
     axes: slice
     sample: Sample
+    by_row: Array
     found: Description
     wave: float
     names: tuple[tuple[str, ...], ...]
@@ -94,15 +100,15 @@ def _joint(scene: Scene, j: int, real: Residual, null: Residual, parts: Sequence
             for r in (real, null)]  # fmt: skip
     plain = [(k,) for k in range(_PERIODIC)]
     sample = _against(pair[0], pair[1], plain)
-    wave = _best_wave(sample, _blocks(real.position[:, :, j], rows), _travel(scene, j))
-    turned = _blocks(np.stack([np.sin(wave * real.position[:, :, j]), np.cos(wave * real.position[:, :, j])], -1), rows)
-    terms = np.concatenate([sample.terms[..., :_PERIODIC], turned[:, :, None]], axis=-1)
+    wave = _best_wave(real.force[:, :, j], real.position[:, :, j], max(1, rows // FINER), _travel(scene, j))
+    at = wave * real.position[:, :, j, None]
+    by_row = np.concatenate([real.joint[:, :, j, :_PERIODIC], np.sin(at), np.cos(at)], axis=-1)[:, :, None]
+    terms = np.concatenate([sample.terms[..., :_PERIODIC], _blocks(by_row[..., _PERIODIC:], rows)], axis=-1)
     sample = replace(sample, terms=terms, groups=(*plain, (_PERIODIC, _PERIODIC + 1)))
     slide = scene.model.jnt_type[scene.joint_ids[j]] == mujoco.mjtJoint.mjJNT_SLIDE
-    return Suspect(
-        "wrist" if slide else "joint", scene.file.joints[j], slice(0), sample, describe_force(sample, parts), wave,
-        JOINT_TERMS,
-    )  # fmt: skip
+    place: Place = "wrist" if slide else "joint"
+    found = describe_force(sample, parts)
+    return Suspect(place, scene.file.joints[j], slice(0), sample, by_row, found, wave, JOINT_TERMS)
 
 
 def _object(scene: Scene, axes: slice, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:
@@ -115,7 +121,8 @@ def _object(scene: Scene, axes: slice, real: Residual, null: Residual, parts: Se
         terms = np.moveaxis(r.object[..., axes], 2, 3)
         pair.append(Sample(_blocks(force, rows), _blocks(terms, rows), (), np.ones(axes.stop - axes.start)))
     sample = _against(pair[0], pair[1], [(k,) for k in range(len(OBJECT_TERMS))])
-    return Suspect("object", "object", axes, sample, describe_force(sample, parts), 1.0, OBJECT_TERMS)
+    by_row = np.where(_free(scene, real)[:, :, None, None], np.moveaxis(real.object[..., axes], 2, 3), np.nan)
+    return Suspect("object", "object", axes, sample, by_row, describe_force(sample, parts), 1.0, OBJECT_TERMS)
 
 
 def _free(scene: Scene, r: Residual) -> NDArray[np.bool_]:
@@ -133,7 +140,8 @@ def _tip(scene: Scene, tip: int, real: Residual, null: Residual, parts: Sequence
             for r in (real, null)]  # fmt: skip
     sample = _against(pair[0], pair[1], [(k,) for k in range(len(TIP_TERMS))])
     name = scene.file.fingertips[tip]
-    return Suspect("fingertip", name, slice(0), sample, describe_force(sample, parts), 1.0, TIP_TERMS)
+    by_row = tip_terms(scene, real.felt[:, :, tip])
+    return Suspect("fingertip", name, slice(0), sample, by_row, describe_force(sample, parts), 1.0, TIP_TERMS)
 
 
 def tip_terms(scene: Scene, felt: Array) -> Array:
@@ -165,20 +173,27 @@ def _spread(force: Array) -> Array:
     return out
 
 
-def _best_wave(sample: Sample, position: Array, travel: float) -> float:
-    """Return the wave number with which a periodic force removes most, outliers held at two spreads."""
-    y = sample.force[:, :, 0].ravel()
+def _best_wave(force: Array, position: Array, rows: int, travel: float) -> float:
+    """Return the wave number with which a force that repeats with position removes most, outliers held at two spreads.
+
+    Means over few rows: a fast joint passes several waves in a block.
+    """
+    y, q = (_blocks(values, rows).ravel() for values in (force, position))
     seen = np.isfinite(y)
-    y = np.clip(y[seen], *(np.array([-2.0, 2.0]) * np.quantile(np.abs(y[seen]), 0.68))) if seen.any() else y[seen]
-    q = position.ravel()[seen]
-    best, wave = 0.0, 1.0
-    for number in WAVES / travel:
-        design = np.stack([np.sin(number * q), np.cos(number * q), np.ones_like(q)], axis=1)
-        left = np.linalg.lstsq(design, y, rcond=None)[1] if len(q) > 3 else np.zeros(0)
-        gain = float((y - y.mean()) @ (y - y.mean()) - left[0]) if len(left) else 0.0
-        if gain > best:
-            best, wave = gain, float(number)
-    return wave
+    if seen.sum() <= 3:
+        return 1.0
+    limit = 2 * np.quantile(np.abs(y[seen]), 0.68)
+    y, q = np.clip(y[seen], -limit, limit), q[seen]
+    numbers = WAVES / travel
+    return float(numbers[np.argmin([_left(number, q, y) for number in numbers])])
+
+
+def _left(number: float, q: Array, y: Array) -> float:
+    """Return the squares that a wave and a constant leave of `y (n,)` at positions `q (n,)`."""
+    design = np.stack([np.sin(number * q), np.cos(number * q), np.ones_like(q)], axis=1)
+    square = design.T @ design + 1e-9 * np.eye(3) * len(q)
+    product = design.T @ y
+    return float(y @ y - product @ np.linalg.solve(square, product))
 
 
 def _travel(scene: Scene, j: int) -> float:

@@ -137,10 +137,11 @@ def _unit(suspect: Suspect) -> str:
 
 def _typical(best: Stopgap) -> tuple[Array, float]:
     """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
-    sample, found = best.suspect.sample, best.suspect.found
+    suspect = best.suspect
     scale = best.scale if best.closed > 0 else 1.0
-    force = scale * np.einsum("ebak,ka->eba", sample.terms[..., list(found.terms)], found.coefficients)
-    force = force[np.isfinite(sample.force).all(2)]
+    terms = suspect.by_row[..., list(suspect.found.terms)]
+    force = scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
+    force = force[np.isfinite(force).all(2)]
     size = np.sqrt((force**2).sum(1))
     acting = size > ACTS * np.quantile(size, 0.95)
     return force[acting].mean(0), float(np.median(size[acting]))
