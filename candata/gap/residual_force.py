@@ -272,7 +272,7 @@ def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Arr
             point = data.geom_xpos[frame.geoms].mean(0) if len(frame.geoms) else data.xipos[body]
             mujoco.mj_jac(model, data, own, None, point, body)
             mujoco.mj_jac(model, data, other, None, point, scene.object_id)
-            axes = (data.site_xmat if frame.site else data.xmat)[frame.index].reshape(3, 3)
+            axes = (data.site_xmat if frame.site else data.xmat)[frame.address].reshape(3, 3)
             out[e, row] += ((own - other).T @ (axes @ extra[e, row + 1, tip]))[dofs]
     return out
 
@@ -280,7 +280,7 @@ def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Arr
 class _Frame(NamedTuple):
     """The body or site in whose axes a fingertip's force is read, and the geoms in whose middle it is taken to act."""
 
-    index: int
+    address: int
     site: bool
     geoms: NDArray[np.int64]
 

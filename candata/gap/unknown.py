@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.floor import null_recordings
+from candata.gap.locate import LEVEL
 from candata.gap.replay import EffectSet
 from candata.gap.residual_force import residual_force
 from candata.gap.search import Problem
@@ -172,7 +173,7 @@ def _words(problem: Problem, best: Stopgap, force: Array, size: float, where: Se
         kind = "A pull" if unit == "N" else "A torque"
         return f"{kind} of {amount} on the object{_towards(force)}{_when(problem, best)}"
     if suspect.place == "fingertip":
-        moved = any(s.channel != "fingertip_force" for s in where)
+        moved = any(s.channel != "fingertip_force" and s.p <= LEVEL for s in where)
         kind = "A contact force" if moved else "An error of the reading, nothing in the motion,"
         return f"{kind} of {amount} at fingertip {suspect.element}{_on(suspect.depends_on)}"
     kind = "A torque" if suspect.place == "joint" else "A force"

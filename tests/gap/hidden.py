@@ -85,18 +85,14 @@ def hysteresis(tip: str, share: float) -> Effect:
     return reading(changed)
 
 
-@pytest.fixture(scope="module")
-def hiding():
-    """The function that makes a cause known under a name for as long as the module's tests run: its settings."""
-    with pytest.MonkeyPatch.context() as patch:
-        causes: dict[str, Effect] = {}
-        known = _lookup.load
-        patch.setattr(
-            _lookup, "load", lambda package, constant, name: causes.get(name) or known(package, constant, name)
-        )
+def hider(patch: pytest.MonkeyPatch) -> Callable[[Effect], tuple[EffectSetting, ...]]:
+    """The function that makes a cause known under a name until the patch is undone, and returns its settings."""
+    causes: dict[str, Effect] = {}
+    known = _lookup.load
+    patch.setattr(_lookup, "load", lambda package, constant, name: causes.get(name) or known(package, constant, name))
 
-        def hide(cause: Effect) -> tuple[EffectSetting, ...]:
-            causes[NAME] = cause
-            return (EffectSetting(name=NAME),)
+    def hide(cause: Effect) -> tuple[EffectSetting, ...]:
+        causes[NAME] = cause
+        return (EffectSetting(name=NAME),)
 
-        yield hide
+    return hide

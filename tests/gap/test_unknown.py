@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
 from candata.gap.floor import floor
 from candata.gap.folds import folds
@@ -16,11 +17,12 @@ from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.starts import starts
 from candata.gap.unknown import describe
+from candata.reports.files import STOPGAP, write_diagnosis
+from candata.schema.effect import EffectsFile
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import add_noise
 from tests.effects.gripper import ROLES, grip, write_scene
 from tests.gap import hidden
-from tests.gap.hidden import hiding  # noqa: F401
 
 #: Where a size is right: this factor either way is what is promised.
 FACTOR = 1.5
@@ -31,6 +33,13 @@ NOISE = "noise: {object_pose: [0.0003, 0.003], joint_position: 0.001, fingertip_
 def gripper(tmp_path_factory):
     """Two fingers on a rail, a box on a table, with declared noise."""
     return write_scene(tmp_path_factory.mktemp("gripper"), roles=ROLES + NOISE)
+
+
+@pytest.fixture(scope="module")
+def hiding():
+    """The function that makes a cause known to the simulator while this module's tests run: its settings."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield hidden.hider(patch)
 
 
 def grips(scene, effects, count: int = 8, seconds: float = 1.6, seed: int = 5) -> Recordings:
@@ -61,7 +70,7 @@ def described(scene, recs, world=()):
 
 
 @pytest.fixture(scope="module")
-def cogging(arm, arm_episodes, hiding):  # noqa: F811
+def cogging(arm, arm_episodes, hiding):
     cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
     return described(arm, recordings(arm, arm_episodes(hiding(cause))))
 
@@ -98,7 +107,7 @@ def test_a_cause_that_the_world_holds_leaves_nothing(arm, arm_episodes, planted)
     assert np.nanstd(after[:, :, 1]) < 0.5 * np.nanstd(before[:, :, 1])
 
 
-def test_a_motor_that_fades_with_use_is_found(arm, arm_episodes, hiding):  # noqa: F811
+def test_a_motor_that_fades_with_use_is_found(arm, arm_episodes, hiding):
     def fade(q, u, memory):
         memory["use"] = memory.get("use", 0) + np.abs(u) / 100
         return -u * (1 - np.exp(-0.5 * memory["use"]))
@@ -108,33 +117,33 @@ def test_a_motor_that_fades_with_use_is_found(arm, arm_episodes, hiding):  # noq
     assert {"memory", "load"} & set(found.depends_on)
 
 
-def test_friction_that_grows_with_the_load_is_found(arm, arm_episodes, hiding):  # noqa: F811
+def test_friction_that_grows_with_the_load_is_found(arm, arm_episodes, hiding):
     cause = hidden.on_joint("shoulder", hidden.stiction(0.5, 0.005))
     found = described(arm, recordings(arm, arm_episodes(hiding(cause)))).unknown
     assert (found.acts_on, found.element) == ("joint", "shoulder")
     assert found.depends_on[0] == "sign of velocity"
 
 
-def test_a_spring_on_a_slide_is_the_wrist_s(gripper, hiding):  # noqa: F811
+def test_a_spring_on_a_slide_is_the_wrist_s(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.on_joint("lift", lambda q, u, memory: -300 * q)))).unknown
     assert (found.acts_on, found.element, found.unit) == ("wrist", "lift", "N")
 
 
-def test_a_wind_on_the_object_is_a_pull_in_its_direction(gripper, hiding):  # noqa: F811
+def test_a_wind_on_the_object_is_a_pull_in_its_direction(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.on_object((0.0, 0.25, 0.0))))).unknown
     assert (found.acts_on, found.element, found.unit) == ("object", None, "N")
     assert found.size == near(0.25)
     assert "on the object towards +y" in found.words
 
 
-def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):  # noqa: F811
+def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.hysteresis("left", 0.4))))
     assert (found.unknown.acts_on, found.unknown.element, found.unknown.unit) == ("fingertip", "left", "N")
     assert found.unknown.words.startswith("An error of the reading, nothing in the motion")
     assert found.stopgap is None
 
 
-def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):  # noqa: F811
+def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
     cause = hidden.on_joint("elbow", lambda q, u, memory: np.full_like(q, 0.2))
     recs = recordings(arm, arm_episodes(hiding(cause)))
     force = residual_force(Replayer(arm), recs, starts(arm, recs)).force
@@ -150,3 +159,29 @@ def test_rows_that_were_not_recorded_are_not_known(arm, arm_episodes):
     assert np.isnan(force[2, 50:60, 1]).all()
     assert np.isfinite(force[2, 50:60, 0]).all()
     assert np.isnan(force[:, :, 2:]).all(), "there is no object"
+
+
+@pytest.mark.slow
+def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
+    arm,
+    arm_episodes,
+    judge,
+    hiding,
+    tmp_path,
+):
+    cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
+    found = judge(arm, arm_episodes(hiding(cause)))
+    report = found.report
+    assert (report.verdict, report.effects) == ("unknown_effect", ())
+    assert (report.unknown.acts_on, report.unknown.element) == ("joint", "elbow")
+    assert "which does not explain it" in report.unknown.words
+    write_diagnosis(found, arm, tmp_path)
+    assert yaml.safe_load((tmp_path / "effects.yaml").read_text())["effects"] == []
+    stopgap = EffectsFile.model_validate(yaml.safe_load((tmp_path / STOPGAP).read_text()))
+    recs = recordings(arm, arm_episodes(hiding(cause), seed=2))
+    errors = [
+        np.nanmean(np.abs(recs.readings["joint_position"] - r["joint_position"]))
+        for r in replay_all(Replayer(arm), recs, starts(arm, recs), [(), stopgap.effects])
+    ]
+    # On motions it has not seen; the noise alone is a part of what remains.
+    assert errors[1] < 0.5 * errors[0]
