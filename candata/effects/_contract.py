@@ -65,6 +65,31 @@ class Parameter:
     owners: Callable[[Scene], tuple[str, ...]] | None = None
 
 
+class Forces(NamedTuple):
+    """Forces that effects add to n simulations, and what the control step begins with.
+
+    Attributes
+    ----------
+    added : (n, nv) float64
+        Generalised forces [N, N m] held over the step: what a hook adds to.
+    qpos, qvel : (n, nq), (n, nv) float64
+        True state.
+    effort : (n, nv) float64
+        Generalised forces of the actuators in the last physics step [N, N m].
+    tip_force : (n, F, 3) float64
+        True forces on the fingertips over the step before [N].
+    touch : (n,) bool
+        Whether anything but the support touched the object in the step before.
+    """
+
+    added: Array
+    qpos: Array
+    qvel: Array
+    effort: Array
+    tip_force: Array
+    touch: NDArray[np.bool_]
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
@@ -75,7 +100,7 @@ class Hook:
         `(scene, values (n, d), elements (n,)) -> state`.
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
-        readings a dict of channel to `(n, ...)`; for forces x is `(n, nv)` generalised forces [N, N m].
+        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -109,6 +134,8 @@ class Effect:
     unread : callable, optional
         `(scene, x (d,), element, readings) -> readings` turns what was read at rest into what is true, `(..., D)` a
         channel: where a replay of a recording starts.
+    fitted : bool
+        Whether its numbers only come from a fit to recordings: never a candidate of a search, never drawn.
     pace : callable, optional
         `(scene, x (d,)) -> float` true time that passes during one recorded control step, in control steps; the
         edit scales the physics step by the same.
@@ -127,6 +154,7 @@ class Effect:
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
     unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
     pace: Callable[[Scene, Array], float] | None = None
+    fitted: bool = False
 
 
 def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:

@@ -15,8 +15,8 @@ PACKAGE = "candata.effects"
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects: the files of the folder."""
-    return names(PACKAGE)
+    """Return the names of all effects that are searched and drawn: the files of the folder but the fitted ones."""
+    return tuple(name for name in names(PACKAGE) if not effect(name).fitted)
 
 
 def effect(name: str) -> Effect:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
-from candata.gap.replay import Replayer, replay_all
+from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
@@ -38,6 +38,7 @@ from candata.gap.shrink import (
 )
 from candata.gap.signatures import library
 from candata.gap.starts import starts
+from candata.gap.unknown import Described, describe
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -49,6 +50,8 @@ from candata.schema.report import (
     NamedEffect,
     Ranked,
     Report,
+    Symptom,
+    Verdict,
 )
 
 Array = NDArray[np.float64]
@@ -69,12 +72,15 @@ class Diagnosis:
         Ready to be written as `effects.yaml`; empty where nothing is named.
     motion : tuple of Motion
         What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
+    stopgap : EffectsFile or None
+        The same with a force fitted to what remains, for `learned_residual.yaml`; None where there is none.
     """
 
     report: Report
     evidence: Evidence
     effects: EffectsFile
     motion: tuple[Motion, ...] = ()
+    stopgap: EffectsFile | None = None
 
 
 def diagnose(
@@ -184,11 +190,13 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
     proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
     named = _named(f, rng) if word in ("explained", "partly_explained") else ()
+    repaired = f.problem.setting(chosen.members) if chosen and named else ()
+    rest = _rest(f, word, repaired, left, rng)
     report = Report(
         verdict=word,
         effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
-        unknown=unknown(word, f.found, left, acts_on(left, _slides(f.scene)), typical, unit),
+        unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, _slides(f.scene)), typical, unit),
         ranking=_ranking(f, rng),
         gap=size,
         where=where,
@@ -197,7 +205,6 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         measures=measures(f.held, np.isin(f.scene.file.joints, _slides(f.scene))),
         provenance=provenance(f.scene),
     )
-    repaired = f.problem.setting(chosen.members) if chosen and named else ()
     losses = EpisodeLosses(
         f.held.recs.ids,
         f.held.size_before,
@@ -213,8 +220,21 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         collinearity(f.found.first.fits),
         ranges(named, f.scene),
     )
-    file = EffectsFile(scene=_lasting(f.scene.name), effects=repaired)
-    return Diagnosis(report, evidence, file, motion)
+    stand_in = (*repaired, rest.stopgap) if rest and rest.stopgap else ()
+    files = [EffectsFile(scene=_lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
+    return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
+
+
+def _rest(
+    f: _Findings, word: Verdict, repaired: EffectSet, left: Sequence[Symptom], rng: np.random.Generator
+) -> Described | None:
+    """Return what remains unexplained as a force; None where nothing remains, or none stands out."""
+    if word not in ("unknown_effect", "partly_explained"):
+        return None
+    fits = f.found.first.fits
+    nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
+    problem = replace(f.problem, score=f.found.score) if repaired else f.problem
+    return describe(problem, repaired, left, nearest, rng)
 
 
 def _lasting(name: str) -> str:

@@ -1,4 +1,4 @@
-"""A diagnosis as files: report.json, effects.yaml, report.html, and motion.parquet where one is proposed."""
+"""A diagnosis as files: report.json, effects.yaml, report.html, and what to do next or instead where it is proposed."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from candata.reports.page import write_report
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
 
+#: The repaired simulator with a force for what is not known: runs like `effects.yaml`.
+STOPGAP = "learned_residual.yaml"
+
 
 def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
     """Return the path of `report.html` after writing it, `report.json` and `effects.yaml` into `out`.
 
-    `motion.parquet` stands beside them where a motion is proposed; that of an earlier diagnosis goes. Each file
-    appears whole or not at all.
+    `motion.parquet` stands beside them where a motion is proposed, `learned_residual.yaml` where a force was fitted to
+    what no effect explains; those of an earlier diagnosis go. Each file appears whole or not at all.
     """
     out.mkdir(parents=True, exist_ok=True)
     text = effects_text(diagnosis.effects)
@@ -30,6 +33,10 @@ def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
         write_motions(out / MOTION_FILE, scene, diagnosis.motion)
     else:
         (out / MOTION_FILE).unlink(missing_ok=True)
+    if diagnosis.stopgap is None:
+        (out / STOPGAP).unlink(missing_ok=True)
+    else:
+        _replace(out / STOPGAP, effects_text(diagnosis.stopgap))
     return page
 
 

@@ -33,7 +33,10 @@ class NamedEffect(Record):
 
 
 class Unknown(Record):
-    """What no effect of the library explains."""
+    """What no effect of the library explains.
+
+    `closable` is the share of the gap that a force fitted to it closes on held-out episodes: a bar for any cause.
+    """
 
     acts_on: Literal["joint", "fingertip", "object", "wrist"] | None = None
     element: str | None = None
@@ -41,6 +44,7 @@ class Unknown(Record):
     unit: str | None = None
     depends_on: tuple[str, ...] = ()
     words: str
+    closable: float | None = None
 
 
 class Ranked(Record):

@@ -9,6 +9,7 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
+from candata.effects import Forces
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -19,6 +20,8 @@ from candata.simulate.world import Filter, Worlds, build_worlds
 Array = NDArray[np.float64]
 #: Adds to the worlds of a batch what no effect is; it may bind the batch's live fields.
 Alter = Callable[[mujoco_batch.Batch, Worlds], Worlds]
+#: `(row, what the step begins with) -> (n, nv)` generalised forces to add, see `Hook` for forces.
+Push = Callable[[int, Forces], Array]
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,7 @@ def rollout(
     effects: Sequence[Sequence[EffectSetting]],
     *,
     observer: Observer | None = None,
+    push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
     settle: int = 0,
@@ -73,6 +77,8 @@ def rollout(
         Effects of each simulation.
     observer : Observer, optional
         Pulls each state towards its recording; without it the simulations run free.
+    push : callable, optional
+        Gives generalised forces to add over each control step, beside those of the effects.
     instant_force : bool
         Report the force of the last physics step instead of the mean over the control step.
     keep_state : bool
@@ -89,7 +95,9 @@ def rollout(
     UsageError
         When an effect cannot act in the scene.
     """
-    run = _Run(scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter)
+    run = _Run(
+        scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter, push
+    )
     return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
 
@@ -97,9 +105,16 @@ class _Run:
     """The state of one batch while it is played."""
 
     def __init__(
-        self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int, alter: Alter | None
+        self,
+        scene: Scene,
+        worlds: Worlds,
+        qpos: Array,
+        qvel: Array,
+        threads: int,
+        alter: Alter | None,
+        push: Push | None,
     ) -> None:
-        self.scene, self.n = scene, len(qpos)
+        self.scene, self.push, self.n = scene, push, len(qpos)
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.batch.set_models(worlds.models)
         self.batch.bind("qpos")[:] = qpos
@@ -107,6 +122,8 @@ class _Run:
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
+        # Outputs are copied after every call: only where something reads them.
+        self.effort = self.batch.bind("qfrc_actuator") if worlds.force or push else np.zeros(0)
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
         self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
@@ -133,6 +150,7 @@ class _Run:
             if k + 1 < count:
                 held = np.repeat(commands[:, k][:, None], scene.substeps, axis=1)
                 held[drifting] = own_time[:, k]
+                self._apply_forces(k, force, touch)
                 force, touch = self._step(held, instant)
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         return Trajectory({n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept)
@@ -157,6 +175,15 @@ class _Run:
             self.states[kind][i], x = f.apply(self.states[kind][i], x)
         return x
 
+    def _apply_forces(self, row: int, tip_force: Array, touch: NDArray[np.bool_]) -> None:
+        """Set the generalised forces that are added over the next step."""
+        if not self.worlds.force and self.push is None:
+            return
+        none = np.zeros((self.n, self.scene.model.nv))
+        x = Forces(none, self.qpos.copy(), self.qvel.copy(), self.effort.copy(), tip_force, touch)
+        x = self._filter("force", x)
+        self.applied[:] = x.added if self.push is None else x.added + self.push(row, x)
+
     def _step(self, held: Array, instant: bool) -> tuple[Array, NDArray[np.bool_]]:
         """Advance one row under commands `(n, S, A)`; return force `(n, F, 3)` and touch `(n,)` of each world."""
         scene = self.scene
@@ -164,8 +191,6 @@ class _Run:
         if len(scene.actuator_ids):
             control = np.zeros((self.n, held.shape[1], scene.model.nu))
             control[:, :, scene.actuator_ids] = self._filter("command", held)
-        if self.worlds.force:
-            self.applied[:] = self._filter("force", np.zeros((self.n, scene.model.nv)))
         force, touch = np.zeros((self.n, len(scene.force_sensors), 3)), np.zeros(self.n, bool)
         for steps, ids in self.groups:
             own = None if control is None else resampled(control[ids], steps)

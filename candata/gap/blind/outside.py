@@ -16,6 +16,7 @@ import numpy as np
 from mujoco.batch import Batch
 from numpy.typing import NDArray
 
+from candata.effects import Forces
 from candata.effects._select import drive_damping, drive_torque
 from candata.errors import UnknownNameError
 from candata.scenes import Scene
@@ -90,8 +91,14 @@ def _altered(scene: Scene, outside: Outside, batch: Batch, worlds: Worlds) -> Wo
     if cause.kind == "command":
         return replace(worlds, command=(*worlds.command, own))
     if cause.kind == "force":
-        return replace(worlds, force=(*worlds.force, own))
+        return replace(worlds, force=(*worlds.force, replace(own, apply=partial(_added, cause.apply))))
     return replace(worlds, reading=(*worlds.reading, own))
+
+
+def _added(apply: Callable[[Any, Any], tuple[Any, Any]], state: Any, x: Forces) -> tuple[Any, Forces]:
+    """Return the state and the forces with the cause's added to them."""
+    state, force = apply(state, x.added)
+    return state, x._replace(added=force)
 
 
 def _weight(scene: Scene) -> float:

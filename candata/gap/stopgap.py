@@ -1,0 +1,146 @@
+"""The stop-gap: a described residual force put into the simulator, judged on episodes that took no part in its fit."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import effect, setting
+from candata.effects._residual_terms import AXES, JOINT_TERMS, sizes
+from candata.gap.dictionary import fitted
+from candata.gap.folds import rest
+from candata.gap.replay import EffectSet, replay_all
+from candata.gap.residuals import residual
+from candata.gap.search import Problem
+from candata.gap.suspects import Suspect, tip_terms
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Name of the effect that plays a fitted residual force.
+EFFECT = "learned_residual"
+#: Multiples of the regressed force that are played to find how large it is: an observer shrinks what it sees.
+SCALES = (0.5, 1.0, 1.5)
+
+
+@dataclass(frozen=True)
+class Stopgap:
+    """A residual force in the simulator.
+
+    Attributes
+    ----------
+    suspect : Suspect
+        Where it acts.
+    scale : float
+        What its regressed coefficients are multiplied by, from all episodes.
+    setting : EffectSetting or None
+        Of `learned_residual`; None for a fault of a reading, which no force mends.
+    loss, size : (E,) float64
+        Held-out loss and discrepancy of each episode, in floors.
+    before : (E,) float64
+        Discrepancy without it.
+    """
+
+    suspect: Suspect
+    scale: float
+    setting: EffectSetting | None
+    loss: Array
+    size: Array
+    before: Array
+
+    @property
+    def closed(self) -> float:
+        """Share of the gap that it closes on held-out episodes, between -1 and 1."""
+        before, after = float(self.before.mean()), float(self.size.mean())
+        return float(np.clip(1 - (after - 1) / max(before - 1, 1e-6), -1, 1))
+
+
+def stopgap(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
+    """Return a suspect's force as a stop-gap, with what it closes on held-out episodes.
+
+    Which terms there are was chosen on all episodes; their coefficients and their size come from the other folds.
+
+    Parameters
+    ----------
+    problem : Problem
+        Episodes, folds and score.
+    world : tuple of EffectSetting
+        What the simulator holds already.
+    suspect : Suspect
+    """
+    if suspect.place == "fingertip":
+        return _reading(problem, world, suspect)
+    scene, whole = problem.replayer.scene, suspect.found.coefficients
+    variants = [(*world, _setting(scene, suspect, s * whole)) for s in SCALES]
+    readings = replay_all(problem.replayer, problem.recs, problem.begin, [world, *variants])
+    losses = np.stack([_judged(problem, r)[0] for r in readings])
+    before = _judged(problem, readings[0])[1]
+    after = {name: values.copy() for name, values in readings[0].items()}
+    for fold, test in enumerate(problem.parts):
+        train = rest(problem.parts, fold)
+        own = _best_scale(losses[:, train].mean(1)) * fitted(suspect.sample, suspect.found.terms, train)
+        some = (*world, _setting(scene, suspect, own))
+        played = replay_all(problem.replayer, problem.recs.take(test), problem.begin.take(test), [some])[0]
+        for name, values in played.items():
+            after[name][test] = values
+    scale = _best_scale(losses.mean(1))
+    loss, size = _judged(problem, after)
+    return Stopgap(suspect, scale, _setting(scene, suspect, scale * whole), loss, size, before)
+
+
+def _reading(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
+    """Return a correction of what a fingertip reads, with what it closes on held-out episodes."""
+    scene = problem.replayer.scene
+    before = replay_all(problem.replayer, problem.recs, problem.begin, [world])[0]
+    tip = scene.file.fingertips.index(suspect.element)
+    terms = tip_terms(scene, np.nan_to_num(before["fingertip_force"][:, :, tip]))[..., list(suspect.found.terms)]
+
+    def corrected(scales: Sequence[float], fits: Sequence[Array]) -> tuple[Array, Array]:
+        """Return loss and discrepancy with each fold's readings corrected by its own fit."""
+        force = before["fingertip_force"].copy()
+        for test, scale, own in zip(problem.parts, scales, fits, strict=True):
+            force[test, :, tip] += scale * np.einsum("etak,ka->eta", terms[test], own)
+        return _judged(problem, before | {"fingertip_force": force})
+
+    folds = len(problem.parts)
+    losses = np.stack([corrected([s] * folds, [suspect.found.coefficients] * folds)[0] for s in (0.0, *SCALES)])
+    trains = [rest(problem.parts, fold) for fold in range(folds)]
+    fits = [fitted(suspect.sample, suspect.found.terms, train) for train in trains]
+    loss, size = corrected([_best_scale(losses[:, train].mean(1)) for train in trains], fits)
+    return Stopgap(suspect, _best_scale(losses.mean(1)), None, loss, size, _judged(problem, before)[1])
+
+
+def _judged(problem: Problem, readings: dict[str, Array]) -> tuple[Array, Array]:
+    """Return `(E,)` loss and discrepancy; infinite where the simulation broke."""
+    broken = ~np.array([np.isfinite(v[:, -1].reshape(len(v), -1)).all(1) for v in readings.values()]).all(0)
+    z = problem.score.normal(residual(problem.recs, problem.plan, readings))
+    return tuple(np.where(broken, np.inf, value) for value in (problem.score.loss(z), problem.score.size(z)))  # type: ignore[return-value]
+
+
+def _best_scale(losses: Array) -> float:
+    """Return the multiple with the least loss on a cubic through 0 and `SCALES`; 0 where a replay broke."""
+    if not np.isfinite(losses).all():
+        return 0.0
+    curve = np.polynomial.Polynomial.fit((0.0, *SCALES), losses, 3)
+    grid = np.linspace(0, SCALES[-1], 61)
+    return float(grid[np.argmin(curve(grid))])
+
+
+def _setting(scene: Scene, suspect: Suspect, coefficients: Array) -> EffectSetting:
+    """Return coefficients `(k, A)` of a suspect as a setting of the effect."""
+    parameters = effect(EFFECT).parameters
+    x = np.concatenate([np.full(p.size(scene), p.identity(scene)) for p in parameters])
+    joints, total = sizes(scene)[0], sum(sizes(scene))
+    for k, row in zip(suspect.found.terms, coefficients, strict=True):
+        if suspect.place == "object":
+            first = joints + k * AXES
+            x[first + suspect.axes.start : first + suspect.axes.stop] = row
+        else:
+            j = scene.file.joints.index(suspect.element)
+            x[j * len(JOINT_TERMS) + k] = row[0]
+            x[total + j] = suspect.wave
+    return setting(EFFECT, x, scene, suspect.element)

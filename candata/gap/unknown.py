@@ -1,0 +1,233 @@
+"""When the cause is in no library: where it acts, how large it is, what it depends on, and how much is closable."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.floor import null_recordings
+from candata.gap.locate import LEVEL
+from candata.gap.replay import EffectSet
+from candata.gap.residual_force import residual_force
+from candata.gap.search import Problem
+from candata.gap.starts import starts
+from candata.gap.stopgap import Stopgap, stopgap
+from candata.gap.suspects import Suspect, suspects
+from candata.schema.effect import EffectSetting
+from candata.schema.report import Symptom, Unknown
+
+Array = NDArray[np.float64]
+#: Episodes that are looked at: enough to describe a force.
+LOOKED_AT = 24
+#: Null replays of each episode.
+REPLICAS = 2
+#: Suspects that are played in the simulator, and the share of the best one's gain that they must have.
+PLAYED, NEAR = 3, 0.2
+#: Share of its largest size above which a force counts as acting.
+ACTS = 0.25
+#: Share of what was seen from which a circumstance is said to hold whenever the force acts.
+MOSTLY = 0.7
+
+
+@dataclass(frozen=True)
+class Described:
+    """What is known of an unknown cause, and the force that stands in for it.
+
+    Attributes
+    ----------
+    unknown : Unknown
+    stopgap : EffectSetting or None
+        None where no force mends it.
+    """
+
+    unknown: Unknown
+    stopgap: EffectSetting | None
+
+
+def describe(
+    problem: Problem, world: EffectSet, where: Sequence[Symptom], nearest: str | None, rng: np.random.Generator
+) -> Described | None:
+    """Return what remains in a world as a force: where, how large, on what it depends; None where none stands out.
+
+    Parameters
+    ----------
+    problem : Problem
+        Episodes, folds, and the score in units of the world's floor.
+    world : tuple of EffectSetting
+        What the simulator holds already: nothing, or the effects that are named.
+    where : sequence of Symptom
+        What remains, the worst first.
+    nearest : str or None
+        The library's nearest effect, to be named as such.
+    rng : numpy.random.Generator
+        Noise of the null replays.
+    """
+    some = _some(problem)
+    found = _standing_out(some, world, rng)
+    if not found:
+        return None
+    near = [s for s in found[:PLAYED] if s.gain >= NEAR * found[0].gain]
+    best = min((stopgap(some, world, s) for s in near), key=lambda s: float(s.loss.mean()))
+    return Described(_unknown(some, best, where, nearest), best.setting if best.closed > 0 else None)
+
+
+def _some(problem: Problem) -> Problem:
+    """Return the problem on the episodes that are looked at, as many of each fold."""
+    if len(problem.recs) <= LOOKED_AT:
+        return problem
+    index = np.sort(np.concatenate([p[: LOOKED_AT // len(problem.parts)] for p in problem.parts]))
+    parts = [np.searchsorted(index, p[: LOOKED_AT // len(problem.parts)]) for p in problem.parts]
+    plan = replace(problem.plan, phase=problem.plan.phase[index])
+    return replace(
+        problem, recs=problem.recs.take(index), begin=problem.begin.take(index), plan=plan,
+        score=problem.score.take(index), parts=parts,
+    )  # fmt: skip
+
+
+def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> list[Suspect]:
+    """Return the suspects whose residual force is described better than any in null replays, the best first."""
+    scene, count = problem.replayer.scene, len(problem.recs)
+    real = residual_force(problem.replayer, problem.recs, problem.begin, world)
+    nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
+    null = residual_force(problem.replayer, nulls, starts(scene, nulls), world)
+    found = suspects(scene, real, null, problem.parts)
+    own = [_gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
+           for r in range(REPLICAS)]  # fmt: skip
+    return [s for s in found if s.gain > max(own)]
+
+
+def _gain(found: Sequence[Suspect]) -> float:
+    """Return the largest gain."""
+    return max((s.gain for s in found), default=0.0)
+
+
+def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest: str | None) -> Unknown:
+    """Return the record of what was found."""
+    suspect = best.suspect
+    force, size = _typical(best)
+    closed = round(best.closed, 4)
+    text = _words(problem, best, force, size, where)
+    if closed > 0:
+        text += f"; {_means(suspect)} fitted to it closes {100 * closed:.0f} % of the gap on held-out episodes"
+    if nearest is not None:
+        text += f"; the nearest effect of the library is {nearest}, which does not explain it"
+    return Unknown(
+        acts_on=suspect.place,
+        element=None if suspect.place == "object" else suspect.element,
+        size=float(f"{size:.3g}"),
+        unit=_unit(suspect),
+        depends_on=_depends_on(problem, best),
+        words=text,
+        closable=closed,
+    )
+
+
+def _means(suspect: Suspect) -> str:
+    """Return what was fitted."""
+    return "a correction" if suspect.place == "fingertip" else "a force"
+
+
+def _unit(suspect: Suspect) -> str:
+    """Return the unit of a force."""
+    is_torque = suspect.place == "joint" or (suspect.place == "object" and suspect.axes.start > 0)
+    return "N m" if is_torque else "N"
+
+
+def _typical(best: Stopgap) -> tuple[Array, float]:
+    """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
+    suspect = best.suspect
+    scale = best.scale if best.closed > 0 else 1.0
+    terms = suspect.by_row[..., list(suspect.found.terms)]
+    force = scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
+    force = force[np.isfinite(force).all(2)]
+    size = np.sqrt((force**2).sum(1))
+    acting = size > ACTS * np.quantile(size, 0.95)
+    return force[acting].mean(0), float(np.median(size[acting]))
+
+
+def _depends_on(problem: Problem, best: Stopgap) -> tuple[str, ...]:
+    """Return the names of what the force depends on; a constant force that only shows off the support says so."""
+    names = best.suspect.depends_on
+    if best.suspect.place == "object" and names[0] == "constant" and _mostly_off(problem, best):
+        names = ("off the support", *names[1:])
+    return names
+
+
+def _mostly_off(problem: Problem, best: Stopgap) -> bool:
+    """Tell whether the object was off its support nearly whenever a force on it could show."""
+    if problem.replayer.scene.file.support is None:
+        return False
+    sample = best.suspect.sample
+    seen = np.isfinite(sample.force).all(2)
+    return float(sample.terms[seen][:, 0, 1].mean()) >= MOSTLY
+
+
+def _words(problem: Problem, best: Stopgap, force: Array, size: float, where: Sequence[Symptom]) -> str:
+    """Return one clause: how large, on what, which way, when."""
+    suspect, unit = best.suspect, _unit(best.suspect)
+    amount = f"about {size:.2g} {unit}"
+    if suspect.place == "object":
+        kind = "A pull" if unit == "N" else "A torque"
+        return f"{kind} of {amount} on the object{_towards(force)}{_when(problem, best)}"
+    if suspect.place == "fingertip":
+        moved = any(s.channel != "fingertip_force" and s.p <= LEVEL for s in where)
+        kind = "A contact force" if moved else "An error of the reading, nothing in the motion,"
+        return f"{kind} of {amount} at fingertip {suspect.element}{_on(suspect.depends_on)}"
+    kind = "A torque" if suspect.place == "joint" else "A force"
+    return f"{kind} of {amount} on joint {suspect.element}{_how(best)}"
+
+
+def _towards(force: Array) -> str:
+    """Return the main direction of a mean force `(3,)`: axes that hold at least half of it."""
+    largest = float(np.abs(force).max())
+    if largest <= 0:
+        return ""
+    sides = [f"{'+' if f > 0 else '-'}{a}" for f, a in zip(force, "xyz", strict=True) if abs(f) >= 0.5 * largest]
+    return " towards " + " and ".join(sides)
+
+
+def _when(problem: Problem, best: Stopgap) -> str:
+    """Return when a force on the object acts."""
+    names = _depends_on(problem, best)
+    support = problem.replayer.scene.file.support
+    circumstance = {
+        "constant": "", "off the support": f" whenever it is off the {support}", "in contact": " while it is touched",
+    }  # fmt: skip
+    first = circumstance.get(names[0])
+    return _on(names) if first is None else first + _on(names[1:])
+
+
+def _on(names: Sequence[str]) -> str:
+    """Return what a force depends on, as a clause."""
+    rest = [n for n in names if n != "constant"]
+    return f" that depends on {', '.join(rest)}" if rest else ""
+
+
+def _how(best: Stopgap) -> str:
+    """Return how a force on a joint goes with its motion and effort."""
+    suspect = best.suspect
+    name = suspect.names[suspect.found.terms[0]]
+    against = float(suspect.found.coefficients[0, 0]) < 0
+    repeat = 2 * np.pi / suspect.wave
+    phrase = {
+        ("constant",): " that is always there",
+        ("position",): " that pulls back like a spring" if against else " that grows away from zero",
+        ("velocity",): " against its motion, growing with speed"
+        if against
+        else " along its motion, growing with speed",
+        ("sign of velocity",): " against its motion, like dry friction",
+        ("load",): " that takes off a share of the motor's effort" if against else " that adds to the motor's effort",
+        ("sign of velocity", "load"): " against its motion, growing with the motor's effort",
+        ("sign of velocity", "fingertip force"): " against its motion, growing with the force on its fingertip",
+        ("memory", "load"): " that takes off more of the motor's effort the longer it has worked",
+        ("time",): " that grows with time",
+        ("time", "load"): " that changes the motor's effort with time",
+        ("periodic position",): f" that repeats with its position every {repeat:.2g} "
+        + ("rad" if suspect.place == "joint" else "m"),
+    }[name]
+    return phrase + _on([n for n in suspect.depends_on if n not in [k.replace("periodic ", "") for k in name]]).replace(
+        " that depends", ", and depends"
+    )

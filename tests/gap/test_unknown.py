@@ -1,0 +1,187 @@
+"""Causes that are in no library: where they act, how large they are, what they depend on, how much is closable."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+
+from candata.gap.floor import floor
+from candata.gap.folds import folds
+from candata.gap.recordings import Recordings, recordings
+from candata.gap.replay import Replayer, replay_all
+from candata.gap.residual_force import residual_force
+from candata.gap.residuals import layout, residual
+from candata.gap.score import score
+from candata.gap.starts import starts
+from candata.gap.unknown import describe
+from candata.reports.files import STOPGAP, write_diagnosis
+from candata.schema.effect import EffectsFile
+from candata.simulate import at_rest, rollout
+from candata.simulate.episodes import add_noise
+from tests.effects.gripper import ROLES, grip, write_scene
+from tests.gap import hidden
+
+#: Where a size is right: this factor either way is what is promised.
+FACTOR = 1.5
+NOISE = "noise: {object_pose: [0.0003, 0.003], joint_position: 0.001, fingertip_force: 0.01}\n"
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory):
+    """Two fingers on a rail, a box on a table, with declared noise."""
+    return write_scene(tmp_path_factory.mktemp("gripper"), roles=ROLES + NOISE)
+
+
+@pytest.fixture(scope="module")
+def hiding():
+    """The function that makes a cause known to the simulator while this module's tests run: its settings."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield hidden.hider(patch)
+
+
+def grips(scene, effects, count: int = 8, seconds: float = 1.6, seed: int = 5) -> Recordings:
+    """Grasps of varied force and height, recorded in a world."""
+    rng = np.random.default_rng(seed)
+    commands = np.concatenate([grip(seconds) * rng.uniform(0.8, 1.2, 3) for _ in range(count)])
+    commands[:, :, 1:] += 0.06 * np.sin(np.arange(commands.shape[1]) / rng.uniform(3, 6, (count, 1)))[..., None]
+    played = rollout(scene, commands, *at_rest(scene, count), [effects] * count)
+    return Recordings(
+        tuple(f"e{i}" for i in range(count)), ("grip",) * count, commands,
+        add_noise(played.readings, scene.file.noise, rng), np.full(count, commands.shape[1]), False,
+    )  # fmt: skip
+
+
+def described(scene, recs, world=()):
+    """What is said of a recording's unknown cause."""
+    rng = np.random.default_rng(1)
+    replayer, begin = Replayer(scene), starts(scene, recs)
+    nominal = replay_all(replayer, recs, begin, [world])[0]
+    plan = layout(scene, recs, begin, nominal)
+    spread = floor(replayer, recs, begin, plan, rng, 4, world)
+    level = score(residual(recs, plan, nominal), spread, plan)
+    problem = SimpleNamespace(
+        replayer=replayer, recs=recs, begin=begin, plan=plan, score=level, parts=folds(recs.tasks, rng),
+        noise=spread.noise,
+    )  # fmt: skip
+    return describe(problem, world, (), None, rng)
+
+
+@pytest.fixture(scope="module")
+def cogging(arm, arm_episodes, hiding):
+    cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
+    return described(arm, recordings(arm, arm_episodes(hiding(cause))))
+
+
+def near(size: float) -> object:
+    return pytest.approx(size, rel=FACTOR - 1)
+
+
+def test_a_cogging_torque_is_found_in_its_joint(cogging):
+    found = cogging.unknown
+    assert (found.acts_on, found.element, found.unit) == ("joint", "elbow", "N m")
+    assert found.depends_on == ("position",)
+    # The median of a sine above a quarter of its height.
+    assert found.size == near(0.3 * 0.76)
+    assert found.words.startswith("A torque of about 0.2")
+    assert "on joint elbow that repeats with its position every 0.52 rad" in found.words
+
+
+def test_the_stop_gap_of_a_cogging_torque_closes_the_gap(cogging):
+    # The dictionary holds this very law.
+    assert cogging.unknown.closable > 0.9
+    assert (cogging.stopgap.name, cogging.stopgap.element) == ("learned_residual", "elbow")
+
+
+def test_with_the_cause_switched_off_nothing_stands_out(arm, arm_episodes):
+    assert described(arm, recordings(arm, arm_episodes())) is None
+
+
+def test_a_cause_that_the_world_holds_leaves_nothing(arm, arm_episodes, planted):
+    effects = planted("joint_damping", "elbow", damping_Nms_rad=0.4)
+    recs = recordings(arm, arm_episodes(effects))
+    begin = starts(arm, recs)
+    before, after = (residual_force(Replayer(arm), recs, begin, world).force for world in ((), effects))
+    assert np.nanstd(after[:, :, 1]) < 0.5 * np.nanstd(before[:, :, 1])
+
+
+def test_a_motor_that_fades_with_use_is_found(arm, arm_episodes, hiding):
+    def fade(q, u, memory):
+        memory["use"] = memory.get("use", 0) + np.abs(u) / 100
+        return -u * (1 - np.exp(-0.5 * memory["use"]))
+
+    found = described(arm, recordings(arm, arm_episodes(hiding(hidden.on_joint("shoulder", fade))))).unknown
+    assert (found.acts_on, found.element, found.unit) == ("joint", "shoulder", "N m")
+    assert {"memory", "load"} & set(found.depends_on)
+
+
+def test_friction_that_grows_with_the_load_is_found(arm, arm_episodes, hiding):
+    cause = hidden.on_joint("shoulder", hidden.stiction(0.5, 0.005))
+    found = described(arm, recordings(arm, arm_episodes(hiding(cause)))).unknown
+    assert (found.acts_on, found.element) == ("joint", "shoulder")
+    assert found.depends_on[0] == "sign of velocity"
+
+
+def test_a_spring_on_a_slide_is_the_wrist_s(gripper, hiding):
+    found = described(gripper, grips(gripper, hiding(hidden.on_joint("lift", lambda q, u, memory: -300 * q)))).unknown
+    assert (found.acts_on, found.element, found.unit) == ("wrist", "lift", "N")
+
+
+def test_a_wind_on_the_object_is_a_pull_in_its_direction(gripper, hiding):
+    found = described(gripper, grips(gripper, hiding(hidden.on_object((0.0, 0.25, 0.0))))).unknown
+    assert (found.acts_on, found.element, found.unit) == ("object", None, "N")
+    assert found.size == near(0.25)
+    assert "on the object towards +y" in found.words
+
+
+def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
+    found = described(gripper, grips(gripper, hiding(hidden.hysteresis("left", 0.4))))
+    assert (found.unknown.acts_on, found.unknown.element, found.unknown.unit) == ("fingertip", "left", "N")
+    assert found.unknown.words.startswith("An error of the reading, nothing in the motion")
+    assert found.stopgap is None
+
+
+def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
+    cause = hidden.on_joint("elbow", lambda q, u, memory: np.full_like(q, 0.2))
+    recs = recordings(arm, arm_episodes(hiding(cause)))
+    force = residual_force(Replayer(arm), recs, starts(arm, recs)).force
+    # After the settling of the first tenth of a second; 1 mrad of noise under a servo of 15 N m/rad is 15 mN m a row.
+    assert np.nanmean(force[:, 20:, 1]) == pytest.approx(0.2, abs=0.01)
+    assert np.nanmean(force[:, 20:, 0]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_rows_that_were_not_recorded_are_not_known(arm, arm_episodes):
+    recs = recordings(arm, arm_episodes())
+    recs.readings["joint_position"][2, 50:60, 1] = np.nan
+    force = residual_force(Replayer(arm), recs, starts(arm, recs)).force
+    assert np.isnan(force[2, 50:60, 1]).all()
+    assert np.isfinite(force[2, 50:60, 0]).all()
+    assert np.isnan(force[:, :, 2:]).all(), "there is no object"
+
+
+@pytest.mark.slow
+def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
+    arm,
+    arm_episodes,
+    judge,
+    hiding,
+    tmp_path,
+):
+    cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
+    found = judge(arm, arm_episodes(hiding(cause)))
+    report = found.report
+    assert (report.verdict, report.effects) == ("unknown_effect", ())
+    assert (report.unknown.acts_on, report.unknown.element) == ("joint", "elbow")
+    assert "which does not explain it" in report.unknown.words
+    write_diagnosis(found, arm, tmp_path)
+    assert yaml.safe_load((tmp_path / "effects.yaml").read_text())["effects"] == []
+    stopgap = EffectsFile.model_validate(yaml.safe_load((tmp_path / STOPGAP).read_text()))
+    recs = recordings(arm, arm_episodes(hiding(cause), seed=2))
+    errors = [
+        np.nanmean(np.abs(recs.readings["joint_position"] - r["joint_position"]))
+        for r in replay_all(Replayer(arm), recs, starts(arm, recs), [(), stopgap.effects])
+    ]
+    # On motions it has not seen; the noise alone is a part of what remains.
+    assert errors[1] < 0.5 * errors[0]
