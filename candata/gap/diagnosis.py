@@ -19,6 +19,7 @@ from candata.gap.example import example
 from candata.gap.floor import floor
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
+from candata.gap.mismatch import checked
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
@@ -94,18 +95,19 @@ def diagnose(
     Raises
     ------
     DataError
-        When the dataset is empty or does not fit the scene.
+        When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
+        says they are.
     """
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng = np.random.default_rng(seed)
     progress("reading")
-    everything = recordings(scene, dataset.episodes())
-    if len(everything) < FEWEST:
+    replayer = Replayer(scene, jobs)
+    everything = checked(replayer, recordings(scene, dataset.episodes()))
+    if len(everything) < FEWEST or not everything.moving:
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
-    replayer = Replayer(scene, jobs)
     problem, nominal = _problem(replayer, everything.take(searched), rng, progress)
     progress("searching effects")
     found = attribute(problem, nominal)
@@ -299,21 +301,23 @@ def _data_used(f: _Findings) -> DataUsed:
         episodes=EpisodeCount(total=f.episodes, folds=FOLDS, held_out=len(f.held.recs)),
         floor=f.problem.floor_kind,
         channels=tuple(f.problem.recs.readings),
-        notes=(f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}",)
-        if untouched
-        else (),
+        notes=(
+            *([f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}"] * untouched),
+            *f.problem.recs.notes,
+        ),
     )
 
 
 def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
-    """Return the verdict that there are too few episodes."""
+    """Return the verdict that there are too few episodes, or none that moves."""
+    few = [f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out"] * (len(recs) < FEWEST)
     report = Report(
         verdict="too_little_data",
         data=DataUsed(
             dataset=f"{dataset.name}@{dataset.digest[:12]}",
             episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
             channels=tuple(recs.readings),
-            notes=(f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out",),
+            notes=(*few, *recs.notes),
         ),
         provenance=provenance(scene),
     )

@@ -36,6 +36,10 @@ class Recordings:
         Rows of each episode.
     instant_force : bool
         Whether the force is the last instant's instead of the step's mean.
+    notes : tuple of str
+        What was left out, what is doubtful, what cannot be tested: for the report.
+    moving : bool
+        Whether anything was seen to move.
     """
 
     ids: tuple[str, ...]
@@ -44,6 +48,8 @@ class Recordings:
     readings: dict[str, Array]
     lengths: NDArray[np.int64]
     instant_force: bool
+    notes: tuple[str, ...] = ()
+    moving: bool = True
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
