@@ -24,6 +24,7 @@ from candata.gap.mismatch_sensors import distance_findings, force_findings, pose
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.starts import STILL_ROWS, is_toss, starts
+from candata.gap.unseen import without_object
 from candata.gap.untested import untested_notes
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -193,9 +194,12 @@ def checked(replayer: Replayer, recs: Recordings) -> Recordings:
         if finding.definite:
             raise finding.error()
     dead = [name for f in found if f.kind == "dead_joint" for name in f.elements]
-    notes = (*recs.notes, *(f.note() for f in found), *untested_notes(replayer.scene, recs))
+    notes = (*recs.notes, *(f.note() for f in found))
     moving = not any(f.kind == "still" for f in found)
-    return replace(left_out(replayer.scene, recs, dead), notes=notes, moving=moving)
+    kept = replace(left_out(replayer.scene, recs, dead), notes=notes, moving=moving)
+    if moving:
+        kept = without_object(replayer, kept)
+    return replace(kept, notes=(*kept.notes, *untested_notes(replayer.scene, kept)))
 
 
 def left_out(scene: Scene, recs: Recordings, names: Sequence[str]) -> Recordings:
