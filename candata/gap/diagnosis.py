@@ -21,6 +21,7 @@ from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
+from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
@@ -112,18 +113,19 @@ def diagnose(
     Raises
     ------
     DataError
-        When the dataset is empty or does not fit the scene.
+        When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
+        says they are.
     """
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng = np.random.default_rng(seed)
     progress("reading")
-    everything = recordings(scene, dataset.episodes())
-    if len(everything) < FEWEST:
+    replayer = Replayer(scene, jobs)
+    everything = checked(replayer, recordings(scene, dataset.episodes()))
+    if len(everything) < FEWEST or not everything.moving:
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
-    replayer = Replayer(scene, jobs)
     problem = _problem(replayer, everything.take(searched), rng, cache, progress)
     progress("searching effects")
     found = attribute(problem)
@@ -335,14 +337,16 @@ def _data_used(f: _Findings) -> DataUsed:
         episodes=EpisodeCount(total=f.episodes, folds=FOLDS, held_out=len(f.held.recs)),
         floor=f.problem.floor_kind,
         channels=tuple(f.problem.recs.readings),
-        notes=(f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}",)
-        if untouched
-        else (),
+        notes=(
+            *([f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}"] * untouched),
+            *f.problem.recs.notes,
+        ),
     )
 
 
 def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
-    """Return the verdict that there are too few episodes."""
+    """Return the verdict that there are too few episodes, or none that moves."""
+    few = [f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out"] * (len(recs) < FEWEST)
     proposed, motion = more(scene, recs, FEWEST)
     report = Report(
         verdict="too_little_data",
@@ -350,7 +354,7 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
             dataset=f"{dataset.name}@{dataset.digest[:12]}",
             episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
             channels=tuple(recs.readings),
-            notes=(f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out",),
+            notes=(*few, *recs.notes),
         ),
         next_motion=proposed,
         provenance=provenance(scene),

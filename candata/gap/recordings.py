@@ -17,6 +17,13 @@ Array = NDArray[np.float64]
 COMPARED = ("joint_position", "object_pose", "fingertip_force")
 #: Recorded rate may differ this much from the scene's: clocks drift by parts per million, not by per cent.
 RATE_TOLERANCE = 0.02
+#: Share of the usual length, and of a channel's rows, below which an episode is no use.
+SHORT = 0.1
+#: A stamp may lie this many rows, or this share of the episode, from where the rate puts it: jitter, a drifting clock.
+STAMP_ROWS, STAMP_SHARE = 3, 0.03
+#: Episodes that lack a channel are left out where this share and this many have it (fewer are not diagnosed);
+#: else the channel is.
+MOST, FEW = 2 / 3, 8
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,10 @@ class Recordings:
         Rows of each episode.
     instant_force : bool
         Whether the force is the last instant's instead of the step's mean.
+    notes : tuple of str
+        What was left out, what is doubtful, what cannot be tested: for the report.
+    moving : bool
+        Whether anything was seen to move.
     """
 
     ids: tuple[str, ...]
@@ -44,6 +55,8 @@ class Recordings:
     readings: dict[str, Array]
     lengths: NDArray[np.int64]
     instant_force: bool
+    notes: tuple[str, ...] = ()
+    moving: bool = True
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -65,14 +78,15 @@ class Recordings:
 def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     """Return the recordings of `episodes` in the order of the scene's joints and actuators.
 
+    Episodes that cannot be replayed are left out, with a note that names them; so are those that lack a channel which
+    most have.
+
     Raises
     ------
     DataError
-        When an episode's joints, actuators, fingertips or rate are not the scene's.
+        When no episode fits the scene: of the first, what does not fit.
     """
-    found = list(episodes)
-    columns = [_columns(scene, e) for e in found]
-    shared = [c for c in COMPARED if _wanted(scene, c) and found and all(c in e for e in found)]
+    found, shared, notes = _sound(scene, list(episodes))
     if not shared:
         raise DataError(
             "nothing to compare",
@@ -87,9 +101,8 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
             found=" and ".join(sorted(timings)),
             fix="import them with the same `force` in map.yaml",
         )
-    length = max((len(e) for e in found), default=0)
-    if length < 2:
-        raise DataError("episodes are too short to replay", expected="at least 2 rows", found=f"{length}")
+    columns = [_columns(scene, e) for e in found]
+    length = max(len(e) for e in found)
     readings = {
         c: np.stack(
             [
@@ -109,7 +122,72 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
+        notes,
     )
+
+
+def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:
+    """Return the episodes that can be replayed, the channels they share, and what was left out."""
+    usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
+    faults = [_fault(scene, e, usual) for e in episodes]
+    sound = [e for e, fault in zip(episodes, faults, strict=True) if fault is None]
+    first = next((f for f in faults if f is not None), None)
+    if first is not None and not sound:
+        raise first
+    broken = [(e.meta.id, f.problem) for e, f in zip(episodes, faults, strict=True) if f is not None]
+    shared, notes = [], []
+    for c in (c for c in COMPARED if _wanted(scene, c)):
+        have = [e for e in sound if _seen(e, c)]
+        if len(have) < len(sound) and len(have) >= max(FEW, MOST * len(sound)):
+            broken += [(e.meta.id, f"without {c}") for e in sound if not _seen(e, c)]
+            sound = have
+        if len(have) == len(sound):
+            shared += [c] * bool(have)
+        elif have:
+            notes.append(f"{c} is not compared: {len(sound) - len(have)} of {len(sound)} episodes lack it")
+    if broken:
+        named = "; ".join(f"{name}: {why}" for name, why in broken[:10])
+        more = f"; and {len(broken) - 10} more" if len(broken) > 10 else ""
+        notes.append(f"{len(broken)} of {len(episodes)} episodes left out ({named}{more})")
+    return sound, shared, tuple(notes)
+
+
+def _fault(scene: Scene, episode: Episode, usual: float) -> DataError | None:
+    """Return why an episode cannot be replayed in the scene, or None; `usual` is the usual number of rows."""
+    if len(episode) < max(2.0, SHORT * usual):
+        return DataError(
+            "episodes are too short to replay",
+            expected="at least 2 rows",
+            found=f"{len(episode)}",
+            where=Where(episode=episode.meta.id),
+        )
+    try:
+        _commands(scene, episode, _columns(scene, episode))
+    except DataError as fault:
+        return fault
+    return _off_beat(episode)
+
+
+def _off_beat(episode: Episode) -> DataError | None:
+    """Return that rows are missing: a stamp lies far from where the rate puts it. A replay takes one step a row."""
+    step = 1 / episode.meta.rate_hz
+    off = np.abs(episode.time_s - step * np.arange(len(episode)))
+    allowed = max(STAMP_ROWS * step, STAMP_SHARE * step * len(episode))
+    if off.max() <= allowed:
+        return None
+    row = int(np.argmax(off > allowed))
+    return DataError(
+        "stamps do not keep the rate: rows are missing, or the clock jumps",
+        expected=f"row {row} at {row * step:.3f} s ({episode.meta.rate_hz:g} Hz)",
+        found=f"{episode.time_s[row]:.3f} s",
+        where=Where(episode=episode.meta.id, channel="time_ns", index=row),
+        fix="import it on a regular grid, or give the true rate",
+    )
+
+
+def _seen(episode: Episode, channel: str) -> bool:
+    """Tell whether an episode holds a channel, and more than a few rows of it."""
+    return channel in episode and bool(episode.valid(channel).mean() > SHORT)
 
 
 def _wanted(scene: Scene, channel: str) -> bool:

@@ -1,0 +1,221 @@
+"""Mismatch: recordings that are not what scene and schema say, found before anything is called physics."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import effect
+from candata.gap.finding import Finding
+from candata.gap.mismatch_commands import (
+    Paired,
+    following_findings,
+    late,
+    paired,
+    still_findings,
+    swap_findings,
+    unit_findings,
+    zero_findings,
+)
+from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
+from candata.gap.recordings import Recordings
+from candata.gap.replay import EffectSet, Replayer
+from candata.gap.starts import STILL_ROWS, is_toss, starts
+from candata.gap.unseen import without_object
+from candata.gap.untested import untested_notes
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.simulate import rollout
+
+Array = NDArray[np.float64]
+#: Episodes that are looked at, evenly spread: a mismatch is in all of them.
+LOOKED_AT = 12
+#: Rows by which joints may react earlier than the scene's before it is asked why.
+EARLY_ROWS = 0.6
+#: Longest delay that effects explain [s] (the bound of `actuation_delay`).
+LATEST_S = 0.15
+#: What makes joints react earlier than modelled: lighter damping, a stiffer servo, another clock.
+RIVALS = (
+    *(("servo_damping", "kv_scale", v) for v in (0.15, 0.3, 0.5, 0.7)),
+    *(("servo_gain", "kp_scale", v) for v in (1.3, 1.7, 2.5, 4.0)),
+    *(("clock_drift", "ppm", v) for v in (-4e4, -2.5e4, -1.5e4, 1.5e4, 2.5e4, 4e4)),
+)
+#: By how much a shift must beat the best rival's joint error to be sure.
+SURELY = 0.7
+
+
+@dataclass(frozen=True)
+class _Look:
+    """The episodes that are looked at, and where the scene's joints and forces go, open loop."""
+
+    replayer: Replayer
+    recs: Recordings
+    pairs: Paired | None
+
+    def play(self, recs: Recordings, effects: EffectSet = ()) -> dict[str, Array]:
+        """Return the readings of the scene under recorded commands from the recorded starts."""
+        scene, begin = self.replayer.scene, starts(self.replayer.scene, self.recs)
+        played = rollout(
+            scene, recs.commands, begin.qpos, begin.qvel, [effects] * len(recs), instant_force=recs.instant_force,
+            threads=self.replayer.threads,
+        )  # fmt: skip
+        self.replayer.count(len(recs) * recs.commands.shape[1] * scene.substeps)
+        return dict(played.readings)
+
+
+def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
+    """Return what in the recordings is no physics; definite findings first.
+
+    First what the arrays alone tell; only where these are sound, one open-loop replay of a few episodes.
+
+    Parameters
+    ----------
+    replayer : Replayer
+    recs : Recordings
+        E recorded episodes.
+    """
+    scene = replayer.scene
+    some = recs.take(np.unique(np.linspace(0, len(recs) - 1, min(LOOKED_AT, len(recs))).astype(int)))
+    pairs = paired(scene, some)
+    found = pose_findings(scene, some)
+    if pairs is not None:
+        found += unit_findings(scene, pairs) + swap_findings(pairs) + still_findings(some, pairs)
+    if not any(f.definite for f in found) and not is_toss(scene):
+        found += _by_replay(_Look(replayer, some, pairs))
+    found += _tasks(recs)
+    return tuple(sorted(found, key=lambda f: not f.definite))
+
+
+def _by_replay(look: _Look) -> list[Finding]:
+    """Return the findings that need the scene's own motion."""
+    scene, nominal = look.replayer.scene, look.play(look.recs)
+    found: list[Finding] = []
+    if look.pairs is not None and "joint_position" in nominal:
+        own = nominal["joint_position"][..., look.pairs.drive.joints]
+        found += following_findings(look.pairs, own)
+        if not found:
+            found += zero_findings(scene, look.pairs, own)
+        if not any(f.kind == "scene_stuck" for f in found):
+            found += _shifted(look, look.pairs, own)
+    if "fingertip_force" in nominal:
+        touching = touches(scene, look.recs, nominal["fingertip_force"])
+        if touching is not None:
+            found += distance_findings(scene, touching) or force_findings(scene, touching)
+    return found
+
+
+def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+    """Return that joints react before their commands, or as late as a step that was counted wrong."""
+    each = late(pairs, own)
+    each = each[np.isfinite(each)]
+    if not len(each):
+        return []
+    rows, rate = float(np.median(each)), look.replayer.scene.file.rate_hz
+    spread = float(np.quantile(each, 0.75) - np.quantile(each, 0.25))
+    if rows > LATEST_S * rate:
+        return [_lateness(rows, rate, "more than any delay that is searched: check the clocks of both streams")]
+    if abs(rows - 1) < 0.2 and spread < 0.3:
+        return [_lateness(rows, rate, "a delay, or one step counted wrong: `action: next` in map.yaml")]
+    if rows > -EARLY_ROWS:
+        return []
+    return _early(look, pairs, own, rows)
+
+
+def _lateness(rows: float, rate: float, words: str) -> Finding:
+    """Return the note that joints react late."""
+    return Finding(
+        "shifted_commands", False, "joints react later than the scene's", "the scene's delay",
+        f"{rows:.1f} steps ({1e3 * rows / rate:.0f} ms)", words, "action",
+    )  # fmt: skip
+
+
+def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]:
+    """Return that commands are logged late: sure where no servo and no clock explains it as well as a shift."""
+    steps = max(1, round(-rows))
+    moved = replace(look.recs, commands=_ahead(look.recs.commands, steps))
+    shift = _apart(pairs, look.play(moved))
+    possible = [r for r in RIVALS if effect(r[0]).possible(look.replayer.scene)]
+    sets = [(EffectSetting(name=n, parameters={p: v}),) for n, p, v in possible]
+    rival = min([_apart(pairs, look.play(look.recs, s)) for s in sets], default=np.inf)
+    sure = shift < SURELY * min(rival, _apart(pairs, {"joint_position": _placed(look, pairs, own)}))
+    one = "`action: previous` in map.yaml, if each row holds the command before it" if steps == 1 else ""
+    return [Finding(
+        "shifted_commands", bool(sure), "joints react before their commands", "commands that come first",
+        f"{-rows:.1f} steps earlier than the scene's", one or f"move the commands {steps} steps ahead", "action",
+    )]  # fmt: skip
+
+
+def _placed(look: _Look, pairs: Paired, own: Array) -> Array:
+    """Return `(E, T, J)` positions of all joints, those of the servos filled in."""
+    out = np.zeros((*own.shape[:2], len(look.replayer.scene.joint_ids)))
+    out[..., pairs.drive.joints] = own
+    return out
+
+
+def _ahead(commands: Array, steps: int) -> Array:
+    """Return commands moved to `steps` rows earlier; the last is held."""
+    return np.concatenate([commands[:, steps:], np.repeat(commands[:, -1:], steps, axis=1)], axis=1)
+
+
+def _apart(pairs: Paired, readings: dict[str, Array]) -> float:
+    """Return the median over joints of the RMS difference to the recording, over each joint's spread."""
+    off = pairs.joint - readings["joint_position"][..., pairs.drive.joints]
+    off = off - np.nanmean(off, axis=(0, 1))
+    size = np.sqrt(np.nanmean(off**2, axis=(0, 1)))
+    spread = np.sqrt(pairs.found.var_q[0])
+    moving = spread > 5 * pairs.quiet + 1e-9
+    return float(np.median(size[moving] / spread[moving])) if moving.any() else np.inf
+
+
+def _tasks(recs: Recordings) -> list[Finding]:
+    """Return the note that no motion was repeated."""
+    if len(recs) < 2 or not all(recs.tasks) or len(set(recs.tasks)) < len(recs):
+        return []
+    return [Finding(
+        "no_repeats", False, "every episode is a task of its own", "several episodes of each motion",
+        f"{len(recs)} tasks in {len(recs)} episodes",
+        "no motion is held out that was also searched: give like motions one task", "time_ns",
+    )]  # fmt: skip
+
+
+def checked(replayer: Replayer, recs: Recordings) -> Recordings:
+    """Return the recordings with notes of what is doubtful or cannot be tested, joints that are dead left out.
+
+    Raises
+    ------
+    DataError
+        For the first finding that no effect explains: nothing is diagnosed from such recordings.
+    """
+    found = mismatch(replayer, recs)
+    for finding in found:
+        if finding.definite:
+            raise finding.error()
+    dead = [name for f in found if f.kind == "dead_joint" for name in f.elements]
+    notes = (*recs.notes, *(f.note() for f in found))
+    moving = not any(f.kind == "still" for f in found)
+    kept = replace(left_out(replayer.scene, recs, dead), notes=notes, moving=moving)
+    if moving:
+        kept = without_object(replayer, kept)
+    return replace(kept, notes=(*kept.notes, *untested_notes(replayer.scene, kept)))
+
+
+def left_out(scene: Scene, recs: Recordings, names: Sequence[str]) -> Recordings:
+    """Return recordings in which joints are held where they were read, and not compared.
+
+    Their commands become the constant that holds them there; their readings end after the first tenth of a second,
+    from which a replay starts.
+    """
+    pairs = paired(scene, recs)
+    if not names or pairs is None:
+        return recs
+    commands, joint = recs.commands.copy(), recs.readings["joint_position"].copy()
+    for name in names:
+        s = pairs.names.index(name)
+        drive, column = pairs.drive, pairs.drive.columns[s]
+        held = np.nanmedian(pairs.joint[..., s], axis=1)
+        commands[..., column] = ((held - drive.offset[s]) / drive.slope[s])[:, None]
+        joint[:, STILL_ROWS:, drive.joints[s]] = np.nan
+    return replace(recs, commands=commands, readings=recs.readings | {"joint_position": joint})

@@ -1,0 +1,282 @@
+"""Commands that do not match the joints: another unit, another order, another sign, another time, or no motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from candata.gap.finding import Finding
+from candata.gap.lagged import Drives, Lagged, at_best, centred, drives, lagged, own_lag
+from candata.gap.recordings import Recordings
+from candata.scenes import Scene
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: A joint is looked for in commands of up to this long before [s]: twice the longest `actuation_delay`.
+REACH_S = 0.3
+#: Squared correlation above which a joint is said to follow a command.
+FOLLOWS = 0.8
+#: Factors between units that people mix up.
+UNITS = {"degrees": 180 / np.pi, "thousandths (mm, mrad)": 1e3, "hundredths (cm, per cent)": 1e2}
+#: A slope this many times off a unit's factor still counts as that unit: servos lag and sag.
+UNIT_WITHIN = 1.3
+#: By how much the squared error must fall, a joint, before a command is called another joint's.
+SWAP_GAIN = 8.0
+#: A joint that moves by less than this share of what the scene's own moves is dead.
+DEAD = 0.05
+#: Constant [rad] between command and joint beyond which it is another zero: the bound of `joint_offset`.
+ZERO_RAD = 0.3
+
+
+@dataclass(frozen=True)
+class Paired:
+    """Recorded joints of the servos beside their commands.
+
+    Attributes
+    ----------
+    drive : Drives
+        S servos.
+    names : tuple of str
+        Joints they drive.
+    target : (E, T, S) float64
+        Where they would rest.
+    joint : (E, T, S) float64
+        What was recorded of these joints, NaN where not seen.
+    found : Lagged
+        Joints against all targets, at lags from 0 up to `REACH_S`.
+    """
+
+    drive: Drives
+    names: tuple[str, ...]
+    target: Array
+    joint: Array
+    found: Lagged
+
+    def own(self, values: Array) -> Array:
+        """Return `(S,)` of values `(L, S, S)`: each joint with its own command at the lag of most correlation."""
+        best = np.abs(self.found.r2()).argmax(0)
+        return np.diag(at_best(values, best))
+
+    @property
+    def quiet(self) -> Array:
+        """`(S,)` spread of each joint's readings from row to row, by second differences (white noise: its sd)."""
+        bend = np.abs(np.diff(self.joint, 2, axis=1)).reshape(-1, self.joint.shape[2])
+        seen = np.isfinite(bend).any(0)
+        out = np.zeros(bend.shape[1])
+        out[seen] = np.nanmedian(bend[:, seen], axis=0) / 0.6745 / np.sqrt(6)
+        return out
+
+
+def paired(scene: Scene, recs: Recordings) -> Paired | None:
+    """Return joints beside commands; None where the scene has no position servos or no joints were recorded."""
+    drive = drives(scene)
+    if not len(drive.joints) or "joint_position" not in recs.readings:
+        return None
+    target, joint = drive.targets(recs.commands), recs.readings["joint_position"][..., drive.joints]
+    lags = np.arange(min(int(REACH_S * scene.file.rate_hz), target.shape[1] // 3) + 1)
+    names = tuple(scene.file.joints[j] for j in drive.joints)
+    return Paired(drive, names, target, joint, lagged(joint, target, lags))
+
+
+def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
+    """Return joints that follow their command at the factor of another unit, or against its sign."""
+    slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
+    follows = (r2 > FOLLOWS) & _moves(p)
+    out = []
+    for unit, factor in UNITS.items():
+        for channel, at in (("action", 1 / factor), ("joint_position", factor)):
+            near = follows & (np.abs(np.log(np.maximum(np.abs(slope), 1e-9) / at)) < np.log(UNIT_WITHIN))
+            if near.any() and (near.sum() >= follows.sum() / 2 or _beyond(scene, p, near, channel)):
+                out.append(_unit(p, near, unit, channel, slope))
+    if not out:
+        out += [_factor(p, f, slope) for f in [follows & (np.abs(slope) > 3)] if f.any()]
+        out += [_reversed(p, f, slope) for f in [follows & (slope < -1 / 3) & (slope > -3)] if f.any()]
+    return out
+
+
+def _moves(p: Paired) -> NDArray[np.bool_]:
+    """Return `(S,)` whether a joint moves within episodes by clearly more than its noise."""
+    return _spread(p.joint) > 5 * p.quiet + 1e-6
+
+
+def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> bool:
+    """Tell whether values of some joints lie more than two ranges of the joint away from it."""
+    limited = some & (scene.model.jnt_limited[scene.joint_ids[p.drive.joints]] > 0)
+    low, high = scene.model.jnt_range[scene.joint_ids[p.drive.joints]].T
+    size = np.nanmax(np.abs(p.target if channel == "action" else p.joint), axis=(0, 1))
+    return bool((limited & (size > 2 * (high - low) + np.maximum(np.abs(low), np.abs(high)))).any())
+
+
+def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> Finding:
+    """Return the finding that a channel is in another unit."""
+    names = _named(p, some)
+    return Finding(
+        "command_unit" if channel == "action" else "joint_unit", True,
+        f"{channel} looks like {unit}", "rad, or m for slides",
+        f"a joint moves by {np.median(slope[some]):.3g} when its command moves by 1 ({_listed(names)})",
+        f"give its unit in map.yaml: `units: {{{channel}: ...}}`", channel, names,
+    )  # fmt: skip
+
+
+def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+    """Return the finding that joints move by a multiple of their commands."""
+    names = _named(p, some)
+    return Finding(
+        "command_unit", True, "commands are not in the joints' unit", "about 1 rad of motion for 1 rad of command",
+        f"{np.median(slope[some]):.3g} ({_listed(names)})", "scale the commands to joint targets in rad (m for slides)",
+        "action", names,
+    )  # fmt: skip
+
+
+def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+    """Return the finding that joints run against their commands."""
+    names = _named(p, some)
+    return Finding(
+        "reversed_commands", True, "joints run against their commands", "one sign for command and joint",
+        f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({_listed(names)})",
+        "turn the sign of the command or of the joint", "action", names,
+    )  # fmt: skip
+
+
+def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
+    """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
+    slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
+    off = np.nan_to_num(p.joint - nominal)
+    shift, nearest = off.mean((0, 1)), np.quantile(np.abs(off), 0.1, axis=(0, 1))
+    hinge = scene.model.jnt_type[scene.joint_ids[p.drive.joints]] == mujoco.mjtJoint.mjJNT_HINGE
+    far = hinge & (nearest > ZERO_RAD)
+    moves = far & (r2 > 0.5) & (slope > 0.5) & (slope < 1.5)
+    out = []
+    for some, definite in ((moves, True), (far & ~moves, False)):
+        names = _named(p, some)
+        if names:
+            out.append(Finding(
+                "zero", definite, "joints stay far from their commands",
+                f"at most {ZERO_RAD:g} rad from where the scene's joints go",
+                ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
+                "give command and joint one zero and one sign", "joint_position", names,
+            ))  # fmt: skip
+    return out
+
+
+def swap_findings(p: Paired) -> list[Finding]:
+    """Return joints that follow each other's commands.
+
+    The assignment of commands to joints with the least sum of log squared errors (Kuhn 1955), in which a joint keeps
+    its own unless another fits `SWAP_GAIN` times better; in each exchange two joints must gain that much, and none may
+    lose a factor of two.
+    """
+    away = np.abs(p.found.mean_q[:, :, None] - p.found.mean_u)
+    error = (p.found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
+    spread = p.found.var_q[0]
+    cost = np.log(np.maximum(error, 0) + (p.quiet**2 + 1e-4 * spread + 1e-10)[:, None])
+    given = np.diag(cost)
+    moved = cost + np.log(SWAP_GAIN) * (1 - np.eye(len(cost)))
+    # A joint without readings has no say.
+    moved[~(p.found.count[0] > 0)] = 0.0
+    _, chosen = linear_sum_assignment(moved)
+    gain = given - cost[np.arange(len(cost)), chosen]
+    out = []
+    for cycle in _cycles(chosen):
+        if (gain[cycle] > np.log(SWAP_GAIN)).sum() > 1 and (gain[cycle] > -np.log(2)).all():
+            pairs = ", ".join(f"{p.names[i]} follows the command of {p.names[chosen[i]]}" for i in cycle)
+            out.append(Finding(
+                "swapped_commands", True, "commands are in another order than the scene's actuators",
+                "each joint follows its own command", pairs,
+                "put the columns of `action` in the order of `actuators` in scene.yaml, or name them", "action",
+                tuple(p.names[i] for i in cycle),
+            ))  # fmt: skip
+    return out
+
+
+def _cycles(chosen: Index) -> list[list[int]]:
+    """Return the cycles of a permutation that are longer than one."""
+    left, out = set(range(len(chosen))), []
+    while left:
+        start = at = left.pop()
+        cycle = [start]
+        while int(chosen[at]) != start:
+            at = int(chosen[at])
+            left.discard(at)
+            cycle.append(at)
+        if len(cycle) > 1:
+            out.append(sorted(cycle))
+    return out
+
+
+def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
+    """Return that nothing moves, where neither commands nor joints nor the object do."""
+    commanded = _spread(p.target) > 1e-3
+    moved = "object_pose" in recs.readings and bool(
+        (np.nanstd(recs.readings["object_pose"][..., :3], axis=1) > 0.005).any()
+    )
+    if commanded.any() or _moves(p).any() or moved:
+        return []
+    return [Finding(
+        "still", False, "nothing moves in these recordings", "commands that move the joints",
+        "constant commands, still joints", "record motions, several of each", "action",
+    )]  # fmt: skip
+
+
+def following_findings(p: Paired, nominal: Array) -> list[Finding]:
+    """Return joints that do not follow their commands, in the recording or in the scene.
+
+    Parameters
+    ----------
+    nominal : (E, T, S) float64
+        What the scene's own joints do under the recorded commands, open loop.
+    """
+    seen = np.isfinite(p.joint)
+    asked, own = (_spread(np.where(seen, v, np.nan)) for v in (p.target, nominal))
+    real = _spread(p.joint)
+    commanded = asked > np.maximum(0.01, 10 * p.quiet)
+    dead = commanded & (own > 0.3 * asked) & (real < np.maximum(DEAD * own, 1.5 * p.quiet))
+    stuck = commanded & (own < 0.1 * asked) & (real > 0.5 * asked)
+    out = []
+    if stuck.any():
+        names = _named(p, stuck)
+        out.append(Finding(
+            "scene_stuck", True, "joints of the scene do not follow their commands",
+            "the scene's joints move as the recorded ones do", f"still: {_listed(names)}",
+            "look at the model: limits, gains, links that collide, equalities", "joint_position", names,
+        ))  # fmt: skip
+    if dead.any():
+        names = _named(p, dead)
+        most = bool(2 * dead.sum() > commanded.sum())
+        out.append(Finding(
+            "dead_joint", most, "recorded joints do not follow their commands", "joints that move when commanded",
+            f"still: {_listed(names)}",
+            "look at motor, wire and encoder" if most else "held where they were read and left out, not identifiable",
+            "joint_position", names,
+        ))  # fmt: skip
+    return out
+
+
+def late(p: Paired, nominal: Array) -> Array:
+    """Return `(S,)` rows by which each recorded joint comes after the scene's own; NaN where it does not follow."""
+    reach = min(max(4, p.found.lags[-1]), p.joint.shape[1] // 4)
+    rows = own_lag(p.joint, nominal, int(reach))
+    return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & _moves(p), rows, np.nan)
+
+
+def _spread(values: Array) -> Array:
+    """Return `(S,)` the standard deviation within episodes of `values (E, T, S)`, 0 where nothing was seen."""
+    own = centred(values)
+    count = np.isfinite(own).sum((0, 1))
+    return np.sqrt(np.nansum(own**2, axis=(0, 1)) / np.maximum(count, 1))
+
+
+def _named(p: Paired, some: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return the names of some joints."""
+    return tuple(n for n, s in zip(p.names, some, strict=True) if s)
+
+
+def _listed(names: Sequence[str], most: int = 6) -> str:
+    """Return names as text, the first few."""
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + rest
