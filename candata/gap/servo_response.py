@@ -1,8 +1,8 @@
 """How each servo answers its command, by one linear model a joint and no simulator: delay, bandwidth, gain.
 
-The model is a pure delay, then a critically damped second-order lag, then a gain: the least that says "late", "slow" and
-"short". Commands are known, so the gain is found in closed form and only two numbers are searched, over all joints at
-once. Offsets belong to each episode and are left out: what is compared is movement, not posture.
+The model is a pure delay, then a critically damped second-order lag, then a gain: the least that says "late", "slow"
+and "short". Commands are known, so the gain is found in closed form and only two numbers are searched, over all joints
+at once. Offsets belong to each episode and are left out: what is compared is movement, not posture.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 #: Parts of a recorded row in which delays are tried, and the longest delay [s].
 PARTS, LONGEST_S = 4, 0.5
 #: Bandwidths that are tried: how many, and their lowest [Hz]; the highest is the Nyquist rate.
-BANDWIDTHS, LOWEST_HZ = 24, 0.4
+BANDWIDTHS, LOWEST_HZ = 36, 0.4
 #: Resamples of the episodes, and the ends of a 90 % interval.
 RESAMPLES, ENDS = 100, (0.05, 0.95)
 #: Parts into which the episodes are cut for the held-out fit.
@@ -44,7 +44,8 @@ class ServoResponse:
     ----------
     joint : str
     lag_s, lag_low_s, lag_high_s : float
-        Delay plus the time constant of the lag, 2 / natural frequency: what a shift of the signals shows; 90 % interval.
+        Delay plus the lag's own, 2 / natural frequency: what a shift of the signals shows; 90 % interval, no finer than
+        the delays that are tried.
     delay_s : float
         Pure delay; with smooth commands it trades against bandwidth.
     bandwidth_hz : float
@@ -183,13 +184,23 @@ def _fits(grid: _Grid, motion: Array, rng: np.random.Generator) -> list[tuple]:
          for _ in range(RESAMPLES)]
     )  # fmt: skip
     low, high = np.quantile(lags, ENDS, axis=0)
+    coarse = (grid.delay_s[1] - grid.delay_s[0]) / 2
     uu, uy, _ = grid.summed(np.ones(count))
     each = np.arange(joints)
     gain = uy[(*best, each)] / np.maximum(uu[(*best, each)], 1e-300)
     r2 = _held_out(grid, rng)
     lag = _lag(grid, *best)
     return [
-        (lag[j], low[j], high[j], grid.delay_s[best[1][j]], grid.natural[best[0][j]], gain[j], r2[j], motion[j])
+        (
+            lag[j],
+            low[j] - coarse,
+            high[j] + coarse,
+            grid.delay_s[best[1][j]],
+            grid.natural[best[0][j]],
+            gain[j],
+            r2[j],
+            motion[j],
+        )
         for j in each
     ]
 

@@ -111,7 +111,8 @@ def write_servo_scene(
 def _check(names: Sequence[str], ranges: Array) -> None:
     """Refuse joints that make no scene."""
     if not names or not all(names) or len(set(names)) < len(names):
-        raise DataError("joints have no names of their own", expected="a name a joint", found=", ".join(names) or "none")
+        found = ", ".join(names) or "none"
+        raise DataError("joints have no names of their own", expected="a name a joint", found=found)
     if np.shape(ranges) != (len(names), 2) or not np.isfinite(ranges).all():
         raise DataError("joint ranges are not finite", expected=f"{len(names)} pairs", found=str(np.shape(ranges)))
 
