@@ -242,6 +242,15 @@ def _judged(
         why = "its command hardly moves"
     elif not r2 > LEAST_R2:
         why = "it does not follow its command"
-    bandwidth = natural * HALF_POWER / (2 * np.pi)
-    numbers = (float(x) for x in (lag, low, high, delay, bandwidth, gain, r2, motion))
-    return ServoResponse(joint, *numbers, why)
+    return ServoResponse(
+        joint=joint,
+        lag_s=float(lag),
+        lag_low_s=float(low),
+        lag_high_s=float(high),
+        delay_s=float(delay),
+        bandwidth_hz=float(natural * HALF_POWER / (2 * np.pi)),
+        gain=float(gain),
+        r2=float(r2),
+        motion=float(motion),
+        why_not=why,
+    )

@@ -116,7 +116,8 @@ def _tosses(scene: Scene, recs: Recordings) -> Starts:
         pose = recs.readings["object_pose"][e, : recs.lengths[e]]
         hinges = recs.readings["joint_position"][e, : recs.lengths[e]] if _has_hinges(scene, recs) else None
         row, free = _before_impact(scene, pose, hinges)
-        flight = np.flatnonzero(np.isfinite(pose[:free]).all(1) & _seen(hinges, free))
+        seen = pose[:free] if hinges is None else np.concatenate([pose[:free], hinges[:free]], axis=1)
+        flight = np.flatnonzero(np.isfinite(seen).all(1))
         if len(flight) < FIT_ROWS:
             raise DataError(
                 "too little of the flight was recorded to know how the toss begins",
@@ -204,11 +205,6 @@ def support_height(scene: Scene) -> float:
 def _has_hinges(scene: Scene, recs: Recordings) -> bool:
     """Tell whether the object has joints of its own that were recorded."""
     return len(scene.joint_ids) > 0 and "joint_position" in recs.readings
-
-
-def _seen(hinges: Array | None, count: int) -> NDArray[np.bool_] | bool:
-    """Tell in which of the first rows all joints were seen."""
-    return True if hinges is None else np.isfinite(hinges[:count]).all(1)
 
 
 def _before_impact(scene: Scene, pose: Array, hinges: Array | None) -> tuple[int, int]:

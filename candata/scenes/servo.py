@@ -133,6 +133,6 @@ def servo_model(names: Sequence[str], ranges: Array, rate_hz: float, natural_hz:
         span = f"{low - room:.6g} {high + room:.6g}"
         ElementTree.SubElement(body, "joint", name=name, type="hinge", axis="0 0 1", range=span, limited="false")
         ElementTree.SubElement(body, "inertial", pos="0 0 0", mass="0.1", diaginertia=inertia)
-        ElementTree.SubElement(drives, "position", name=name, joint=name, ctrllimited="false", **gains)
+        ElementTree.SubElement(drives, "position", {"name": name, "joint": name, "ctrllimited": "false", **gains})
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

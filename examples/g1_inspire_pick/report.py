@@ -43,9 +43,8 @@ def main() -> None:
     if given.json:
         print(json.dumps([asdict(f) | {"identifiable": f.identifiable} for f in found], indent=1))
         return
-    print(
-        f"{'joint':24}{'moves':>8}{'lag, s':>7} {'90 %':15}{'rows':>5}{'delay, s':>9}{'band, Hz':>9}{'gain':>7}{'R2':>8}"
-    )
+    units = f"{'delay, s':>9}{'band, Hz':>9}{'gain':>7}{'R2':>8}"
+    print(f"{'joint':24}{'moves':>8}{'lag, s':>7} {'90 %':15}{'rows':>5}{units}")
     for one in found:
         print(line(one, scene.file.rate_hz))
 

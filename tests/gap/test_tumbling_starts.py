@@ -46,13 +46,13 @@ def test_the_start_is_the_true_state(elbow, thrown):
     each = np.arange(COUNT)
     assert (found.rows > 15).all()  # 0.35 m of fall last longer than 0.1 s
     true_q, true_v = played.qpos[each, found.rows], played.qvel[each, found.rows]
-    # Rates are means over seven rows on both sides (0.05 s); a constant change cancels, its own change does not.
+    # Rates are means over seven rows on both sides (0.05 s): a constant change cancels, what remains is small.
     np.testing.assert_allclose(found.qpos[:, :3], true_q[:, :3], atol=5e-4)
-    assert np.linalg.norm(difference(found.qpos[:, 3:7], true_q[:, 3:7]), axis=1).max() < 0.02
-    np.testing.assert_allclose(found.qpos[:, 7], true_q[:, 7], atol=0.02)
-    np.testing.assert_allclose(found.qvel[:, :3], true_v[:, :3], atol=0.05)
-    np.testing.assert_allclose(found.qvel[:, 3:6], true_v[:, 3:6], atol=0.5)
-    np.testing.assert_allclose(found.qvel[:, 6], true_v[:, 6], atol=0.5)
+    assert np.linalg.norm(difference(found.qpos[:, 3:7], true_q[:, 3:7]), axis=1).max() < 0.005
+    np.testing.assert_allclose(found.qpos[:, 7], true_q[:, 7], atol=0.005)
+    np.testing.assert_allclose(found.qvel[:, :3], true_v[:, :3], atol=0.01)
+    np.testing.assert_allclose(found.qvel[:, 3:6], true_v[:, 3:6], atol=0.05)
+    np.testing.assert_allclose(found.qvel[:, 6], true_v[:, 6], atol=0.05)
 
 
 def test_a_parabola_of_the_frame_would_be_wrong(elbow, thrown):
@@ -61,7 +61,7 @@ def test_a_parabola_of_the_frame_would_be_wrong(elbow, thrown):
     alone = replace(recs, readings={"object_pose": recs.readings["object_pose"]})
     found, each = starts(elbow, alone), np.arange(COUNT)
     miss = np.abs(found.qvel[:, :3] - played.qvel[each, found.rows][:, :3]).max()
-    assert miss > 0.1
+    assert miss > 0.03  # the mass centre's own fit stays below 0.01
 
 
 def test_the_reach_counts_the_links(elbow):
@@ -70,7 +70,7 @@ def test_the_reach_counts_the_links(elbow):
 
 
 def test_rows_without_the_hinge_are_left_out(elbow, thrown):
-    recs, played = thrown
+    recs, _ = thrown
     gappy = replace(recs, readings={n: v.copy() for n, v in recs.readings.items()})
     gappy.readings["joint_position"][:, 3:5] = np.nan
     found = starts(elbow, gappy)
