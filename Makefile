@@ -39,6 +39,7 @@ format: $(VENV)/dev.stamp
 
 bench: $(VENV)/test.stamp
 	@set -e; for file in benchmarks/[a-z]*.py; do echo "== $$file"; $(BIN)/python $$file; done
+	$(BIN)/candata gap bench --out out/bench
 
 schemas: $(VENV)/core.stamp
 	$(BIN)/python -m candata.schema.export schemas

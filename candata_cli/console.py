@@ -11,6 +11,16 @@ from typing import Any
 import typer
 
 
+def group(app: typer.Typer, name: str, about: str) -> typer.Typer:
+    """Return the command group `name` of the application, added if no file has added it yet."""
+    for info in app.registered_groups:
+        if info.name == name and info.typer_instance is not None:
+            return info.typer_instance
+    made = typer.Typer(help=about, no_args_is_help=True)
+    app.add_typer(made, name=name)
+    return made
+
+
 def out(text: str) -> None:
     """Print a line of data to stdout."""
     typer.echo(text)

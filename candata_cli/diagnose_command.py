@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from candata.datasets import Dataset
+    from candata.gap import Diagnosis
+    from candata.scenes import Scene
 
 VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data")
 
@@ -26,6 +33,10 @@ def diagnose(
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
+    edit: Annotated[
+        Path | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
+    ] = None,
+    edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
@@ -42,7 +53,12 @@ def diagnose(
             raise UnknownNameError("verdict", word, VERDICTS)
     if out.exists() and not out.is_dir():
         raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
+    if edit_scene is not None and edit is None:
+        raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
     world = load_scene(scene)
+    other = None if edit is None else (open_dataset(edit), load_scene(edit_scene) if edit_scene else world)
+    if other is not None:
+        _check_edit(*other)
     with console.stages() as stage:
         found = run(
             open_dataset(dataset, int(version) if version and version.isdigit() else version),
@@ -53,7 +69,34 @@ def diagnose(
         )
         stage("writing the report")
         page = write_diagnosis(found, world, out)
+        if other is not None and found.effects.effects:
+            found = _edited(found, *other, jobs, seed, stage)
+            page = write_diagnosis(found, world, out)
+    if other is not None and not found.effects.effects:
+        console.note("no effect is named, so there is nothing to test on --edit")
     console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
     console.note(f"report: {page}")
     if found.report.verdict in refused:
         raise typer.Exit(1)
+
+
+def _check_edit(dataset: Dataset, scene: Scene) -> None:
+    """Refuse recordings that do not fit their scene before the long work begins."""
+    from candata.gap.edit import readable
+
+    readable(dataset, scene)
+
+
+def _edited(
+    found: Diagnosis, dataset: Dataset, scene: Scene, jobs: int, seed: int, stage: Callable[[str], None]
+) -> Diagnosis:
+    """Return the diagnosis with its edit test; its report stands already, should this fail."""
+    from dataclasses import replace
+
+    from candata.gap.edit import edit_test
+
+    size = found.report.gap
+    reference = size.closed if size is not None and size.closed is not None else 1.0
+    some = found.effects.effects
+    test = edit_test(dataset, scene, some, reference=reference, jobs=jobs, seed=seed, progress=stage)
+    return replace(found, report=found.report.model_copy(update={"edit": test}))

@@ -44,11 +44,12 @@ def generate_sim(
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
     file holds all three.
     """
+    from candata.effects import read_effects
     from candata.simulate.generate import Withheld, generate
     from candata_cli.console import note, progress
     from candata_cli.console import out as say
 
-    given = _effects(effects)
+    given = read_effects(effects) if effects else None
     hidden = None
     if withhold is not None:
         hidden = Withheld(withhold, seal or out.with_name(f"{out.name}.seal.json"), salt)
@@ -64,30 +65,13 @@ def generate_sim(
     say(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
 
 
-def _effects(path: Path | None) -> EffectsFile | None:
-    """Return the effects file, checked."""
-    import yaml
-
-    from candata.errors import UsageError, Where
-    from candata.schema.effect import EffectsFile
-
-    if path is None:
-        return None
-    try:
-        return EffectsFile.parse(yaml.safe_load(path.read_text()), path)
-    except OSError as error:
-        raise UsageError(f"no effects file: {error.strerror}", where=Where(path=str(path))) from None
-    except yaml.YAMLError as error:
-        raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
-
-
 def _scene(asked: str | None, given: EffectsFile | None, path: Path | None) -> str:
-    """Return the scene asked for, else the one of the effects file, which may lie beside it."""
+    """Return the scene asked for, else the one of the effects file."""
+    from candata.effects import scene_of
     from candata.errors import UsageError
 
     if asked is not None:
         return asked
-    if given is None or given.scene is None or path is None:
+    if given is None or path is None:
         raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")
-    beside = path.parent / given.scene
-    return str(beside) if not Path(given.scene).is_file() and beside.is_file() else given.scene
+    return scene_of(given, path)

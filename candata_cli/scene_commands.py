@@ -1,4 +1,4 @@
-"""Commands on scenes: scene list, scene show, scene servo."""
+"""Commands on scenes: scene list, scene show, scene servo, scene export."""
 
 from __future__ import annotations
 
@@ -8,8 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
+    from candata.repair import Exported, SysidExport
+    from candata.scenes import Scene
     from candata.scenes.roles import JointRole, Roles
+    from candata.schema.effect import EffectsFile
 
+TARGETS = ("mjcf", "mujoco-sysid")
+_EXPORT = "Example: candata scene export --effects out/report/effects.yaml --out out/repaired"
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 _SERVO_EXAMPLE = """\b
 Example:
@@ -19,10 +24,11 @@ Example:
 
 def register(app: typer.Typer) -> None:
     """Add the group `scene` to the application."""
-    group = typer.Typer(help="Look at scenes: a model and the roles of its parts.", no_args_is_help=True)
+    group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
     group.command("list")(list_)
     group.command("show")(show)
     group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
+    group.command("export", epilog=_EXPORT)(export)
     app.add_typer(group, name="scene")
 
 
@@ -81,6 +87,87 @@ def servo(
     names, ranges, rate_hz = servo_joints(open_dataset(dataset).episodes())
     written = write_servo_scene(out, names, ranges, rate_hz, natural_hz, noise)
     say(f"{written}: {len(names)} joints, {rate_hz:g} Hz")
+
+
+def export(
+    effects: Annotated[Path, typer.Option("--effects", metavar="FILE", help="The repaired simulator: effects.yaml.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write; it must not exist.")],
+    scene: Annotated[
+        str | None, typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects.")
+    ] = None,
+    to: Annotated[str, typer.Option("--to", help=f"What to write: {', '.join(TARGETS)}.")] = "mjcf",
+    dataset: Annotated[
+        Path | None, typer.Option("--dataset", metavar="DATASET", help="Recordings, for mujoco-sysid.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Write the repaired simulator as MJCF, or parameters and sequences for mujoco.sysid.
+
+    Of your own MJCF only the attributes that an effect changes are touched; changes.diff shows them. What MJCF
+    cannot hold is listed with where to apply it instead.
+    """
+    from candata.effects import read_effects, scene_of
+    from candata.errors import UnknownNameError, UsageError
+    from candata.scenes import load_scene
+    from candata_cli.console import note, out_json
+
+    if to not in TARGETS:
+        raise UnknownNameError("target", to, TARGETS)
+    if (dataset is not None) != (to == "mujoco-sysid"):
+        raise UsageError("--dataset and --to mujoco-sysid go together", fix="give both, or neither")
+    given = read_effects(effects)
+    world = load_scene(scene or scene_of(given, effects))
+    if scene is not None:
+        _note_other(given, effects, world.digest)
+    found = _exported(given, world, dataset, out)
+    if json:
+        out_json(found.model_dump(mode="json"))
+    else:
+        _print_export(found)
+    note(f"written: {out}")
+
+
+def _exported(given: EffectsFile, world: Scene, dataset: Path | None, out: Path) -> Exported | SysidExport:
+    """Write what was asked for."""
+    from candata.datasets import open_dataset
+    from candata.repair import export_mjcf, export_sysid
+
+    if dataset is None:
+        return export_mjcf(world, given.effects, out)
+    return export_sysid(world, given.effects, open_dataset(dataset), out)
+
+
+def _note_other(given: EffectsFile, path: Path, digest: str) -> None:
+    """Say that the effects were found in another scene, where that one can still be read."""
+    from candata.effects import scene_of
+    from candata.errors import CandataError
+    from candata.scenes import load_scene
+    from candata_cli.console import note
+
+    if given.scene is None:
+        return
+    try:
+        same = load_scene(scene_of(given, path)).digest == digest
+    except CandataError:
+        same = False
+    if not same:
+        note(f"{path.name} was made for another scene: {given.scene}")
+
+
+def _print_export(found: Exported | SysidExport) -> None:
+    """Print an export for people."""
+    from candata_cli.console import out, out_table
+
+    out(found.headline)
+    if found.changes:
+        out("")
+        out_table(("where", "element", "attribute", "before", "after"), [c.cells for c in found.changes])
+    if found.left:
+        out("")
+        out("not in it:")
+        for entry in found.left:
+            out(f"  {entry.label}: {entry.why}")
+            out(f"    {entry.apply}")
 
 
 def _print(found: Roles) -> None:

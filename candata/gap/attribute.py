@@ -8,32 +8,32 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, first_probes, local_candidates
+from candata.gap.candidates import Candidate, candidates, local_candidates
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
 from candata.gap.local import promising
 from candata.gap.refine import joint, polished, refined
-from candata.gap.replay import replay_all
-from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score, score
+from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.sparse import sparse
 
 Array = NDArray[np.float64]
-#: A candidate whose probes move residuals by less than this (RMS, in units of the floor) cannot be seen here.
-LIVELY = 0.05
 #: Largest number of effects in a set.
 LARGEST_SET = 3
 #: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
 PLAIN = 3.0
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
-MATTERS = 0.05
+MATTERS = 0.02
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
+#: Share of the best gain above which another effect's fit is sharpened too before the two are compared, and how many.
+NEAR, RIVALS = 0.85, 2
 #: Null replays of each episode around an accepted set.
-NULLS_AGAIN = 12
+NULLS_AGAIN = 4
 #: Nominal replays from other starts, which show how much of a loss is luck.
-STARTS = 7
+STARTS = 3
 
 
 @dataclass(frozen=True)
@@ -108,25 +108,24 @@ class Attribution:
     remains: bool
 
 
-def attribute(problem: Problem, nominal: Compact) -> Attribution:
+def attribute(problem: Problem) -> Attribution:
     """Return the effects that explain the gap, by forward selection on held-out episodes.
 
-    Parameters
-    ----------
-    problem : Problem
-    nominal : (E, K) float32
-        Normalised residuals of the nominal scene.
+    What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere.
     """
+    nominal = problem.nominal
     first = _stage(problem, nominal, ())
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
     first = _narrowed(problem, nominal, first)
-    best = polished(problem, _simplest(first.fits[0], first.fits), first.base)
-    first = replace(first, fits=(best, *(f for f in first.fits if f.members[0][0] is not best.members[0][0])))
+    first = _sharpened(problem, first)
+    best = first.fits[0]
     tied = tied_with(best, first.fits)
     chosen, world, remains = _forward(problem, best, grow=len(tied) == 1)
+    if remains and len(tied) == 1:
+        chosen, world, remains = _jointly(world, chosen)
     return Attribution(first, chosen, tuple(tied), world.score, remains)
 
 
@@ -136,8 +135,8 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     taken = {c.name for c, _ in held}
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken]
     base, luck = _base(problem, here, held)
-    responses, dead = _respond(problem, here, found, held)
-    responses += _respond(problem, here, promising(problem, here, responses, base), held)[0]
+    responses, dead = respond(problem, here, found)
+    responses += respond(problem, here, promising(problem, here, responses, base))[0]
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     found_fits = refined(problem, _fits(problem, responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
@@ -152,10 +151,21 @@ def _narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
     """Return the stage with the best fit's effect tried on each of its elements alone: the fault may be one joint's."""
     known = {f.labels[0] for f in stage.fits}
     variants = local_candidates(stage.fits[0].members[0][0], problem.replayer.scene)
-    responses, _ = _respond(problem, here, [v for v in variants if v.label not in known], ())
+    responses, _ = respond(problem, here, [v for v in variants if v.label not in known])
     found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
     fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
     return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
+
+
+def _sharpened(problem: Problem, stage: Stage) -> Stage:
+    """Return the stage with the best fit and its nearest rivals at their sharpest: only then are they compared."""
+    best = _simplest(stage.fits[0], stage.fits)
+    name = best.members[0][0].name
+    others = [f for f in stage.fits if f.members[0][0].name != name and f.gain > NEAR * best.gain]
+    front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
+    labels = {f.labels[0] for f in front}
+    front.sort(key=lambda f: -f.gain)
+    return replace(stage, fits=(*front, *(f for f in stage.fits if f.labels[0] not in labels)))
 
 
 def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
@@ -166,39 +176,6 @@ def _base(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]
     losses += [problem.score.loss(problem.residuals([world], begin)[0]) for begin in others]
     base = np.median(losses, axis=0)
     return base, base - np.stack(losses)
-
-
-def _respond(
-    problem: Problem, nominal: Compact, found: Sequence[Candidate], held: Members
-) -> tuple[list[tuple[Candidate, Curve | Plane]], list[str]]:
-    """Return responses to first probes of every candidate on top of `held`, and the labels of dead ones."""
-    scene = problem.replayer.scene
-    points = {c.label: first_probes(c, scene) for c in found}
-    flat = [(c, u) for c in found for u in points[c.label]]
-    zs = problem.residuals([problem.setting((*held, (c, u))) for c, u in flat])
-    out: list[tuple[Candidate, Curve | Plane]] = []
-    dead = []
-    for c in found:
-        mine = [(u, z) for (owner, u), z in zip(flat, zs, strict=True) if owner is c]
-        moved = max(float(np.sqrt(((z - nominal)[problem.score.mask] ** 2).mean())) for _, z in mine)
-        if moved < LIVELY:
-            dead.append(c.label)
-            continue
-        out.append((c, _first_response(c, nominal, mine)))
-    return out, dead
-
-
-def _first_response(c: Candidate, nominal: Compact, mine: list[tuple[Array, Compact]]) -> Curve | Plane:
-    """Return the response through the first probes: a curve for a scalar, a plane of secants for a vector."""
-    if c.size == 1:
-        start = Curve(c, c.neutral, nominal[None])
-        return start.with_probes(np.concatenate([u for u, _ in mine]), np.stack([z for _, z in mine]))
-    slope = []
-    for i in range(c.size):
-        pair = sorted(((u[i] - c.neutral[i], z) for u, z in mine if u[i] != c.neutral[i]), key=lambda p: p[0])
-        (a, low), (b, high) = pair[0], pair[-1]
-        slope.append((high - low) / np.float32(b - a) if a != b else (high - nominal) / np.float32(b))
-    return Plane(c.low, c.high, c.neutral, nominal, np.stack(slope))
 
 
 def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:
@@ -233,7 +210,7 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes.
     """
     while True:
-        world, best, nominal = _rescored(problem, best)
+        world, best = _rescored(problem, best)
         remains = bool(best.evidence.loss.mean() > null_level(world.score, world.rng))
         if not remains or not grow or len(best.members) == LARGEST_SET:
             return best, world, remains
@@ -241,10 +218,20 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
         added = _stage(world, here, best.members).passing()
         if added is None:
             return best, world, remains
-        grown = joint(world, (*best.members, added.members[0]), world.score.loss(nominal))
+        grown = joint(world, (*best.members, added.members[0]), world.score.loss(world.nominal))
         if not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             return best, world, remains
         problem, best = world, grown
+
+
+def _jointly(problem: Problem, best: Fit) -> tuple[Fit, Problem, bool]:
+    """Return the joint fit over all effects where it closes clearly more than `best`, which is returned otherwise."""
+    base = problem.score.loss(problem.nominal)
+    found = sparse(problem, best, base)
+    if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
+        return best, problem, True
+    world, found = _rescored(problem, found)
+    return found, world, bool(found.evidence.loss.mean() > null_level(world.score, world.rng))
 
 
 def _worth_adding(extra: Array, so_far: float) -> bool:
@@ -253,17 +240,15 @@ def _worth_adding(extra: Array, so_far: float) -> bool:
     return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
 
 
-def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit, Compact]:
-    """Return problem, fit and nominal residuals in units of the floor of the fitted world."""
+def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
+    """Return problem and fit in units of the floor of the fitted world."""
     world = problem.setting(best.members)
     spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
-    raw = residual(problem.recs, problem.plan, replay_all(problem.replayer, problem.recs, problem.begin, [()])[0])
-    new = replace(problem, score=score(raw, spread, problem.plan))
+    new = replace(problem, score=score(problem.raw, spread, problem.plan))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)
-    nominal = new.score.normal(raw)
-    evidence = cross_fit(response, new.score, new.parts, new.score.loss(nominal))
-    return new, replace(best, response=response, evidence=evidence), nominal
+    evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
+    return new, replace(best, response=response, evidence=evidence)
 
 
 def standard_error(values: Array) -> float:

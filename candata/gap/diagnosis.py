@@ -14,9 +14,11 @@ from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
+from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
-from candata.gap.floor import floor
+from candata.gap.exhibits import collinearity, elements, ranges
+from candata.gap.floor import floor, sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.recordings import Recordings, recordings
@@ -34,6 +36,7 @@ from candata.gap.shrink import (
     shares,
     support,
 )
+from candata.gap.signatures import library
 from candata.gap.starts import starts
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.scenes import Scene
@@ -52,8 +55,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 #: Episodes on which effects are searched; what a larger dataset holds beyond is left untouched until the end.
 SEARCHED = 64
-#: Null replays of each untouched episode.
-REST_REPLICAS = 4
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,13 @@ class Diagnosis:
 
 
 def diagnose(
-    dataset: Dataset, scene: Scene, *, jobs: int = 1, seed: int = 0, progress: Progress = lambda stage: None
+    dataset: Dataset,
+    scene: Scene,
+    *,
+    jobs: int = 1,
+    seed: int = 0,
+    cache: Path | None = None,
+    progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
 
@@ -88,6 +95,8 @@ def diagnose(
         Threads that step simulations; the result does not depend on it.
     seed : int
         Seed of folds, null replays and resamples.
+    cache : Path, optional
+        Folder in which signatures are kept for the next diagnosis of the same commands; none are kept by default.
     progress : callable
         Called with the name of each stage.
 
@@ -106,47 +115,43 @@ def diagnose(
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
     replayer = Replayer(scene, jobs)
-    problem, nominal = _problem(replayer, everything.take(searched), rng, progress)
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress)
     progress("searching effects")
-    found = attribute(problem, nominal)
+    found = attribute(problem)
     progress("measuring on held-out episodes")
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
-    return _concluded(_Findings(dataset, scene, problem, nominal, found, world, held, len(everything)), rng)
+    return _concluded(_Findings(dataset, scene, problem, found, world, held, len(everything)), rng)
 
 
 def _problem(
-    replayer: Replayer, recs: Recordings, rng: np.random.Generator, progress: Progress
-) -> tuple[Problem, NDArray[np.float32]]:
-    """Return the search problem and the normalised residuals of the nominal scene."""
+    replayer: Replayer, recs: Recordings, rng: np.random.Generator, cache: Path | None, progress: Progress
+) -> Problem:
+    """Return the search problem."""
     progress("replaying the nominal scene")
     begin = starts(replayer.scene, recs)
     readings = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
-    spread = floor(replayer, recs, begin, plan, rng)
-    level = score(raw, spread, plan)
+    shelf = library(replayer, recs, begin, plan, cache)
+    kind, noise = sensor_noise(replayer.scene.file.noise, recs)
+    level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, spread.noise, spread.kind, rng), level.normal(raw)
+    return Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
     """Return the problem and the evidence on episodes that took no part in the search."""
-    replayer = problem.replayer
-    begin = starts(replayer.scene, recs)
     world = problem.setting(fit.members) if fit else ()
-    before, after = replay_all(replayer, recs, begin, [(), world])
-    plan = layout(replayer.scene, recs, begin, before)
-    raw = residual(recs, plan, before)
-    level = score(raw, floor(replayer, recs, begin, plan, problem.rng, REST_REPLICAS, world), plan)
-    sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
+    r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
-    new = replace(problem, recs=recs, begin=begin, plan=plan, score=level)
-    return new, HeldOut(recs, before, after, sizes[0], sizes[1], points)
+    raw = residual(recs, r.plan, r.before)
+    new = replace(problem, recs=recs, begin=r.begin, plan=r.plan, score=r.score, before=r.before, raw=raw)
+    return new, HeldOut(recs, r.before, r.after, r.size_before, r.size_after, points)
 
 
 @dataclass(frozen=True)
@@ -156,7 +161,6 @@ class _Findings:
     dataset: Dataset
     scene: Scene
     problem: Problem
-    nominal: NDArray[np.float32]
     found: Attribution
     world: Problem
     held: HeldOut
@@ -168,7 +172,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     chosen = f.found.chosen
     size = gap(f.held.size_before, f.held.size_after, rng, gap_left=chosen is not None or f.found.remains)
     word = verdict(f.found, size)
-    heat = locate(f.problem.plan, f.problem.score, f.nominal, rng)
+    heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     left = where
     if word == "partly_explained":
@@ -197,7 +201,15 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         *(np.quantile(f.world.score.size(f.world.score.null), q, axis=0) for q in (0.05, 0.95)),
     )
     shown = example(f.world, f.held, chosen if named else None)
-    return Diagnosis(report, Evidence(heat, shown, losses), EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
+    evidence = Evidence(
+        heat,
+        shown,
+        losses,
+        elements(f.world, f.held, bool(named)),
+        collinearity(f.found.first.fits),
+        ranges(named, f.scene),
+    )
+    return Diagnosis(report, evidence, EffectsFile(scene=_lasting(f.scene.name), effects=repaired))
 
 
 def _lasting(name: str) -> str:

@@ -54,14 +54,14 @@ def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool
         channel, element, unit = problem.plan.columns[column]
         first = next(c for c, (ch, _, _) in enumerate(problem.plan.columns) if ch == channel)
         real, before, after = (
-            _element(source, channel, column - first, held.recs.readings, e)[rows]
+            element_values(source, channel, column - first, held.recs.readings, e)[rows]
             for source in (held.recs.readings, held.before, held.after)
         )
         out.append(Trace(channel, element, unit, real, before, after if repaired else None))
     return tuple(out)
 
 
-def _element(source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int) -> Array:
+def element_values(source: dict[str, Array], channel: str, column: int, recorded: dict[str, Array], e: int) -> Array:
     """Return `(T,)` one element; rotations as the turn from the first recorded attitude."""
     values = source[channel][e]
     if channel == "object_pose" and column >= 3:

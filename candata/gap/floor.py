@@ -100,7 +100,7 @@ def null_recordings(
     world: EffectSet = (),
 ) -> Recordings:
     """Return R x E recordings of a world on the same commands, starting near the recorded starts."""
-    worlds = min(WORLDS, replicas)
+    worlds = min(WORLDS, max(1, replicas // 2))
     true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
     qpos, qvel = true.qpos0, true.qvel0
     played = rollout(
@@ -178,11 +178,30 @@ def floor(
         Effects both in the null recordings and in their replays.
     """
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
+    return spread(kind, noise, plan, null_residuals(replayer, recs, begin, plan, noise, rng, replicas, world))
+
+
+def null_residuals(
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    plan: Layout,
+    noise: Noise,
+    rng: np.random.Generator,
+    replicas: int = REPLICAS,
+    world: EffectSet = (),
+) -> Array:
+    """Return the residuals `(R, E, B, D)` of null recordings under their replay; parameters as in `floor`."""
     nulls = null_recordings(replayer, recs, begin, noise, rng, replicas, world)
     readings = replay(replayer, nulls, starts(replayer.scene, nulls), [world])[0]
     wide = replace(plan, phase=np.concatenate([plan.phase] * replicas))
-    null = residual(nulls, wide, readings).reshape(replicas, len(recs), *plan.phase.shape[1:], -1)
-    return Floor(kind, _sigma(plan, null, smallest(plan, noise)), null, noise)
+    return residual(nulls, wide, readings).reshape(replicas, len(recs), *plan.phase.shape[1:], -1)
+
+
+def spread(kind: FloorKind, noise: Noise, plan: Layout, null: Array) -> Floor:
+    """Return the floor of null residuals `(R, E, B, D)`; those outside the plan's phases do not count."""
+    seen = np.where((plan.phase >= 0)[..., None], null, np.nan)
+    return Floor(kind, _sigma(plan, seen, smallest(plan, noise)), seen, noise)
 
 
 def smallest(plan: Layout, noise: Noise) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,8 @@ FOLDS = 4
 #: Simulated points among which a vector's fit takes the best over all episodes, held-out ones included: its luck is
 #: the best of as many draws.
 TRIALS = 8
+#: Null replays of each episode that are read along every response.
+NULLS_READ = 8
 #: Null sets from which the threshold is taken, and its quantile.
 NULL_SETS, NULL_QUANTILE = 240, 0.99
 
@@ -77,6 +79,7 @@ def null_threshold(
     luck : (J, E) float64
         Gain of nominal replays from other starts over the typical one, in floors.
     """
+    score = replace(score, null=score.null[:NULLS_READ], null_loss=score.null_loss[:NULLS_READ])
     tables = [_null_tables(r, score) if isinstance(r, Curve) else null_quadratic(r, score) for r in responses]
     best = np.zeros(NULL_SETS)
     episodes = np.arange(score.null.shape[1])

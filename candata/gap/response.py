@@ -24,27 +24,52 @@ SCALES = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Curve:
-    """Response of a scalar or a choice: residuals at its probes, linear in between.
+    """Response of a scalar or a choice: residuals at points along it, linear in between.
 
     Attributes
     ----------
     who : Candidate
     at : (m,) float64
-        Probe coordinates, rising; the neutral one among them.
+        Coordinates of the points, rising; the neutral one among them.
     z : (m, E, K) float32
         Normalised residuals there.
+    sure : (m,) bool
+        Points that were simulated on the recording itself; the others come from signatures.
     """
 
     who: Candidate
     at: Array
     z: Compact
+    sure: NDArray[np.bool_]
 
-    def with_probes(self, at: Array, z: Compact) -> Curve:
-        """Return the curve with more probes; one that stands already is replaced."""
+    def with_probes(self, at: Array, z: Compact, sure: bool = True) -> Curve:
+        """Return the curve with more points; one that stands already is replaced.
+
+        What a simulation on the recording says against the signatures is taken to grow evenly from one such point to
+        the next, and to stay beyond the last.
+        """
+        mine = self._corrected(at, z) if sure and not self.who.choices else self.z
         keep = ~np.isin(np.round(self.at, 12), np.round(at, 12))
-        at, z = np.concatenate([self.at[keep], at]), np.concatenate([self.z[keep], z])
-        order = np.argsort(at)
-        return replace(self, at=at[order], z=z[order])
+        points = np.concatenate([self.at[keep], at])
+        order = np.argsort(points)
+        joined = np.concatenate([mine[keep], z])[order]
+        return replace(self, at=points[order], z=joined, sure=np.append(self.sure[keep], np.full(len(at), sure))[order])
+
+    def _corrected(self, at: Array, z: Compact) -> Compact:
+        """Return `(m, E, K)` residuals with the error seen at new points spread over those that are not sure."""
+        knots = np.concatenate([self.at[self.sure], at])
+        error = np.stack([new - self.read(np.array([u])) for u, new in zip(at, z, strict=True)])
+        order = np.argsort(knots)
+        known = np.concatenate([np.zeros((int(self.sure.sum()), *error.shape[1:]), np.float32), error])[order]
+        out = self.z.copy()
+        for i in np.flatnonzero(~self.sure):
+            shares = [np.interp(self.at[i], knots[order], unit) for unit in np.eye(len(knots))]
+            out[i] += np.tensordot(np.array(shares, np.float32), known, 1)
+        return out
+
+    def nearest_sure(self, u: Array) -> float:
+        """Return how far from `u (1,)` the nearest point lies that was simulated on the recording."""
+        return float(np.abs(self.at[self.sure] - u[0]).min())
 
     def rescaled(self, factor: Compact) -> Curve:
         """Return the curve with residuals times `factor (E, K)`: another floor's units."""

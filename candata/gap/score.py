@@ -43,10 +43,10 @@ class Score:
     null_loss: Array
     group: NDArray[np.int64]
 
-    def normal(self, residual: Array) -> Compact:
+    def normal(self, residual: Array | Compact) -> Compact:
         """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
-        flat = residual.reshape(len(residual), -1)
-        return np.where(self.mask, np.nan_to_num(flat) / self.sigma, 0.0).astype(np.float32)
+        flat = np.nan_to_num(residual.reshape(len(residual), -1)).astype(np.float32)
+        return np.where(self.mask, flat / self.sigma, np.float32(0))
 
     def loss(self, z: Compact) -> Array:
         """Return `(..., E)` the mean Student-t loss of each episode over its floor; z is `(..., E, K)`."""

@@ -16,6 +16,7 @@ from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
+from candata.gap.signatures import Library
 from candata.gap.starts import Starts
 from candata.schema.scene import Noise
 
@@ -26,7 +27,7 @@ Members = tuple[tuple[Candidate, Array], ...]
 
 @dataclass(frozen=True)
 class Problem:
-    """What every step of the attribution needs."""
+    """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals."""
 
     replayer: Replayer
     recs: Recordings
@@ -37,11 +38,23 @@ class Problem:
     noise: Noise
     floor_kind: FloorKind
     rng: np.random.Generator
+    library: Library
+    before: dict[str, Array]
+    raw: Array
+
+    @property
+    def nominal(self) -> Compact:
+        """Normalised residuals `(E, K)` of the nominal scene."""
+        return self.score.normal(self.raw)
 
     def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
         found = replay_all(self.replayer, self.recs, begin or self.begin, variants)
         return [self.score.normal(residual(self.recs, self.plan, r)) for r in found]
+
+    def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
+        """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene."""
+        return [self.score.normal(s) for s in self.library.signatures([self.setting([point]) for point in points])]
 
     def setting(self, members: Sequence[tuple[Candidate, Array]]) -> EffectSet:
         """Return the effect settings of candidates at coordinates."""
@@ -75,6 +88,20 @@ class Fit:
     def labels(self) -> tuple[str, ...]:
         """Labels of the members."""
         return tuple(c.label for c, _ in self.members)
+
+    @property
+    def curve(self) -> Curve:
+        """The response of a scalar."""
+        if not isinstance(self.response, Curve):
+            raise TypeError(f"{self.labels} has no curve")
+        return self.response
+
+    @property
+    def plane(self) -> Plane:
+        """The response of a vector or of a set."""
+        if not isinstance(self.response, Plane):
+            raise TypeError(f"{self.labels} has no plane")
+        return self.response
 
     def split(self, u: Array) -> Members:
         """Return the members at stacked coordinates `u (d,)`."""

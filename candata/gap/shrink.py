@@ -50,8 +50,8 @@ class HeldOut:
 
 def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
     """Return every episode replayed with what was fitted without it (cross-fitting), by rollouts."""
-    before = replay_all(problem.replayer, problem.recs, problem.begin, [()])[0]
-    size_before = problem.score.size(problem.score.normal(residual(problem.recs, problem.plan, before)))
+    before = problem.before
+    size_before = problem.score.size(problem.nominal)
     if fit is None:
         return HeldOut(problem.recs, before, before, size_before, size_before, np.zeros((len(problem.recs), 0)))
     after = {n: v.copy() for n, v in before.items()}

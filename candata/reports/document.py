@@ -6,10 +6,10 @@ import json
 from html import escape
 from typing import Any
 
-from candata.reports.style import SCRIPT, STYLE
+from candata.reports.style import PLOTLY_SCRIPT, SCRIPT, STYLE
 
 
-def document(title: str, tone: str, body: str, specs: dict[str, dict[str, Any]]) -> str:
+def document(title: str, tone: str, body: str, scripts: str = f"<script>{SCRIPT}</script>") -> str:
     """Return the whole page; it asks for nothing from elsewhere.
 
     Parameters
@@ -20,18 +20,24 @@ def document(title: str, tone: str, body: str, specs: dict[str, dict[str, Any]])
         Colour of the headline, a name in `style.COLOURS`.
     body : str
         HTML.
-    specs : dict
-        Figures by the id of their box, as Plotly specifications.
+    scripts : str
+        Script elements that end the page.
     """
-    from plotly.offline import get_plotlyjs
-
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f'<link rel="icon" href="data:,"><title>{escape(title)}</title><style>{STYLE}</style></head>'
-        f'<body style="--tone:var(--{tone})"><main>{body}</main>'
+        f'<body style="--tone:var(--{tone})"><main>{body}</main>{scripts}</body></html>\n'
+    )
+
+
+def plotly(specs: dict[str, dict[str, Any]]) -> str:
+    """Return the scripts that draw Plotly specifications into the boxes of their ids."""
+    from plotly.offline import get_plotlyjs
+
+    return (
         f'<script type="application/json" id="figures">{_json(specs)}</script>'
-        f"<script>{get_plotlyjs()}</script><script>{SCRIPT}</script></body></html>\n"
+        f"<script>{get_plotlyjs()}</script><script>{PLOTLY_SCRIPT}</script>"
     )
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from candata.errors import SetupError, Where
 from candata.reports import courses
 from candata.reports.courses import Spec
-from candata.reports.document import document, figure, plot
+from candata.reports.document import document, figure, plot, plotly
 from candata.reports.numbers import digits, percent
 from candata.reports.tables import pairs, table
 from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
@@ -74,7 +74,7 @@ def page(found: Evaluation, tracks: Sequence[Track]) -> str:
             pairs(_manner(found)),
         )
     )
-    return document(f"{headline}: {_model(found)}", tone, body, specs)
+    return document(f"{headline}: {_model(found)}", tone, body, plotly(specs))
 
 
 def verdict(found: Evaluation) -> tuple[str, str]:

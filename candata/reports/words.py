@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 from candata.reports.numbers import SUFFIX_UNITS, digits, percent, reading, unit_of
-from candata.schema.report import NamedEffect, Report, Symptom, Verdict
+from candata.schema.report import EditTest, NamedEffect, Report, Symptom, Verdict
 
+#: A space at which no line ends.
+TIE = "\N{NO-BREAK SPACE}"
 #: The verdict as a headline.
 HEADLINES: dict[Verdict, str] = {
     "no_gap": "No gap found",
@@ -25,6 +28,16 @@ _MEANINGS: dict[Verdict, str] = {
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
+}
+
+#: Other words of the page.
+TERMS = {
+    "floor": "the mismatch that sensor noise and luck alone give; 1 floor is as good as it can get",
+    "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
+    "gain": "how much the robust loss falls on held-out episodes, in floors",
+    "share": "how much of the gain is lost when this effect alone is left out",
+    "support": "how often a candidate comes first when the episodes are resampled",
+    "p": "how likely chance alone would show a cell as strong, over all cells",
 }
 
 _CHANNELS = {
@@ -107,6 +120,22 @@ def how_far(report: Report) -> str:
     )
 
 
+def edit_test(report: Report) -> str:
+    """Return the sentence that says whether the shrinkage is kept in another world; empty when not tested."""
+    return edit_words(report.edit) if report.edit else ""
+
+
+def edit_words(edit: EditTest) -> str:
+    """Return the sentence of an edit test."""
+    numbers = f"from {digits(edit.before)} to {digits(edit.after)} times the floor, nothing refitted"
+    if edit.closed is None:
+        word = "opens a gap" if edit.kept is False else "finds no gap to close"
+        return f"In {edit.dataset} it {word}: {numbers}."
+    span = "" if edit.low is None or edit.high is None else f" (90 % interval {_span(edit.low, edit.high)})"
+    word = "It is kept" if edit.kept else "It is not kept"
+    return f"{word} in {edit.dataset}: {percent(edit.closed)} closes there{span}, {numbers}."
+
+
 def not_known(report: Report) -> str:
     """Return what the diagnosis does not know: the unknown part, ties, bounds and a guessed floor."""
     parts = []
@@ -181,6 +210,17 @@ def chance(p: float) -> str:
     return f"p = {p:.3g}" if p >= 1e-4 else "p < 0.0001"
 
 
+def tied(text: str) -> str:
+    """Return the text with spaces that do not break between a number and its unit, and inside `p = 0.01`."""
+    units = r"(?<=\d) (?=(?:%|N|m|mm|ms|s|mrad|rad|kg|g|ppm)(?:\W|$))"
+    return (
+        re.sub(units, TIE, text)
+        .replace("p = ", f"p{TIE}={TIE}")
+        .replace("N m", f"N{TIE}m")
+        .replace(" m s/rad", f"{TIE}m{TIE}s/rad")
+    )
+
+
 def plain(name: str) -> str:
     """Return a registered name with spaces for underscores."""
     return name.replace("_", " ")
@@ -218,7 +258,7 @@ def _nothing_more(report: Report) -> str:
     if report.gap is not None and report.gap.closed is not None:
         left, carries = (
             report.gap.after - report.gap.floor,
-            "whether the repair carries over to other objects and motions",
+            f"whether the repair carries over to {'yet ' if report.edit else ''}other objects and motions",
         )
         return (
             f"What makes up the remaining {digits(left)} floors, and {carries}"

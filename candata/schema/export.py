@@ -10,6 +10,7 @@ from typing import Literal
 from pydantic.json_schema import GenerateJsonSchema
 from pydantic_core import core_schema
 
+from candata.schema.bench import BenchFile, CaseFile, Label, LabelsFile
 from candata.schema.channels import CHANNELS, Channel
 from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
@@ -21,10 +22,18 @@ from candata.schema.scene import SceneFile, TableMap
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 #: Files that people write, where defaults may be left out.
-_READ: dict[str, type[Record]] = {"effects": EffectsFile, "map": TableMap, "scene": SceneFile}
+_READ: dict[str, type[Record]] = {
+    "case": CaseFile,
+    "effects": EffectsFile,
+    "label": Label,
+    "labels": LabelsFile,
+    "map": TableMap,
+    "scene": SceneFile,
+}
 
 #: Files that candata writes, where every key is present.
 _WRITTEN: dict[str, type[Record]] = {
+    "bench": BenchFile,
     "channel": Channel,
     "dataset": DatasetFile,
     "episode": EpisodeMeta,

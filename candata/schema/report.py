@@ -67,6 +67,25 @@ class Gap(Record):
     high: float | None = None
 
 
+class EditTest(Record):
+    """Whether the shrinkage is kept with another object or task in both worlds, nothing refitted.
+
+    `kept` asks that the interval of `closed` lies above zero and that `closed` is at least 0.8 of `reference`, the
+    share that closed in the diagnosis; null where there was no gap to close.
+    """
+
+    dataset: str
+    scene: str
+    episodes: int
+    before: float
+    after: float
+    closed: float | None = None
+    low: float | None = None
+    high: float | None = None
+    kept: bool | None = None
+    reference: float = 1.0
+
+
 class Symptom(Record):
     """Where: a channel, element and phase in which the recording leaves the nulls."""
 
@@ -119,6 +138,7 @@ class Report(Record):
     gap: Gap | None = None
     where: tuple[Symptom, ...] = ()
     next_motion: NextMotion | None = None
+    edit: EditTest | None = None
     data: DataUsed
     measures: dict[str, dict[str, float]] = {}
     provenance: dict[str, str] = {}

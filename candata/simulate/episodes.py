@@ -15,7 +15,7 @@ from candata.schema.contact import fingertip_contact
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
-from candata.simulate.loop import Trajectory, rollout
+from candata.simulate.loop import Alter, Trajectory, rollout
 
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured.
@@ -42,6 +42,8 @@ class Job:
         Keep seed and effects out of the episode.
     point_cloud : str, optional
         Name of the object's cloud in the dataset.
+    noise_seed : int, optional
+        Seed of the sensor noise, where it is not `seed`.
     """
 
     id: str
@@ -51,10 +53,17 @@ class Job:
     effects: tuple[EffectSetting, ...] = ()
     hidden: bool = False
     point_cloud: str | None = None
+    noise_seed: int | None = None
 
 
 def make_episodes(
-    scene: Scene, jobs: Sequence[Job], *, duration_s: float, noise: Noise | None = None, threads: int = 1
+    scene: Scene,
+    jobs: Sequence[Job],
+    *,
+    duration_s: float,
+    noise: Noise | None = None,
+    threads: int = 1,
+    alter: Alter | None = None,
 ) -> list[Episode]:
     """Return the episodes of `jobs`, simulated as one batch; the same for a seed whatever else is in it.
 
@@ -70,6 +79,8 @@ def make_episodes(
         Sensor noise to add; none when omitted.
     threads : int
         Threads of the pool.
+    alter : callable, optional
+        As in `rollout`.
     """
     plans = [policy(j.policy).plan(scene, _rng(j, PLAN_STREAM), duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
@@ -83,13 +94,15 @@ def make_episodes(
         [j.effects for j in jobs],
         settle=settle,
         threads=threads,
+        alter=alter,
     )
     return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
 
 
 def _rng(job: Job, stream: int) -> np.random.Generator:
     """Return the generator of one stream of a job."""
-    return np.random.default_rng([job.seed, job.index, stream])
+    own = job.noise_seed if stream == NOISE_STREAM else None
+    return np.random.default_rng([job.seed if own is None else own, job.index, stream])
 
 
 def _settling(plan: Plan, settle: int, rows: int) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +17,8 @@ from candata.simulate.timing import resampled, retimed, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
 Array = NDArray[np.float64]
+#: Adds to the worlds of a batch what no effect is; it may bind the batch's live fields.
+Alter = Callable[[mujoco_batch.Batch, Worlds], Worlds]
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ def rollout(
     keep_state: bool = False,
     settle: int = 0,
     threads: int = 1,
+    alter: Alter | None = None,
 ) -> Trajectory:
     """Return the readings of n simulations that play recorded commands.
 
@@ -78,27 +81,32 @@ def rollout(
         Rows before the recording begins: a clock that drifts does so from there.
     threads : int
         Threads of the pool; results do not depend on it.
+    alter : callable, optional
+        `(batch, worlds) -> worlds`, for stand-in real worlds that the effects cannot make.
 
     Raises
     ------
     UsageError
         When an effect cannot act in the scene.
     """
-    run = _Run(scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads)
+    run = _Run(scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter)
     return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
 
 class _Run:
     """The state of one batch while it is played."""
 
-    def __init__(self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int) -> None:
-        self.scene, self.worlds, self.n = scene, worlds, len(qpos)
+    def __init__(
+        self, scene: Scene, worlds: Worlds, qpos: Array, qvel: Array, threads: int, alter: Alter | None
+    ) -> None:
+        self.scene, self.n = scene, len(qpos)
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.batch.set_models(worlds.models)
         self.batch.bind("qpos")[:] = qpos
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self.applied = self.batch.bind("qfrc_applied")
+        self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
         self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}

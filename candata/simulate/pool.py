@@ -84,19 +84,24 @@ def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[st
             parts.append(make_chunk(**asdict(chunk)))
             progress(len(chunk.numbers))
         return parts
+    with spawned(min(workers, len(chunks))) as pool:
+        futures = {pool.submit(make_chunk, **asdict(chunk)): i for i, chunk in enumerate(chunks)}
+        done: dict[int, str] = {}
+        for future in as_completed(futures):
+            done[futures[future]] = future.result()
+            progress(len(chunks[futures[future]].numbers))
+    return [done[i] for i in range(len(chunks))]
+
+
+@contextlib.contextmanager
+def spawned(workers: int) -> Iterator[ProcessPoolExecutor]:
+    """Yield a pool of fresh processes, one thread each, that end with this one; what waits at the end is dropped."""
     with _single_threads():
-        pool = ProcessPoolExecutor(
-            min(workers, len(chunks)), mp_context=multiprocessing.get_context("spawn"), initializer=_start
-        )
+        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
         try:
-            futures = {pool.submit(make_chunk, **asdict(chunk)): i for i, chunk in enumerate(chunks)}
-            done: dict[int, str] = {}
-            for future in as_completed(futures):
-                done[futures[future]] = future.result()
-                progress(len(chunks[futures[future]].numbers))
+            yield pool
         finally:
             pool.shutdown(cancel_futures=True)
-    return [done[i] for i in range(len(chunks))]
 
 
 @lru_cache(maxsize=1)

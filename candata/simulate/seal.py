@@ -44,7 +44,7 @@ class Seal(Record):
     @property
     def stream(self) -> int:
         """Seed of the set's episodes: not to be guessed from the small seed alone."""
-        return _number(self.seed, bytes.fromhex(self.salt), "episodes")
+        return secret_number(self.seed, self.salt, "episodes")
 
 
 def new_salt() -> str:
@@ -73,8 +73,7 @@ def draw(scene: Scene, asked: str, seed: int, salt: str) -> Seal:
     UsageError
         When it cannot act in the scene, or the salt is no hex of 32 bytes.
     """
-    secret = _salt_bytes(salt)
-    rng = np.random.default_rng(_number(seed, secret, "effect"))
+    rng = np.random.default_rng(secret_number(seed, salt, "effect"))
     possible = [name for name in effect_names() if effect(name).possible(scene)]
     if asked != ANY and not effect(asked).possible(scene):
         raise UsageError(
@@ -83,7 +82,7 @@ def draw(scene: Scene, asked: str, seed: int, salt: str) -> Seal:
         )  # fmt: skip
     name = str(rng.choice(possible)) if asked == ANY else asked
     values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
-    label = _canonical(setting(name, values, scene))
+    label = canonical(setting(name, values, scene))
     return Seal(
         scene_digest=scene.digest,
         asked=asked,
@@ -133,7 +132,7 @@ def keep(path: Path, scene: Scene, asked: str, seed: int, salt: str | None) -> S
     """
     if not path.exists():
         fresh = draw(scene, asked, seed, salt or new_salt())
-        _write_once(path, fresh)
+        write_once(path, fresh)
     seal = read_seal(path)
     wanted = {"scene_digest": scene.digest, "asked": asked, "seed": seed, "salt": salt or seal.salt}
     for name, value in wanted.items():
@@ -190,8 +189,8 @@ def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
     return seal.effect
 
 
-def _canonical(given: EffectSetting) -> str:
-    """Return the setting as JSON that two equal settings share."""
+def canonical(given: Record) -> str:
+    """Return the record as JSON that two equal records share."""
     return json.dumps(given.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
 
@@ -206,12 +205,13 @@ def _salt_bytes(salt: str) -> bytes:
     return secret
 
 
-def _number(seed: int, secret: bytes, purpose: str) -> int:
-    """Return 128 bits of sha256(purpose, seed, salt)."""
-    return int.from_bytes(hashlib.sha256(f"{purpose}|{seed}|".encode() + secret).digest()[:16], "little")
+def secret_number(seed: int, salt: str, purpose: str) -> int:
+    """Return 128 bits of sha256(purpose, seed, salt): not to be guessed from the small seed alone."""
+    text = f"{purpose}|{seed}|".encode() + _salt_bytes(salt)
+    return int.from_bytes(hashlib.sha256(text).digest()[:16], "little")
 
 
-def _write_once(path: Path, seal: Seal) -> None:
+def write_once(path: Path, seal: Record) -> None:
     """Write the sealed file whole, mode 0600, synced with its folder; who came first wins."""
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")

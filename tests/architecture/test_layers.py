@@ -29,6 +29,7 @@ LAYERS = (
     ("models",),
     ("training",),
     ("gap",),
+    ("repair",),
     ("reports",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}

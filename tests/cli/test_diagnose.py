@@ -128,6 +128,8 @@ def test_the_page_stands_alone(diagnosed):
     assert page.lower().startswith("<!doctype html>")
     assert "friction_cone" in page
     assert 'src="http' not in page
+    assert 'class="panel"' in page, "the episodes of the heat map's elements"
+    assert "Which candidates look alike" in page
 
 
 def test_without_json_a_summary_is_printed(three, tmp_path):

@@ -23,7 +23,8 @@ def curve(level, rng, strength: float = 0.5) -> Curve:
         "joint_damping", None, np.zeros(1), at[:1], at[-1:], np.zeros(1, bool), False, np.ones(1, bool), np.zeros(1)
     )
     direction = strength * rng.standard_normal((E, K))
-    return Curve(who, at, (level.null[0] + at[:, None, None] * direction).astype(np.float32))
+    z = (level.null[0] + at[:, None, None] * direction).astype(np.float32)
+    return Curve(who, at, z, np.ones(len(at), bool))
 
 
 def plane(level, rng, size: int = 4, strength: float = 0.5) -> Plane:

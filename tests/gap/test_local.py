@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import _base, _respond
+from candata.gap.attribute import _base
 from candata.gap.candidates import candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.local import promising
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.screen import respond
 
 
 @pytest.fixture(scope="module")
@@ -20,8 +21,9 @@ def variants(arm, arm_episodes, planted):
     def find(*fault, **parameters) -> set[str]:
         rng = np.random.default_rng(0)
         recs = recordings(arm, arm_episodes(planted(*fault, **parameters) if fault else ()))
-        problem, nominal = _problem(Replayer(arm), recs, rng, lambda stage: None)
-        responses, _ = _respond(problem, nominal, candidates(arm, list(recs.readings)), ())
+        problem = _problem(Replayer(arm), recs, rng, None, lambda stage: None)
+        nominal = problem.nominal
+        responses, _ = respond(problem, nominal, candidates(arm, list(recs.readings)))
         base, _ = _base(problem, nominal, ())
         return {c.label for c in promising(problem, nominal, responses, base)}
 

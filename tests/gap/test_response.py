@@ -21,7 +21,7 @@ def candidate(choices: bool = False, low: float = -2.0, high: float = 4.0) -> Ca
 @pytest.fixture
 def curve(rng):
     at = np.array([-1.0, 0.0, 0.5, 2.0])
-    return Curve(candidate(), at, rng.standard_normal((4, E, K)).astype(np.float32))
+    return Curve(candidate(), at, rng.standard_normal((4, E, K)).astype(np.float32), np.ones(4, bool))
 
 
 def planted_plane(rng, truth: np.ndarray, outliers: float = 0.1, size: float = 50.0) -> Plane:
@@ -64,7 +64,7 @@ def test_a_curve_s_best_lies_where_residuals_cancel(white_score, rng):
     slope = rng.standard_normal((E, K))
     at = np.array([-2.0, 0.0, 1.0, 2.0, 4.0])
     z = (0.1 * rng.standard_normal((E, K)) + (at[:, None, None] - 1.5) * slope).astype(np.float32)
-    found = Curve(candidate(), at, z).fitter(level)(np.arange(E))
+    found = Curve(candidate(), at, z, np.ones(len(at), bool)).fitter(level)(np.arange(E))
     # Read at six points between probes: to half a sixth of a spacing of 1.
     assert found[0] == pytest.approx(1.5, abs=1 / 12)
 
@@ -74,14 +74,14 @@ def test_a_curve_is_fitted_on_training_episodes_only(white_score, rng):
     at = np.linspace(-2, 4, 13)
     aim = np.array([1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
     z = ((at[:, None] - aim)[..., None] * rng.standard_normal((1, E, K))).astype(np.float32)
-    fit = Curve(candidate(), at, z).fitter(level)
+    fit = Curve(candidate(), at, z, np.ones(len(at), bool)).fitter(level)
     assert [fit(np.arange(3))[0], fit(np.arange(3, 6))[0]] == pytest.approx([1.0, -1.0], abs=1e-9)
 
 
 def test_a_choice_is_one_of_its_values(white_score, rng):
     level = white_score(rng, E, K)
     z = np.stack([rng.standard_normal((E, K)), 0.9 * rng.standard_normal((E, K))]).astype(np.float32)
-    curve = Curve(candidate(choices=True, low=0, high=1), np.array([0.0, 1.0]), z)
+    curve = Curve(candidate(choices=True, low=0, high=1), np.array([0.0, 1.0]), z, np.ones(2, bool))
     assert curve.grid().tolist() == [0.0, 1.0]
     assert curve.fitter(level)(np.arange(E))[0] in (0.0, 1.0)
 

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
 
-from candata.gap.evidence import EpisodeLosses, Evidence, Example, HeatMap, Trace
+from candata.gap.evidence import (
+    Collinearity,
+    Course,
+    Element,
+    Elements,
+    EpisodeLosses,
+    Evidence,
+    Example,
+    HeatMap,
+    Range,
+    Trace,
+)
 from candata.reports import filmstrip
 from candata.schema.report import Report
 
@@ -125,9 +138,53 @@ def losses(episodes: int = 24) -> EpisodeLosses:
     )
 
 
+def elements(episodes: int = 24) -> Elements:
+    """An element for each row of the heat map, with errors in every episode and three courses."""
+    rng = np.random.default_rng(2)
+    ids = tuple(f"ep-{k:04d}" for k in range(episodes))
+    time = np.arange(64) / 20
+    found = []
+    for label in heat().rows:
+        channel, _, element = label.partition(" ")
+        size = 6.0 if element == "index2" else 1.5
+        null = 0.002 * np.exp(rng.normal(0, 0.1, episodes))
+        before = null * size * np.exp(rng.normal(0, 0.3, episodes))
+        order = np.argsort(-before)
+        real = 0.4 * np.sin(2 * time) + 0.002 * rng.standard_normal(64)
+        courses = tuple(
+            Course(int(order[k]), time, real, 0.4 * np.sin(2 * time - 0.2), real + 0.004)
+            for k in (0, episodes // 2, episodes - 1)
+        )
+        unit = "N" if channel == "fingertip_force" else "rad"
+        found.append(Element(channel, element, unit, before, null * 1.1, null, courses))
+    return Elements(ids, tuple(found))
+
+
+def alike() -> Collinearity:
+    """Damping and dry friction hard to tell apart, the others not."""
+    labels = ("joint_dry_friction index2", "joint_damping index2", "backlash index2", "servo_gain index2")
+    matrix = np.array([[1, 0.74, 0.62, -0.2], [0.74, 1, 0.3, 0.1], [0.62, 0.3, 1, 0.05], [-0.2, 0.1, 0.05, 1]])
+    return Collinearity(labels, matrix)
+
+
 def evidence(model: mujoco.MjModel) -> Evidence:
     """All parts."""
-    return Evidence(heat(), example(model), losses())
+    ranges = {("joint_dry_friction", "frictionloss_Nm"): Range(0.0, 0.3, 0.0)}
+    return Evidence(heat(), example(model), losses(), elements(), alike(), ranges)
+
+
+def unrepaired(found: Evidence) -> Evidence:
+    """The same without a repair, as where nothing is named."""
+    shown, drawn = found.example, found.elements
+    assert shown is not None
+    assert drawn is not None
+    traces = tuple(replace(t, after=None) for t in shown.traces)
+    of = tuple(
+        replace(e, after=None, courses=tuple(replace(c, after=None) for c in e.courses)) for e in drawn.of
+    )  # fmt: skip
+    return replace(
+        found, example=replace(shown, traces=traces, qpos_after=None), elements=replace(drawn, of=of), ranges={}
+    )  # fmt: skip
 
 
 RANKING = [
@@ -231,7 +288,9 @@ def report(verdict: str = "explained", **changes) -> Report:
             "dataset": "bench-hand@8f31c0a2",
             "floor": "declared",
             "channels": ["object_pose", "joint_position", "fingertip_force", "action"],
-            "episodes": {"total": 24, "folds": 4, "held_out": 24},
+            "episodes": {"total": 5, "folds": 0, "held_out": 0}
+            if verdict == "too_little_data"
+            else {"total": 24, "folds": 4, "held_out": 24},
             "notes": ["3 of 27 episodes left out: shorter than 1 s"],
         },
         "provenance": {"candata": "0.1.0", "mujoco": "4.0.0", "scene": "xhand_tabletop", "seed": "0"},
@@ -253,6 +312,12 @@ def full_evidence(hand: mujoco.MjModel) -> Evidence:
 def make_report():
     """The function that makes a record of a given verdict."""
     return report
+
+
+@pytest.fixture(scope="session")
+def make_unrepaired():
+    """The function that takes the repair out of some evidence."""
+    return unrepaired
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,7 @@ import pytest
 
 from candata import reports
 from candata.reports import words
+from candata.reports.advice import SILENT
 from candata.reports.numbers import digits, percent, reading, unit_of
 from candata.schema.report import Estimate, Verdict
 
@@ -44,7 +45,34 @@ def test_summary_of_many_long_effects_stays_short(make_report):
     }  # fmt: skip
     text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
     assert len(text.splitlines()) <= 25
-    assert "and 5 more in report.json" in text
+    assert "and 6 more in report.json" in text
+
+
+def test_the_longest_summary_fits_a_terminal(make_report):
+    """Everything that can be said at once, each of it long."""
+    long = "word " * 120
+    effect = {
+        "name": "tactile_bias", "element": "index_tip", "share": 0.1, "support": 0.5, "at_bound": True,
+        "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
+    }  # fmt: skip
+    dead = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": SILENT} for k in range(30)]
+    data = make_report().data.model_dump() | {"notes": [long], "channels": ["joint_position"], "floor": "assumed"}
+    for count in (1, 2, 3, 9):
+        report = make_report(
+            "partly_explained", effects=[effect] * count, unknown={"words": long}, data=data,
+            ranking=[*make_report().model_dump()["ranking"], *dead],
+            next_motion={"name": long, "file": "motion.parquet", "separates": ["a", "b"]},
+        )  # fmt: skip
+        lines = reports.summary(report).splitlines()
+        assert len(lines) <= 25
+        assert max(map(len, lines)) <= 100
+        names = [line.split("  ")[0] for line in lines if line and not line.startswith(" ")][2 if count else 1 :]
+        assert names == ["where", "which", "how far", "change", "not known", "untested", "next", "data"]
+
+
+def test_a_summary_says_what_to_change(make_report):
+    text = " ".join(reports.summary(make_report()).split())
+    assert "change Add joint dry friction of 0.0412 N m (0.0373 to 0.0458) to joint index2; in MJCF: add 0.0412" in text
 
 
 def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):

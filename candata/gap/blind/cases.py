@@ -1,0 +1,223 @@
+"""Blind cases on disk: labels sealed first, then a folder a case that tells nothing of its label.
+
+A case is a folder that anybody can read, and make: a candata dataset with a `case.json` beside its files,
+
+    {"name": "case-0001", "scene": "xhand_tabletop", "scene_digest": null, "episodes": 20, "sealed": "<sha256>"}
+
+and the labels of all cases are one file apart, `{"salt": "<64 hex digits>", "labels": {"case-0001": "<JSON text>"}}`,
+whose texts are `Label` records. `sealed` is sha256 over the bytes of the text and of the salt.
+`schemas/case.schema.json` and `schemas/labels.schema.json` say every field.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from candata.datasets import append, create_dataset
+from candata.errors import DataError, UsageError, Where
+from candata.gap.blind.draws import draw_labels
+from candata.gap.blind.outside import alter_with
+from candata.scenes import Scene, load_scene
+from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
+from candata.schema.manifest import Lineage
+from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.jobs import possible_policies
+from candata.simulate.pool import spawned
+from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
+
+CASE, LABELS, CASES = "case.json", "sealed.json", "cases"
+Told = Callable[[str], None]
+
+
+def seal_labels(
+    out: Path, scene: Scene, counts: dict[Kind, int], *, seed: int, episodes: int, duration_s: float = 3.2,
+    only: Sequence[str] = (),
+    live: Callable[[], Sequence[str]] = lambda: (), salt: str | None = None,
+) -> LabelsFile:  # fmt: skip
+    """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the run.
+    scene : Scene
+        The nominal scene.
+    counts : dict of Kind to int
+        Cases of each kind.
+    seed, episodes : int
+        Seed of the commands (and, with the salt, of the draw); episodes of each case.
+    duration_s : float
+        Length of an episode.
+    only : sequence of str
+        Effects that were asked for; all, when empty.
+    live : callable
+        Returns the effects to draw from; asked for a fresh draw alone.
+    salt : str, optional
+        The secret, hex of 32 bytes; random by default.
+
+    Raises
+    ------
+    UsageError
+        When the run that stands there was asked for something else.
+    """
+    asked: dict[str, str | int | float] = {
+        "scene": scene.name, "scene_digest": scene.digest, "seed": seed, "episodes": episodes,
+        "duration_s": duration_s, "only": ",".join(only), **{f"count_{k}": n for k, n in counts.items()},
+    }  # fmt: skip
+    path = out / LABELS
+    if not path.exists():
+        secret = salt or new_salt()
+        rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
+        drawn = draw_labels(scene, counts, rng, live() or only)
+        write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
+    found = read_labels(path)
+    other = [k for k in {*asked, *found.asked} if asked.get(k) != found.asked.get(k)]
+    if other:
+        raise UsageError(
+            "the folder holds a run that was asked for something else",
+            expected=", ".join(f"{k} {found.asked.get(k)}" for k in sorted(other)),
+            found=", ".join(f"{k} {asked.get(k)}" for k in sorted(other)),
+            where=Where(path=str(out)), fix="repeat the first command, or choose another --out",
+        )  # fmt: skip
+    return found
+
+
+def read_labels(path: Path) -> LabelsFile:
+    """Return the record of a labels file.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing or is no labels file.
+    """
+    return LabelsFile.parse(_json(path), path)
+
+
+def make_cases(
+    out: Path, scene: str, sealed: LabelsFile, *, seed: int, episodes: int, duration_s: float, jobs: int,
+    told: Told = lambda name: None,
+) -> list[Path]:  # fmt: skip
+    """Return the folders of all cases, those that are missing made; `told` hears the name of each new one.
+
+    All cases share their commands; noise and hidden world are each case's own.
+    """
+    missing = {n: t for n, t in sealed.labels.items() if not (out / CASES / n / CASE).exists()}
+    tasks = [
+        (str(out / CASES / name), scene, text, commitment(text, sealed.salt), seed, episodes, duration_s)
+        for name, text in missing.items()
+    ]
+    if jobs == 1 or len(tasks) < 2:
+        for task in tasks:
+            told(make_case(*task))
+    else:
+        with spawned(min(jobs, len(tasks))) as pool:
+            for name in pool.map(make_case, *zip(*tasks, strict=True)):
+                told(name)
+    return [out / CASES / name for name in sealed.labels]
+
+
+def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, episodes: int, duration_s: float) -> str:
+    """Return the name of a case after its folder was written, whole or not at all.
+
+    Parameters
+    ----------
+    folder : str
+        Where the case goes.
+    scene_name : str
+        What `load_scene` takes.
+    text, sealed : str
+        The label as canonical JSON, and its commitment.
+    seed, episodes : int
+        Seed of the commands, the same in all cases; how many episodes.
+    duration_s : float
+        Length of an episode.
+    """
+    path, scene = Path(folder), load_scene(scene_name)
+    label = Label.parse(json.loads(text), path)
+    policies = possible_policies(scene)
+    plans = [
+        Job(f"episode-{i:04d}", i, policies[i % len(policies)], seed, label.effects, hidden=True, noise_seed=label.seed)
+        for i in range(episodes)
+    ]
+    made = make_episodes(
+        scene, plans, duration_s=duration_s, noise=scene.file.noise, alter=alter_with(scene, label.outside)
+    )
+    draft = path.with_name(f".{path.name}")
+    shutil.rmtree(draft, ignore_errors=True)
+    shutil.rmtree(path, ignore_errors=True)
+    create_dataset(draft, path.name)
+    append(draft, made, Lineage(operation="blind case", sealed=sealed))
+    case = CaseFile(
+        name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
+    )
+    (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
+    draft.replace(path)
+    return path.name
+
+
+def _seen_from(scene: str, folder: Path) -> str:
+    """Return a scene's file relative to a case's folder; a built-in scene's name as it is."""
+    return os.path.relpath(scene, folder) if Path(scene).suffix in (".yaml", ".yml") else scene
+
+
+def read_cases(folder: Path) -> dict[Path, CaseFile]:
+    """Return the cases of a folder, by name.
+
+    Raises
+    ------
+    UsageError
+        When there is none, or a `case.json` is not valid or not its folder's.
+    """
+    found = sorted(path.parent for path in folder.glob(f"*/{CASE}") if not path.parent.name.startswith("."))
+    if not found:
+        raise UsageError("no cases", expected=f"folders with a dataset and a {CASE}", where=Where(path=str(folder)))
+    cases = {path: CaseFile.parse(_json(path / CASE), path / CASE) for path in found}
+    for path, case in cases.items():
+        if case.name != path.name:
+            raise UsageError("a case bears another name than its folder", expected=path.name, found=case.name,
+                             where=Where(path=str(path / CASE)))  # fmt: skip
+    return cases
+
+
+def scene_of(folder: Path, case: CaseFile) -> str:
+    """Return what `load_scene` takes for a case's scene."""
+    return str((folder / case.scene).resolve()) if Path(case.scene).suffix in (".yaml", ".yml") else case.scene
+
+
+def open_labels(cases: dict[Path, CaseFile], sealed: LabelsFile) -> dict[str, Label]:
+    """Return the label of each case, each checked against the hash that its case carries.
+
+    Raises
+    ------
+    DataError
+        When a case has no label, or a label is not the one that was sealed.
+    """
+    out = {}
+    for folder, case in cases.items():
+        text = sealed.labels.get(case.name)
+        if text is None:
+            raise DataError("a case has no label", expected=case.name, where=Where(path=str(folder)))
+        if commitment(text, sealed.salt) != case.sealed:
+            raise DataError(
+                f"the label of {case.name} is not the one that was sealed", expected=f"sealed {case.sealed[:12]}",
+                found=f"sealed {commitment(text, sealed.salt)[:12]}", where=Where(path=str(folder)),
+                fix="give the labels that were written beside these cases",
+            )  # fmt: skip
+        out[case.name] = Label.parse(json.loads(text), case.name)
+    return out
+
+
+def _json(path: Path) -> object:
+    """Return the content of a JSON file."""
+    if not path.is_file():
+        raise UsageError(f"no file {path.name}", where=Where(path=str(path)))
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise UsageError(f"{path.name} is not JSON: {error}", where=Where(path=str(path))) from None

@@ -1,0 +1,160 @@
+"""Diagnose blind cases: each once, results appended as they come, so that a run that was killed goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+from candata.datasets import Dataset, open_dataset
+from candata.errors import CandataError
+from candata.gap.diagnosis import diagnose
+from candata.scenes import Scene, load_scene
+from candata.schema.bench import CaseResult
+from candata.schema.record import Record
+from candata.schema.report import Report
+from candata.simulate.pool import spawned
+
+RESULTS = "results.jsonl"
+Judge = Callable[[Dataset, Scene, int], Report]
+R = TypeVar("R", bound=Record)
+
+
+class Place(NamedTuple):
+    """Where a case lies: its folder, what `load_scene` takes for its scene, and the hash of its label."""
+
+    folder: Path
+    scene: str
+    sealed: str
+
+
+def judged(dataset: Dataset, scene: Scene, seed: int) -> Report:
+    """Return candata's own report of a dataset."""
+    return diagnose(dataset, scene, jobs=1, seed=seed).report
+
+
+def run_cases(
+    out: Path,
+    cases: Sequence[Place],
+    *,
+    jobs: int = 1,
+    seed: int = 0,
+    judge: Judge = judged,
+    method: str = "candata",
+    told: Callable[[CaseResult], None] = lambda result: None,
+) -> list[CaseResult]:
+    """Return a result for each case, in their order; those that stand in `results.jsonl` are taken as they are.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the results.
+    cases : sequence of Place
+        Where each case lies.
+    jobs : int
+        Processes; with one the work is done here.
+    seed : int
+        Seed of each diagnosis.
+    judge : callable
+        `(dataset, scene, seed) -> Report`; with several processes a function of a module.
+    method : str
+        What the results are filed under.
+    told : callable
+        Hears of each new result.
+    """
+    log = out / RESULTS
+    standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
+    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, not standing, judge) for p in cases
+             if p.sealed not in standing]  # fmt: skip
+    processes: set[int] = set()
+
+    def first_only(result: CaseResult) -> CaseResult:
+        """Return a result that is cold only where it is the first of its process."""
+        known = result.process in processes
+        processes.add(result.process)
+        return result.model_copy(update={"cold": result.cold and not known})
+
+    for result in spread(log, run_case, tasks, jobs, first_only):
+        standing[result.sealed] = result
+        told(result)
+    return [standing[p.sealed] for p in cases]
+
+
+def spread(
+    log: Path,
+    work: Callable[..., R],
+    tasks: Sequence[tuple[Any, ...]],
+    jobs: int,
+    last: Callable[[R], R] = lambda record: record,
+) -> Iterator[R]:
+    """Yield a record for each task as it comes, each written to the log first: what is yielded outlives a kill.
+
+    Parameters
+    ----------
+    log : Path
+        File of JSON lines.
+    work : callable
+        Makes a record of a task; with several processes a function of a module.
+    tasks : sequence of tuple
+        Arguments of `work`.
+    jobs : int
+        Processes; with one the work is done here.
+    last : callable
+        Completes a record here, in the order of the log.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("a", encoding="utf-8") as file:
+        for record in map(last, _made(work, tasks, jobs)):
+            file.write(record.model_dump_json() + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+            yield record
+
+
+def _made(work: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[R]:
+    """Yield records as they come, from here or from worker processes."""
+    if jobs == 1 or len(tasks) < 2:
+        yield from (work(*task) for task in tasks)
+        return
+    with spawned(min(jobs, len(tasks))) as pool:
+        yield from (done.result() for done in as_completed([pool.submit(work, *task) for task in tasks]))
+
+
+def run_case(folder: str, scene: str, sealed: str, seed: int, method: str, fresh: bool, judge: Judge) -> CaseResult:
+    """Return the result of one case.
+
+    A method that fails on a case has not solved it: the failure is the result.
+    """
+    path = Path(folder)
+    world = load_scene(scene)
+    start, report, error = time.process_time(), None, None
+    try:
+        report = judge(open_dataset(path), world, seed)
+    except CandataError as problem:
+        error = problem.problem
+    spent = time.process_time() - start
+    return CaseResult(
+        case=path.name,
+        sealed=sealed,
+        method=method,
+        cpu_s=spent,
+        cold=fresh,
+        process=os.getpid(),
+        report=report,
+        error=error,
+    )
+
+
+def finished(path: Path, record: type[R]) -> list[R]:
+    """Return the records of a file of JSON lines; a last line that a kill cut short is no record."""
+    if not path.exists():
+        return []
+    lines = path.read_text(encoding="utf-8").split("\n")
+    if lines[-1]:
+        with path.open("r+", encoding="utf-8") as file:
+            file.truncate(len("\n".join(lines[:-1]).encode()) + (1 if len(lines) > 1 else 0))
+    return [record.parse(json.loads(line), path) for line in lines[:-1] if line]

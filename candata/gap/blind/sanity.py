@@ -1,0 +1,113 @@
+"""Is the scene fit for a blind check: joints follow their targets, every effect moves a channel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import SceneError
+from candata.gap.blind.draws import draw_setting, possible_effects
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.episode import Episode
+from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.jobs import possible_policies
+
+#: A joint moves where its command spans more than this [rad or m]: more than the command noise.
+MOVING = 0.02
+#: Longest lag within which a joint has to follow [s], and the correlation that counts as following.
+LAG_S, FOLLOWS = 0.15, 0.8
+#: Smallest largest change of a channel, in its own unit, that counts as a change at all.
+MOVES = 1e-3
+COMPARED = ("joint_position", "object_pose", "fingertip_force")
+
+
+@dataclass(frozen=True)
+class Fitness:
+    """What a check of a scene found.
+
+    Attributes
+    ----------
+    moving : int
+        Driven joints that the motions move.
+    follows : float
+        Smallest correlation of these with their targets; NaN without any.
+    moved : dict of str to float
+        Largest change of a channel that each effect makes, in the channel's unit.
+    """
+
+    moving: int
+    follows: float
+    moved: dict[str, float]
+
+    @property
+    def live(self) -> tuple[str, ...]:
+        """Effects that move a channel; no other can be asked of a diagnosis."""
+        return tuple(name for name, change in self.moved.items() if change >= MOVES)
+
+    @property
+    def dead(self) -> tuple[str, ...]:
+        """Effects that move nothing in these motions."""
+        return tuple(name for name in self.moved if name not in self.live)
+
+
+def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[str] = ()) -> Fitness:
+    """Return how the scene does on one motion of each policy, and with each effect at a drawn value.
+
+    Raises
+    ------
+    SceneError
+        When moving joints do not follow: accuracy proves no sane scene.
+    """
+    names, policies = possible_effects(scene, only), possible_policies(scene)
+    rng = np.random.default_rng(seed)
+    worlds = [(), *((draw_setting(scene, name, rng),) for name in names)]
+    nominal, *others = [_played(scene, policies, world, seed, duration_s) for world in worlds]
+    following = [c for episode in nominal for c in _following(scene, episode)]
+    found = Fitness(
+        len(following), min(following, default=float("nan")),
+        {name: _change(nominal, other) for name, other in zip(names, others, strict=True)},
+    )  # fmt: skip
+    if following and found.follows < FOLLOWS:
+        raise SceneError(
+            f"joints of scene {scene.name} do not follow their targets",
+            expected=f"correlation of at least {FOLLOWS:g} within {LAG_S:g} s", found=f"{found.follows:.2f}",
+            fix="check the actuators' gains and the order of joints and actuators",
+        )  # fmt: skip
+    return found
+
+
+def _played(
+    scene: Scene, policies: Sequence[str], world: tuple[EffectSetting, ...], seed: int, duration_s: float
+) -> list[Episode]:
+    """Return one episode of each policy in a world, without noise."""
+    jobs = [Job(f"check-{i}", i, name, seed, world) for i, name in enumerate(policies)]
+    return make_episodes(scene, jobs, duration_s=duration_s)
+
+
+def _following(scene: Scene, episode: Episode) -> list[float]:
+    """Return the best correlation, over lags, of each joint that moves in free motion with its target."""
+    if "action" not in episode or ("contact" in episode and episode["contact"].any()):
+        return []
+    lags = range(round(LAG_S * scene.file.rate_hz) + 1)
+    joint_of = {scene.model.joint(name).id: i for i, name in enumerate(scene.file.joints)}
+    driven = [(c, joint_of[scene.driven_joints[a]]) for c, a in enumerate(scene.actuator_ids.tolist())
+              if scene.driven_joints.get(a) in joint_of]  # fmt: skip
+    pairs = [(episode["action"][:, c], episode["joint_position"][:, j]) for c, j in driven]
+    return [_correlation(a, q, lags) for a, q in pairs if np.ptp(a) > MOVING]
+
+
+def _correlation(target: NDArray[np.float64], read: NDArray[np.float64], lags: range) -> float:
+    """Return the largest correlation over lags; 0 for a joint that does not move at all."""
+    if np.ptp(read) == 0:
+        return 0.0
+    return max(float(np.corrcoef(target[: len(target) - k], read[k:])[0, 1]) for k in lags)
+
+
+def _change(nominal: list[Episode], other: list[Episode]) -> float:
+    """Return the largest change of a compared channel."""
+    pairs = [(a[c], b[c]) for a, b in zip(nominal, other, strict=True) for c in COMPARED if c in a]
+    return max((float(np.abs(a - b).max()) for a, b in pairs), default=0.0)

@@ -1,0 +1,247 @@
+"""The score of a run: every measure beside its target, the misses, the confusion matrix, the calibration curve."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.blind.outcomes import Outcome, covered, parameter_error, supports
+from candata.schema.bench import BenchFile, Bin, Kind, Miss, Row
+
+Array = NDArray[np.float64]
+#: Equal-count bins of the calibration curve.
+BINS = 5
+#: Worth below which a miss mentions it [floors], and cosine above which two causes are said to look alike.
+FAINT, ALIKE = 0.1, 0.8
+#: Kinds whose hidden effects are all in the library.
+KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
+
+
+def score_run(outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata") -> BenchFile:
+    """Return the table of a run with its misses.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+        The cases that were diagnosed, opened.
+    scene : str
+        Name of the nominal scene.
+    cases : int
+        How many cases there are, diagnosed or not.
+    method : str
+        Whose diagnoses they are.
+    """
+    rows = [row for row in _rows(outcomes) if row.n]
+    order = {False: 0, True: 2, None: 3}
+    return BenchFile(
+        method=method, scene=scene, cases=cases, done=len(outcomes),
+        rows=tuple(sorted(rows, key=lambda r: order[r.met])),
+        misses=tuple(m for o in outcomes if (m := miss(o))), confusion=confusion(outcomes),
+        calibration=calibration(outcomes),
+    )  # fmt: skip
+
+
+def _rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return every measure in the order of the targets."""
+    kinds: dict[str, list[Outcome]] = {}
+    for o in outcomes:
+        kinds.setdefault(o.kind, []).append(o)
+
+    def of(*names: Kind) -> list[Outcome]:
+        return [o for name in names for o in kinds.get(name, [])]
+
+    return [
+        *_single(of("one"), of("quarter")),
+        *_sets(of("pair"), of("triple")),
+        *_abstention(of("null"), of("outside"), of(*KNOWN)),
+        *_mismatch(of("background"), of("solver")),
+        *_local(of("local")),
+        *_honesty(outcomes, of("one", "quarter", "local")),
+        *_cost(outcomes),
+    ]
+
+
+def _single(one: list[Outcome], quarter: list[Outcome]) -> list[Row]:
+    """Return the measures of single causes."""
+    right = [o for o in one if o.first]
+    errors = [e for o in right if (e := parameter_error(o)) is not None]
+    weak = [e for o in quarter if o.first and (e := parameter_error(o)) is not None]
+    closed = [o.closed for o in right if o.closed is not None]
+    return [
+        _share("one effect: first", (o.first for o in one), low=95),
+        _share("one effect: in three", (o.truth[0] in o.said[:3] for o in one), low=98),
+        _share("one effect: and nothing else", (o.named == o.truth for o in one)),
+        _share("a quarter of the magnitude: first", (o.first for o in quarter), low=88),
+        _quantile("parameter error: median", errors, 0.5, high=2),
+        _quantile("parameter error: 90th percentile", errors, 0.9, high=12),
+        _quantile("parameter error of a quarter: median", weak, 0.5),
+        _quantile("gap closed when right: median", closed, 0.5, low=98),
+        _quantile("gap closed when right: 10th percentile", closed, 0.1, low=90),
+    ]
+
+
+def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[Row]:
+    """Return the measures of two and three causes."""
+    out = []
+    for word, some, low in (("two effects", pairs, 85), ("three effects", triples, 70)):
+        out += [
+            _share(f"{word}: all right", (set(o.named) == set(o.truth) for o in some), low=low),
+            _share(f"{word}: a wrong name", (bool(o.wrong_names) for o in some), high=8),
+            _share(f"{word}: largest true contributor first", (o.first for o in some)),
+        ]
+    return out
+
+
+def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome]) -> list[Row]:
+    """Return the measures of saying nothing, and of saying that the cause is not known."""
+    places = [o.result.report.unknown if o.result.report else None for o in outside]
+    where = [p is not None and o.label.outside is not None and p.acts_on == o.label.outside.acts_on
+             for p, o in zip(places, outside, strict=True)]  # fmt: skip
+    return [
+        _share("null: an effect named", (bool(o.named) for o in null), high=3),
+        _share("outside the library: abstains", (o.verdict == "unknown_effect" for o in outside), low=90),
+        _share("outside the library: where it acts is right", where, low=80),
+        _share("library effects: false abstention", (o.verdict == "unknown_effect" for o in known), high=3),
+    ]
+
+
+def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[Row]:
+    """Return the measures under a mismatch of everything, and of the solver."""
+    closed = [0.0 if o.closed is None else o.closed for o in background]
+    heavy = [o for o in solver if "object_mass" in o.truth]
+    return [
+        _share("all 5 % wrong + one: largest true contributor first", (o.first for o in background), low=90),
+        _share("all 5 % wrong + one: the drawn one first", (o.named[:1] == (o.label.main,) for o in background)),
+        _quantile("all 5 % wrong + one: gap closed, median", closed, 0.5, low=90),
+        _share("solver mismatch: found or flagged", (o.flagged for o in solver), low=100),
+        _share("solver mismatch: 50 % mass error on top, first or second",
+               ("object_mass" in o.named[:2] for o in heavy), low=100),
+    ]  # fmt: skip
+
+
+def _local(local: list[Outcome]) -> list[Row]:
+    """Return the measures of faults of one element."""
+    return [
+        _share("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
+        _share("local fault: effect and element first", (o.first for o in local)),
+    ]
+
+
+def _element_first(o: Outcome) -> bool:
+    """Tell whether the effect named first acts on the element that is at fault."""
+    return bool(o.effects) and o.effects[0].element == o.label.effects[0].element
+
+
+def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
+    """Return coverage of the intervals and the calibration error of the support."""
+    inside = [c for o in known for c in covered(o)]
+    bins = calibration(outcomes)
+    count = sum(b.n for b in bins)
+    error = sum(b.n * abs(b.support - b.right) for b in bins) / count if count else None
+    return [
+        _share("coverage of 90 % intervals", inside, low=85, high=95),
+        Row(measure="calibration error of support", value=error, n=count, high=0.05, unit=""),
+    ]
+
+
+def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
+    """Return CPU time with what is cached, and without: the first case of each process."""
+    spent = {cold: [o.result.cpu_s for o in outcomes if o.result.cold == cold] for cold in (False, True)}
+    names = {False: ("CPU s a case, cached signatures: median", 20.0), True: ("CPU s of a first case: median", 120.0)}
+    return [
+        Row(measure=names[c][0], value=float(np.median(v)) if v else None, n=len(v), high=names[c][1], unit="s")
+        for c, v in spent.items()
+    ]
+
+
+def _share(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> Row:
+    """Return a row that counts, in percent."""
+    found = list(hits)
+    value = 100 * float(np.mean(found)) if found else None
+    return Row(measure=measure, value=value, n=len(found), low=low, high=high)
+
+
+def _quantile(
+    measure: str, values: Sequence[float], q: float, low: float | None = None, high: float | None = None
+) -> Row:
+    """Return a row that is a quantile of shares, in percent."""
+    value = 100 * float(np.quantile(values, q)) if len(values) else None
+    return Row(measure=measure, value=value, n=len(values), low=low, high=high)
+
+
+def calibration(outcomes: Sequence[Outcome]) -> tuple[Bin, ...]:
+    """Return stated support against the share that was right, in bins of equal count, over all named effects.
+
+    A background is left out: a little of everything is there, so that no name is plainly wrong.
+    """
+    pairs = sorted((p for o in outcomes if o.kind != "background" for p in supports(o)), key=lambda p: p[0])
+    parts = np.array_split(np.array(pairs, float).reshape(-1, 2), BINS)
+    return tuple(Bin(support=float(p[:, 0].mean()), right=float(p[:, 1].mean()), n=len(p)) for p in parts if len(p))
+
+
+def confusion(outcomes: Sequence[Outcome]) -> dict[str, dict[str, int]]:
+    """Return, for cases of one cause or none, what was said first for each true cause and how often.
+
+    What was said is the name of the first effect, or the verdict where nothing is named.
+    """
+    table: dict[str, Counter[str]] = {}
+    for o in outcomes:
+        if o.kind in ("one", "quarter", "local", "null", "outside"):
+            true = o.label.outside.name if o.label.outside else (o.label.effects[0].name if o.label.effects else "none")
+            said = o.effects[0].name if o.effects else o.verdict
+            table.setdefault(true, Counter())[said] += 1
+    return {true: dict(table[true].most_common()) for true in sorted(table)}
+
+
+def miss(o: Outcome) -> Miss | None:
+    """Return what went wrong in a case; None where nothing did."""
+    why = _why(o)
+    if why is None:
+        return None
+    report = o.result.report
+    named = ", ".join(o.named) or (", ".join(report.ambiguous_class) if report else "") or "-"
+    truth = o.label.outside.name if o.label.outside else ", ".join(o.truth)
+    if o.kind == "background":
+        truth = f"{o.label.main} in a background, largest {o.largest}"
+    gap = report.gap.before if report and report.gap else None
+    why = "; ".join((why, *_excuses(o)))
+    return Miss(case=o.label.case, kind=o.kind, truth=truth or "none", verdict=o.verdict, named=named, why=why, gap=gap)
+
+
+def _excuses(o: Outcome) -> list[str]:
+    """Return what makes a set of causes hard: one that is worth little, two that look alike."""
+    if o.shares is None or o.kind == "background":
+        return []
+    left = {name: rise for name, rise in o.shares.rises.items() if name not in o.named}
+    found = [f"{name} is worth {rise:.2g} floors" for name, rise in left.items() if rise < FAINT]
+    if o.shares.alike is not None and o.shares.alike > ALIKE:
+        found.append(f"two look alike, cosine {o.shares.alike:.2f}")
+    return found
+
+
+def _why(o: Outcome) -> str | None:
+    """Return why a case counts as a miss; None where it is right."""
+    if o.result.error is not None:
+        return o.result.error
+    if o.kind == "null":
+        return "an effect named" if o.named else None
+    if o.kind == "outside":
+        return _why_outside(o)
+    if o.kind in ("pair", "triple"):
+        return None if set(o.named) == set(o.truth) else ("a wrong name" if o.wrong_names else "not all named")
+    if o.kind == "solver":
+        heavy = "object_mass" in o.truth and "object_mass" not in o.named[:2]
+        return "the mass is not first or second" if heavy else (None if o.flagged else "not found, not flagged")
+    return None if o.first else "not first"
+
+
+def _why_outside(o: Outcome) -> str | None:
+    """Return why an outside cause counts as a miss: it was explained away, overlooked, or put elsewhere."""
+    if o.verdict != "unknown_effect":
+        return "overlooked" if o.verdict == "no_gap" else "explained by the library"
+    unknown, truth = o.result.report.unknown if o.result.report else None, o.label.outside
+    place = unknown.acts_on if unknown else None
+    return None if truth and place == truth.acts_on else f"said to act on {place}, acts on {truth and truth.acts_on}"

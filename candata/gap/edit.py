@@ -1,0 +1,159 @@
+"""The edit test: whether the shrinkage is kept with another object or task in both worlds, nothing refitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset
+from candata.errors import DataError, UsageError, Where
+from candata.gap.floor import REPLICAS, floor
+from candata.gap.recordings import Recordings, recordings
+from candata.gap.replay import EffectSet, Replayer, replay_all
+from candata.gap.residuals import Layout, layout, residual
+from candata.gap.score import Score, score
+from candata.gap.shrink import RESAMPLES, gap
+from candata.gap.starts import Starts, starts
+from candata.gap.verdict import EXPLAINED, FEWEST
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.report import EditTest
+from candata.simulate.world import build_worlds
+
+Array = NDArray[np.float64]
+#: Null replays of each episode where there are more than `MANY`: their mean needs fewer of each.
+FEW_REPLICAS, MANY = 4, 64
+#: Share of what closed in the diagnosis that must close again: what `explained` asks of a whole gap.
+KEPT = EXPLAINED
+#: Quantile of the mean size of null replays up to which a mismatch may be luck (as `null_level` takes of losses).
+LUCK = 0.99
+
+
+@dataclass(frozen=True)
+class Replayed:
+    """Recordings replayed without and with a fixed set of effects, none of them fitted here.
+
+    Attributes
+    ----------
+    recs, begin, plan : Recordings, Starts, Layout
+    score : Score
+        In units of the floor of the repaired world.
+    before, after : dict of str to ndarray
+        Readings of the nominal and the repaired simulator.
+    size_before, size_after : (E,) float64
+        Discrepancy in floors.
+    """
+
+    recs: Recordings
+    begin: Starts
+    plan: Layout
+    score: Score
+    before: dict[str, Array]
+    after: dict[str, Array]
+    size_before: Array
+    size_after: Array
+
+
+def replayed(
+    replayer: Replayer, recs: Recordings, world: EffectSet, rng: np.random.Generator, replicas: int
+) -> Replayed:
+    """Return recordings replayed in the nominal scene and in the one with `world` added, measured in its floors."""
+    begin = starts(replayer.scene, recs)
+    before, after = replay_all(replayer, recs, begin, [(), world])
+    plan = layout(replayer.scene, recs, begin, before)
+    raw = residual(recs, plan, before)
+    level = score(raw, floor(replayer, recs, begin, plan, rng, replicas, world), plan)
+    sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
+    return Replayed(recs, begin, plan, level, before, after, sizes[0], sizes[1])
+
+
+def edit_test(
+    dataset: Dataset,
+    scene: Scene,
+    effects: Sequence[EffectSetting],
+    *,
+    reference: float = 1.0,
+    jobs: int = 1,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda stage: None,
+) -> EditTest:
+    """Return whether effects that were named elsewhere shrink the gap here too, nothing refitted.
+
+    The shrinkage is kept when the 90 % interval of the share closed lies above zero and the share is at least
+    `KEPT` of `reference`. Where there was no gap to close, kept is null, unless the effects open one (false).
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Recordings of the same real world with another object or task.
+    scene : Scene
+        The nominal simulator of that object or task.
+    effects : sequence of EffectSetting
+        As named by the diagnosis.
+    reference : float
+        Share that closed in the diagnosis; 1 asks for `KEPT` of the whole gap.
+    jobs, seed, progress
+        As in `diagnose`.
+
+    Raises
+    ------
+    DataError
+        When the dataset has too few episodes, or does not fit the scene.
+    UsageError
+        When there are no effects, or one cannot act in the scene.
+    """
+    if not effects:
+        raise UsageError("no effects to test", expected="effects.yaml with at least one effect")
+    build_worlds(scene, [effects])
+    progress("reading the edited world")
+    recs = readable(dataset, scene)
+    rng = np.random.default_rng(seed)
+    progress("replaying the edited world")
+    replicas = FEW_REPLICAS if len(recs) > MANY else REPLICAS
+    found = replayed(Replayer(scene, jobs), recs, tuple(effects), rng, replicas)
+    return _judged(found, f"{dataset.name}@{dataset.digest[:12]}", scene.name, reference, rng)
+
+
+def readable(dataset: Dataset, scene: Scene) -> Recordings:
+    """Return the recordings of an edit test.
+
+    Raises
+    ------
+    DataError
+        When they are too few, or do not fit the scene.
+    """
+    if len(dataset) < FEWEST:
+        raise DataError(
+            "too few episodes for the edit test",
+            expected=f"at least {FEWEST}",
+            found=str(len(dataset)),
+            where=Where(path=str(dataset.path)),
+        )
+    return recordings(scene, dataset.episodes())
+
+
+def _judged(found: Replayed, dataset: str, scene: str, reference: float, rng: np.random.Generator) -> EditTest:
+    """Return the numbers of an edit test and whether the shrinkage is kept."""
+    level = _luck(found.score, rng)
+    before, after = found.size_before, found.size_after
+    size = gap(before, after, rng, gap_left=bool(before.mean() > level))
+    if size.closed is None:
+        kept = False if after.mean() > max(level, before.mean()) else None
+    else:
+        kept = bool((size.low or 0.0) > 0 and size.closed >= KEPT * reference)
+    return EditTest(
+        dataset=dataset, scene=scene, episodes=len(found.recs), before=size.before,
+        after=round(float(after.mean()), 4), closed=size.closed, low=size.low, high=size.high, kept=kept,
+        reference=round(reference, 4),
+    )  # fmt: skip
+
+
+def _luck(level: Score, rng: np.random.Generator) -> float:
+    """Return the mean size in floors that null replays of these episodes reach by luck."""
+    sizes = level.size(level.null)
+    count = sizes.shape[1]
+    picks = rng.integers(len(sizes), size=(RESAMPLES, count))
+    return float(np.quantile(sizes[picks, np.arange(count)].mean(1), LUCK))

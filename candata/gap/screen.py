@@ -1,0 +1,70 @@
+"""Screening: what signatures promise of every candidate, without a simulation on the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate, first_probes, probes
+from candata.gap.response import Curve, Plane
+from candata.gap.score import Compact
+from candata.gap.search import Problem
+
+Array = NDArray[np.float64]
+#: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
+LIVELY = 0.05
+#: Half width over which a signature's slope is read, as a share of the coordinate's range.
+SLOPE_WIDTH = 0.02
+
+
+def respond(
+    problem: Problem, here: Compact, found: Sequence[Candidate]
+) -> tuple[list[tuple[Candidate, Curve | Plane]], list[str]]:
+    """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones."""
+    out: list[tuple[Candidate, Curve | Plane]] = []
+    dead = []
+    for c in found:
+        points = screening(c, problem)
+        moves = problem.signatures([(c, u) for u in points])
+        if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
+            dead.append(c.label)
+        else:
+            out.append((c, _response(c, here, points, moves)))
+    return out, dead
+
+
+def screening(c: Candidate, problem: Problem) -> list[Array]:
+    """Return the coordinates at which a candidate's signatures are read; fewer for one of many elements."""
+    scene = problem.replayer.scene
+    return probes(c, scene) if c.element is None else first_probes(c, scene)
+
+
+def _response(c: Candidate, here: Compact, points: Sequence[Array], moves: Sequence[Compact]) -> Curve | Plane:
+    """Return what signatures promise: a curve for a scalar, a plane of secants for a vector."""
+    if c.size == 1:
+        start = Curve(c, c.neutral, here[None], np.ones(1, bool))
+        return start.with_probes(np.concatenate(points), np.stack([here - move for move in moves]), sure=False)
+    return Plane(c.low, c.high, c.neutral, here, np.stack([_secant(c, i, points, moves) for i in range(c.size)]))
+
+
+def _secant(c: Candidate, i: int, points: Sequence[Array], moves: Sequence[Compact]) -> Compact:
+    """Return `(E, K)` the change of the residuals with coordinate i, across its outermost probes."""
+    steps = [(float(u[i] - c.neutral[i]), m) for u, m in zip(points, moves, strict=True) if u[i] != c.neutral[i]]
+    (a, low), (b, high) = min(steps, key=lambda s: s[0]), max(steps, key=lambda s: s[0])
+    return (low - high) / np.float32(b - a) if a != b else -high / np.float32(b)
+
+
+def slopes(problem: Problem, c: Candidate, u: Array) -> Compact:
+    """Return `(d, E, K)` how residuals change with a candidate's coordinates around `u (d,)`; zero for a choice."""
+    points = screening(c, problem)
+    moves = problem.signatures([(c, p) for p in points])
+    response = _response(c, np.zeros_like(moves[0]), points, moves)
+    if isinstance(response, Plane):
+        return response.slope
+    if c.choices:
+        return np.zeros((1, *moves[0].shape), np.float32)
+    width = SLOPE_WIDTH * (c.high - c.low)
+    low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
+    return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])

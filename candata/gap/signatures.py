@@ -1,0 +1,220 @@
+"""Signatures: what an effect does to the comparison on given commands, simulated once in the nominal scene and kept.
+
+A signature is the residual that a recording made in a world with the effect would show under the nominal replay, less
+what a recording of the nominal scene shows: world, readings, start and observer are those of a diagnosis. It depends
+on commands and starts, the scene and the effect, not on what was recorded, so that diagnoses of the same commands
+share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import uuid
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.floor import null_residuals
+from candata.gap.recordings import Recordings
+from candata.gap.replay import EffectSet, Replayer, replay_all
+from candata.gap.residuals import Layout, residual
+from candata.gap.starts import Starts, starts
+from candata.scenes import Scene
+from candata.schema.scene import Noise
+from candata.simulate import rollout
+
+Array = NDArray[np.float64]
+Compact = NDArray[np.float32]
+#: Rooms whose code decides a signature.
+CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
+#: Modules of this room that do.
+OWN_CODE = ("floor", "replay", "residuals", "starts")
+#: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
+#: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
+#: decides when contact begins, hardly what an effect does.
+SAME_PLACE, SAME_TURN = 0.02, 0.1
+#: Seed of null recordings: the same from the cache and without it.
+NULL_SEED = 0
+#: Size of the cache from which the sets used longest ago are removed [bytes].
+LIMIT_BYTES = 4_000_000_000
+
+
+@dataclass(frozen=True)
+class Library:
+    """Signatures on the commands of a set of recordings.
+
+    Attributes
+    ----------
+    replayer : Replayer
+    recs : Recordings
+        Commands, and which channels were recorded.
+    begin : Starts
+        Where the worlds start: as recorded, or as in an earlier set of the same commands.
+    plan : Layout
+        Blocks of the residuals, without phases.
+    nominal : (E, B, D) float32
+        Residual of a recording of the nominal scene.
+    folder : Path, optional
+        Where signatures are kept; None keeps none.
+    """
+
+    replayer: Replayer
+    recs: Recordings
+    begin: Starts
+    plan: Layout
+    nominal: Compact
+    folder: Path | None
+
+    def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
+        """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
+        return [self._signature(some) for some in settings]
+
+    def _signature(self, some: EffectSet) -> Compact:
+        """Return one signature."""
+        file = self._file(json.dumps([s.model_dump(mode="json") for s in some], sort_keys=True))
+        kept = _read(file)
+        if kept is not None:
+            return kept["residual"]
+        made = _recorded(self.replayer, self.recs, self.begin, self.plan, some) - self.nominal
+        _keep(file, residual=made)
+        return made
+
+    def nulls(self, noise: Noise) -> Array:
+        """Return the residuals `(R, E, B, D)` of null recordings under their replay, with a noise of their own."""
+        file = self._file(noise.model_dump_json())
+        kept = _read(file)
+        if kept is not None:
+            return kept["residual"].astype(float)
+        whole = {n: np.zeros_like(v) for n, v in self.recs.readings.items()}
+        rng = np.random.default_rng(NULL_SEED)
+        made = null_residuals(self.replayer, replace(self.recs, readings=whole), self.begin, self.plan, noise, rng)
+        _keep(file, residual=made.astype(np.float32))
+        return made.astype(np.float32).astype(float)
+
+    def _file(self, text: str) -> Path | None:
+        """Return where what `text` names is kept."""
+        return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.npz" if self.folder else None
+
+
+def library(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, root: Path | None) -> Library:
+    """Return the library of a set of recordings; `root` is the cache's folder, None keeps nothing."""
+    flat = replace(plan, phase=np.zeros_like(plan.phase))
+    folder = None
+    if root is not None:
+        folder, begin = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
+    blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder)
+    return replace(blank, nominal=blank.signatures([()])[0])
+
+
+def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, world: EffectSet) -> Compact:
+    """Return the residual of noise-free recordings of a world under the nominal replay."""
+    played = rollout(
+        replayer.scene,
+        recs.commands,
+        begin.qpos0,
+        begin.qvel0,
+        [world] * len(recs),
+        instant_force=recs.instant_force,
+        threads=replayer.threads,
+    )
+    replayer.count(recs.commands.shape[0] * recs.commands.shape[1] * replayer.scene.substeps)
+    made = replace(recs, readings={n: v for n, v in played.readings.items() if n in recs.readings})
+    readings = replay_all(replayer, made, starts(replayer.scene, made), [()])[0]
+    return residual(made, plan, readings).astype(np.float32)
+
+
+def _key(replayer: Replayer, recs: Recordings, begin: Starts) -> str:
+    """Return the name of all signatures on the same commands in the same scene by the same code."""
+    text = hashlib.sha256(f"{replayer.scene.digest}|{mujoco.__version__}|{_code()}|{recs.instant_force}".encode())
+    text.update("|".join(recs.readings).encode())
+    for values in (recs.commands, recs.lengths, begin.rows):
+        text.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
+    return text.hexdigest()[:32]
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """Return a digest of the code that decides a signature."""
+    root = Path(__file__).parent.parent
+    rooms = [root / name for name in CODE]
+    files = [f for room in rooms for f in ([room] if room.is_file() else sorted(room.rglob("*.py")))]
+    files += [root / "gap" / f"{name}.py" for name in OWN_CODE]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+
+
+def _shared_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts]:
+    """Return the folder of signatures from (nearly) the same start, and that start; a new one where there is none."""
+    for known in sorted(folder.glob("*/starts.npz")):
+        found = _start_in(known)
+        if found is not None and _is_same(scene, found, begin):
+            known.parent.touch()
+            return known.parent, found
+    arrays = {name: getattr(begin, name) for name in ("rows", "qpos", "qvel", "qpos0", "qvel0")}
+    own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
+    _prune(folder.parent)
+    _keep(own / "starts.npz", **arrays)
+    return own, begin
+
+
+def _start_in(file: Path) -> Starts | None:
+    """Return the start kept in a file; None where it cannot be read."""
+    kept = _read(file)
+    return Starts(**kept) if kept else None
+
+
+def _is_same(scene: Scene, one: Starts, other: Starts) -> bool:
+    """Tell whether two sets of starts are close enough to share signatures."""
+    if one.qpos.shape != other.qpos.shape or not np.array_equal(one.rows, other.rows):
+        return False
+    allowed, allowed_speed = np.full(one.qpos.shape[1], SAME_TURN), np.full(one.qvel.shape[1], SAME_TURN)
+    if scene.object_id is not None:
+        allowed[scene.object_qpos : scene.object_qpos + 3] = SAME_PLACE
+        allowed_speed[scene.object_dof : scene.object_dof + 3] = SAME_PLACE
+    return bool(
+        (np.abs(one.qpos - other.qpos) <= allowed).all() and (np.abs(one.qvel - other.qvel) <= allowed_speed).all()
+    )
+
+
+def _keep(file: Path | None, **arrays: NDArray) -> None:
+    """Write arrays to a file, whole or not at all; a cache that cannot be written is no harm."""
+    if file is None:
+        return
+    draft = file.with_name(f".{file.name}.{uuid.uuid4().hex[:8]}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with draft.open("wb") as out:
+            np.savez(out, allow_pickle=False, **arrays)
+        draft.replace(file)
+    except OSError:
+        draft.unlink(missing_ok=True)
+
+
+def _read(file: Path | None) -> dict[str, NDArray] | None:
+    """Return the arrays of a file; None where it is missing or damaged (the archive checks its sums)."""
+    if file is None:
+        return None
+    try:
+        with np.load(file) as kept:
+            return {name: kept[name] for name in kept.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def _prune(root: Path) -> None:
+    """Remove the sets used longest ago until the cache is below its limit."""
+    sets = sorted((d for d in root.glob("*/*") if d.is_dir()), key=lambda d: d.stat().st_mtime)
+    size = {d: sum(f.stat().st_size for f in d.iterdir()) for d in sets}
+    total = sum(size.values())
+    for folder in sets:
+        if total <= LIMIT_BYTES:
+            break
+        shutil.rmtree(folder, ignore_errors=True)
+        total -= size[folder]

@@ -1,0 +1,166 @@
+"""Everything a little wrong: a joint fit over all effects that keeps few, by reweighted L1 (Candes, Wakin & Boyd 2008).
+
+Slopes come from signatures and are read again wherever the fit has moved; each step is kept only where rollouts lower
+the loss. How strongly numbers are held back is decided on held-out episodes; those that stay are refitted freely.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import candidates
+from candata.gap.refine import SHARES, around, best_of, joint, slopes_of
+from candata.gap.response import SCALES, Plane
+from candata.gap.score import Compact, Score, weights
+from candata.gap.search import Fit, Members, Problem
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Rounds of the joint fit at most.
+ROUNDS = 7
+#: Strengths that are tried, as shares of the one that holds every number at its neutral value.
+STRENGTHS = np.geomspace(0.5, 0.002, 10)
+#: Sweeps of coordinate descent (Friedman, Hastie & Tibshirani 2010).
+SWEEPS = 60
+#: Share of the gain below which a member is dropped, and how many standard errors its own must be.
+LEAST, SURE = 0.02, 1.64
+
+
+def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
+    """Return the joint fit of few effects around `start`; None where no step from it helps.
+
+    Parameters
+    ----------
+    problem : Problem
+    start : Fit
+        What is accepted so far; its choices stay.
+    base : (E,) float64
+        Loss of the nominal scene in the problem's floors.
+    """
+    members = _everything(problem, start)
+    neutral = np.concatenate([c.neutral for c, _ in members])
+
+    def world(u: Array) -> Members:
+        return present(_split(members, u))
+
+    plane = around(problem, members, world(np.concatenate([u for _, u in members])))
+    held = np.ones(len(neutral))
+    for _ in range(ROUNDS):
+        target, held = _target(problem, plane, neutral, held)
+        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], world)
+        if moved is plane:
+            break
+        plane = replace(moved, slope=slopes_of(problem, _split(members, moved.at)))
+    kept = world(plane.at)
+    if len(kept) <= len(start.members):
+        return None
+    return _pruned(problem, joint(problem, kept, base), base)
+
+
+def _everything(problem: Problem, start: Fit) -> Members:
+    """Return the members of `start` and, at their neutral values, all other candidates that are numbers."""
+    taken = {c.name for c, _ in start.members}
+    found = candidates(problem.replayer.scene, list(problem.recs.readings))
+    return (*start.members, *((c, c.neutral.copy()) for c in found if c.name not in taken and not c.choices))
+
+
+def present(members: Members) -> Members:
+    """Return the members that are not at their neutral values."""
+    return tuple((c, u) for c, u in members if not c.is_neutral(u))
+
+
+def _split(members: Members, u: Array) -> Members:
+    """Return the members at stacked coordinates."""
+    ends = np.cumsum([c.size for c, _ in members])
+    return tuple((c, part) for (c, _), part in zip(members, np.split(u, ends[:-1]), strict=True))
+
+
+@dataclass(frozen=True)
+class _Quadratic:
+    """The loss of each episode as a quadratic of the coordinates' distances t from neutral: t A t / 2 + b t."""
+
+    a: Array
+    b: Array
+
+    def take(self, index: Index) -> tuple[Array, Array]:
+        """Return the sums over some episodes."""
+        return self.a[index].sum(0), self.b[index].sum(0)
+
+
+def _target(problem: Problem, plane: Plane, neutral: Array, held: Array) -> tuple[Array, Array]:
+    """Return the coordinates that the penalised fit asks for, and how strongly each is to be held back next time."""
+    now = plane.at - neutral
+    bounds = (plane.low - neutral, plane.high - neutral)
+    quadratic = _quadratic(problem.score, plane, now)
+    a, b = quadratic.take(np.arange(len(quadratic.a)))
+    size = np.sqrt(np.maximum(np.diag(a), 1e-12))
+    most = float(np.max(np.abs(b) / (held * size), initial=0.0))
+    strength = _strength(problem, quadratic, held * size, most, bounds)
+    t = _descent(a, b, strength * held * size, bounds)
+    effect = size * np.abs(t)
+    return neutral + t, 1.0 / (effect / max(float(effect.max()), 1e-12) + 0.05)
+
+
+def _quadratic(score: Score, plane: Plane, now: Array) -> _Quadratic:
+    """Return the quadratic of the robust loss around the plane, by weights of its least-squares fit."""
+    target = plane.best(np.arange(len(plane.z)))
+    last = plane.read(target) if len(SCALES) else plane.z
+    weight = np.where(score.mask, np.maximum(weights(plane.z), weights(last)), 0).astype(np.float32)
+    unit = np.maximum(score.mask.sum(1), 1) * score.floor
+    slope = plane.slope.transpose(1, 0, 2)
+    weighted = slope * weight[:, None, :]
+    a = (weighted @ slope.transpose(0, 2, 1)).astype(float) / unit[:, None, None]
+    b = np.einsum("edk,ek->ed", weighted, plane.z, dtype=np.float64) / unit[:, None]
+    return _Quadratic(a, b - a @ now)
+
+
+def _strength(problem: Problem, quadratic: _Quadratic, held: Array, most: float, bounds: tuple[Array, Array]) -> float:
+    """Return the strongest penalty whose held-out loss is within one standard error of the least."""
+    loss = np.zeros((len(STRENGTHS), len(quadratic.a)))
+    for test in problem.parts:
+        a, b = quadratic.take(np.setdiff1d(np.arange(len(quadratic.a)), test))
+        for i, share in enumerate(STRENGTHS):
+            t = _descent(a, b, share * most * held, bounds)
+            loss[i, test] = quadratic.b[test] @ t + 0.5 * np.einsum("i,eij,j->e", t, quadratic.a[test], t)
+    best = int(loss.mean(1).argmin())
+    worse = loss - loss[best]
+    error = worse.std(1, ddof=1) / np.sqrt(loss.shape[1])
+    return float(STRENGTHS[int(np.flatnonzero(worse.mean(1) <= error)[0])] * most)
+
+
+def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array]) -> Array:
+    """Return t of least `t a t / 2 + b t + penalty |t|` within bounds, by coordinate descent."""
+    t = np.zeros(len(b))
+    size = np.maximum(np.diag(a), 1e-12)
+    for _ in range(SWEEPS):
+        before = t.copy()
+        for i in range(len(t)):
+            pull = size[i] * t[i] - (a[i] @ t + b[i])
+            t[i] = np.clip(np.sign(pull) * max(abs(pull) - penalty[i], 0.0) / size[i], bounds[0][i], bounds[1][i])
+        if np.abs(t - before).max() <= 1e-6 * max(np.abs(t).max(), 1e-12):
+            break
+    return t
+
+
+def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
+    """Return the fit without the members that are worth nothing, the others refitted."""
+    plane = fit.plane
+    losses = problem.score.loss(plane.z)
+    gain = float((base - losses).mean())
+    kept = []
+    for i, member in enumerate(fit.members):
+        rise = problem.score.loss(_without(plane, fit.members, i)) - losses
+        error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
+        if member[0].choices or rise.mean() > max(LEAST * gain, SURE * error):
+            kept.append(member)
+    return fit if len(kept) in (0, len(fit.members)) else joint(problem, tuple(kept), base)
+
+
+def _without(plane: Plane, members: Sequence[tuple], i: int) -> Compact:
+    """Return the residuals that the plane promises with member i at its neutral values."""
+    u = np.concatenate([c.neutral if j == i else at for j, (c, at) in enumerate(members)])
+    return plane.read(u)

@@ -1,0 +1,149 @@
+"""Parameters of effects as places in a model: number = offset + slope x value."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import active, effect, flatten, setting
+from candata.repair.fields import OPTIONS, differences, read
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.record import Record
+from candata.simulate.world import build_worlds
+
+Array = NDArray[np.float64]
+#: Model array -> (kind of spec element, attribute) of what a parameter of the toolbox can write.
+SPEC = {
+    "geom_friction": ("geom", "friction"),
+    "geom_solref": ("geom", "solref"),
+    "geom_solimp": ("geom", "solimp"),
+    "geom_size": ("geom", "size"),
+    "geom_pos": ("geom", "pos"),
+    "pair_friction": ("pair", "friction"),
+    "pair_solref": ("pair", "solref"),
+    "pair_solimp": ("pair", "solimp"),
+    "dof_damping": ("joint", "damping"),
+    "dof_frictionloss": ("joint", "frictionloss"),
+    "dof_armature": ("joint", "armature"),
+    "actuator_gainprm": ("actuator", "gainprm"),
+    "actuator_biasprm": ("actuator", "biasprm"),
+    "actuator_forcerange": ("actuator", "forcerange"),
+    "body_mass": ("body", "mass"),
+    "body_inertia": ("body", "inertia"),
+    "body_ipos": ("body", "ipos"),
+}
+#: Attributes of which the model's array is the first number only: damping may grow with speed.
+FIRST = ("damping",)
+#: How far from a straight line still counts as one, of the largest change.
+STRAIGHT = 1e-9
+
+
+class Place(Record):
+    """One number of a model that a parameter sets; `index` null where the attribute is one number."""
+
+    kind: str
+    name: str
+    attribute: str
+    index: int | None
+    offset: float
+    slope: float
+
+
+class Free(Record):
+    """One parameter with bounds and start; `places` for each of its components."""
+
+    name: str
+    effect: str
+    parameter: str
+    unit: str
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    start: tuple[float, ...]
+    own: tuple[float, ...]
+    places: tuple[tuple[Place, ...], ...]
+
+
+def free_parameters(scene: Scene, effects: Sequence[EffectSetting], which: int, names: mujoco.MjModel) -> list[Free]:
+    """Return the parameters of one of the effects, the others kept; none where it does not act along straight lines.
+
+    Parameters
+    ----------
+    scene : Scene
+    effects : sequence of EffectSetting
+        All effects, at their start values.
+    which : int
+        Index of the one asked for.
+    names : mujoco.MjModel
+        A model of the same elements in which each that matters has a name.
+    """
+    s = effects[which]
+    kind, x = effect(s.name), flatten(s, scene)
+    if any(p.choices for p in kind.parameters):
+        return []
+    owned, out, first = active(s.name, scene, s.element), [], 0
+    for p in kind.parameters:
+        ids = np.flatnonzero(owned[first : first + p.size(scene)]) + first
+        first += p.size(scene)
+        low, high = p.bounds(scene)
+        places = [_places(scene, effects, which, x, int(i), (low, high), names) for i in ids]
+        if not all(places):
+            return []
+        neutral = p.identity(scene) if p.neutral is None else p.neutral(scene)
+        label = f"{s.name}.{s.element}.{p.name}" if s.element else f"{s.name}.{p.name}"
+        wide = len(ids)
+        out.append(
+            Free(
+                name=label, effect=s.name, parameter=p.name, unit=p.unit, low=(low,) * wide, high=(high,) * wide,
+                start=tuple(x[ids].tolist()), own=(float(neutral),) * wide,
+                places=tuple(tuple(found or ()) for found in places),
+            )
+        )  # fmt: skip
+    return out
+
+
+def _places(
+    scene: Scene,
+    effects: Sequence[EffectSetting],
+    which: int,
+    x: Array,
+    component: int,
+    bounds: tuple[float, float],
+    names: mujoco.MjModel,
+) -> list[Place] | None:
+    """Return what one component moves; None where that is not a straight line, or nothing that can be written."""
+    s = effects[which]
+    models, values = [], [bounds[0] + share * (bounds[1] - bounds[0]) for share in (0.25, 0.5, 0.8)]
+    for value in values:
+        at = x.copy()
+        at[component] = value
+        some = [*effects[:which], setting(s.name, at, scene, s.element), *effects[which + 1 :]]
+        models.append(build_worlds(scene, [some]).models[0])
+    out: list[Place] = []
+    for d in differences(models[0], models[2]):
+        numbers = [read(m, d.field) for m in models]
+        slope = (numbers[2] - numbers[0]) / (values[2] - values[0])
+        bent = np.abs(numbers[0] + slope * (values[1] - values[0]) - numbers[1])
+        known = d.field in SPEC or d.field in OPTIONS
+        if not known or bent.max() > STRAIGHT * np.abs(numbers[2] - numbers[0]).max():
+            return None
+        offset = numbers[0] - slope * values[0]
+        out += [_place(names, d.field, int(i), int(j), offset, slope) for i, j in np.argwhere(slope != 0)]
+    return out or None
+
+
+def _place(names: mujoco.MjModel, field: str, row: int, column: int, offset: Array, slope: Array) -> Place:
+    """Return one number of a model by the name of its element."""
+    numbers = {"offset": float(offset[row, column]), "slope": float(slope[row, column])}
+    wide = offset.shape[1] > 1
+    if field in OPTIONS:
+        return Place(kind="option", name="", attribute=field, index=column if wide else None, **numbers)
+    kind, attribute = SPEC[field]
+    if kind == "joint":
+        row = int(names.dof_jntid[row])
+    element = getattr(names, kind)(row)
+    index = column if wide or attribute in FIRST else None
+    return Place(kind=kind, name=element.name, attribute=attribute, index=index, **numbers)

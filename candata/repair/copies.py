@@ -1,0 +1,99 @@
+"""Copies of a scene's files: the user's own, or the model as MuJoCo saves it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+import yaml
+
+from candata.errors import SceneError, Where
+from candata.plugins import load
+from candata.scenes import Scene
+from candata.scenes.assemble import LIBRARY, assemble
+from candata.schema.scene import SceneFile
+
+Way = Literal["patch", "whole"]
+#: What candata's own sensors are called, which it adds again when it loads a scene.
+_OWN = "candata_"
+
+
+@dataclass(frozen=True)
+class Copy:
+    """A scene's files in a folder of their own; `scene` is the scene.yaml, `model` the main MJCF."""
+
+    folder: Path
+    scene: Path
+    model: Path
+
+
+def is_file(scene: Scene) -> bool:
+    """Tell whether a scene is a user's file rather than one of the library."""
+    return Path(scene.name).suffix in (".yaml", ".yml")
+
+
+def ways(scene: Scene) -> tuple[Way, ...]:
+    """Return how a scene can be exported: MJCF of a user's as a patch, all else as a whole model."""
+    return ("patch", "whole") if is_file(scene) and _source(scene).suffix.lower() == ".xml" else ("whole",)
+
+
+def _source(scene: Scene) -> Path:
+    """Return the model file of a user's scene."""
+    return _absolute(Path(scene.name)).parent / scene.file.model
+
+
+def _absolute(path: str | Path) -> Path:
+    """Return a path from the root; links stay, as what lies beside them is named relative to them."""
+    return Path(os.path.abspath(path))
+
+
+def copied(scene: Scene, way: Way, folder: Path) -> Copy:
+    """Return a copy of a scene's files in `folder`, with all that the model names (meshes, textures, includes)."""
+    folder.mkdir(parents=True)
+    if not is_file(scene):
+        return _saved(scene, folder, folder / "scene.xml", folder / "scene.yaml")
+    own, source = _absolute(scene.name), _absolute(_source(scene))
+    needed = [own, source, *(_absolute(p) for p in mujoco.mju_getXMLDependencies(str(source)))]
+    top = Path(os.path.commonpath([p.parent for p in needed]))
+    for path in dict.fromkeys(needed):
+        to = folder / path.relative_to(top)
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, to)
+    at, model = folder / own.relative_to(top), folder / source.relative_to(top)
+    return Copy(folder, at, model) if way == "patch" else _saved(scene, folder, model.with_suffix(".xml"), at)
+
+
+def _saved(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
+    """Return a copy whose model is one file as MuJoCo saves it, servos of a URDF included."""
+    spec = _spec(scene)
+    assemble(scene.name, scene.file, spec)
+    for sensor in list(spec.sensors):
+        if sensor.name.startswith(_OWN):
+            spec.delete(sensor)
+    spec.compile()
+    model.write_text(spec.to_xml())
+    roles = {"model": os.path.relpath(model, at.parent), "actuators": scene.file.actuator_names}
+    file = SceneFile.model_validate(scene.file.model_dump() | roles)
+    at.write_text(yaml.safe_dump(file.model_dump(mode="json", exclude_defaults=True), sort_keys=False))
+    return Copy(folder, at, model)
+
+
+def _spec(scene: Scene) -> mujoco.MjSpec:
+    """Return the spec of a scene, uncompiled.
+
+    Raises
+    ------
+    SceneError
+        When the scene's file is gone or cannot be read.
+    """
+    if not is_file(scene):
+        spec: mujoco.MjSpec = load(LIBRARY, "SCENE", scene.name).build()
+        return spec
+    try:
+        return mujoco.MjSpec.from_file(str(_source(scene)))
+    except ValueError as error:
+        raise SceneError(f"model {scene.file.model} cannot be read: {error}", where=Where(path=scene.name)) from None

@@ -1,0 +1,92 @@
+"""The numbers of a model that effects change, and the attributes of MJCF that hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+#: Model array -> (kind of element, attribute) where the attribute is the number itself.
+PLAIN = {
+    "geom_friction": ("geom", "friction"),
+    "geom_solref": ("geom", "solref"),
+    "geom_solimp": ("geom", "solimp"),
+    "geom_condim": ("geom", "condim"),
+    "geom_priority": ("geom", "priority"),
+    "pair_dim": ("pair", "condim"),
+    "pair_friction": ("pair", "friction"),
+    "pair_solref": ("pair", "solref"),
+    "pair_solimp": ("pair", "solimp"),
+    "dof_damping": ("joint", "damping"),
+    "dof_frictionloss": ("joint", "frictionloss"),
+    "dof_armature": ("joint", "armature"),
+    "actuator_forcerange": ("actuator", "forcerange"),
+}
+#: Model arrays that take more than one attribute, or a computation.
+GEOMETRY = ("geom_size", "geom_pos", "site_pos", "body_pos", "mesh_vert")
+INERTIA = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+SERVO = ("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited")
+FIELDS = (*PLAIN, *GEOMETRY, *INERTIA, *SERVO)
+#: Options of the solver and of the world.
+OPTIONS = ("gravity", "timestep", "cone", "impratio", "integrator")
+#: Words of MJCF for the numbers of an option.
+WORDS = {
+    "cone": ("pyramidal", "elliptic"),
+    "integrator": ("Euler", "RK4", "implicit", "implicitfast", "discrete"),
+}
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One model array in which two models differ, and where.
+
+    Attributes
+    ----------
+    field : str
+        Name of the array, or of the option.
+    ids : tuple of int
+        Rows that differ; `(0,)` for an option.
+    """
+
+    field: str
+    ids: tuple[int, ...]
+
+
+def read(model: mujoco.MjModel, field: str) -> Array:
+    """Return one array (or option) of a model as rows of numbers, `(n, w)`."""
+    values = getattr(model.opt, field) if field in OPTIONS else getattr(model, field)
+    found = np.array(values, float)
+    return found.reshape(
+        1 if field in OPTIONS else len(found), int(np.prod(found.shape[0 if field in OPTIONS else 1 :]))
+    )
+
+
+def differences(first: mujoco.MjModel, second: mujoco.MjModel, rtol: float = 0.0) -> list[Difference]:
+    """Return the fields in which two models differ by more than `rtol`, of a row's largest number.
+
+    Fields of another shape differ in every row.
+    """
+    out = []
+    for field in (*FIELDS, *OPTIONS):
+        one, other = read(first, field), read(second, field)
+        if one.shape != other.shape:
+            out.append(Difference(field, tuple(range(max(len(one), len(other))))))
+            continue
+        size = np.maximum(np.abs(one), np.abs(other)).max(axis=1, initial=0.0)
+        # What is zero but for rounding compares with the largest number of its kind.
+        size = size + 0.1 * size.max(initial=0.0)
+        apart = np.abs(one - other).max(axis=1, initial=0.0)
+        if field == "body_iquat":  # a quaternion and its negative are one rotation
+            apart = np.minimum(apart, np.abs(one + other).max(axis=1, initial=0.0))
+        rows = np.flatnonzero(apart > rtol * size)
+        if len(rows):
+            out.append(Difference(field, tuple(rows.tolist())))
+    return out
+
+
+def words(numbers: Array | float) -> str:
+    """Return numbers as an attribute, to twelve digits."""
+    return " ".join(f"{v:.12g}" for v in np.atleast_1d(numbers))

@@ -1,0 +1,244 @@
+"""The repaired simulator as MJCF: the user's own files with a few attributes changed, and what they cannot hold."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import yaml
+
+from candata.errors import SceneError, UsageError
+from candata.repair.copies import Copy, Way, copied, ways
+from candata.repair.fields import INERTIA, differences
+from candata.repair.markup import Edit, edited, merged, parse
+from candata.repair.parts import Held, Left, holds, left, outside
+from candata.repair.writes import edits
+from candata.scenes import Scene, load_scene
+from candata.schema.effect import EffectSetting, EffectsFile
+from candata.schema.record import Record
+from candata.simulate.world import build_worlds
+
+EFFECTS, DIFF, LISTING = "effects.yaml", "changes.diff", "export.json"
+#: Agreement asked of the exported model: meshes are stored in single precision, MuJoCo saves a whole model with six
+#: digits; an edit that went wrong is off by far more.
+AGREEMENT: dict[Way, float] = {"patch": 1e-6, "whole": 2e-5}
+
+
+class Change(Record):
+    """One attribute that changed: null where there was none before, or is none after."""
+
+    file: str
+    line: int
+    element: str
+    attribute: str
+    before: str | None = None
+    after: str | None = None
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Cells of a table for people."""
+        return (f"{self.file}:{self.line}", self.element, self.attribute, self.before or "-", self.after or "-")
+
+
+class Exported(Record):
+    """What an export wrote.
+
+    `way` is patch (the user's own files, byte by byte the same but for the attributes in `changes`) or whole (the
+    model as MuJoCo saves it, with six digits).
+    """
+
+    folder: str
+    scene: str
+    model: str
+    way: Way
+    held: tuple[Held, ...] = ()
+    left: tuple[Left, ...] = ()
+    changes: tuple[Change, ...] = ()
+    diff: str | None = None
+    effects: str | None = None
+
+    @property
+    def headline(self) -> str:
+        """One line for people."""
+        how = "your files, patched" if self.way == "patch" else "the whole model, as MuJoCo saves it"
+        names = ", ".join(e.label for e in self.held) or "no effect"
+        return f"{self.scene}: {how}; holds {names}"
+
+
+def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> Exported:
+    """Return what was written to `out`: the scene's MJCF with the effects in it, a diff, and what MJCF cannot hold.
+
+    What is written is loaded again and compared with the model that the effects make in candata; an effect for which
+    the two differ is not written but listed.
+
+    Raises
+    ------
+    UsageError
+        When `out` exists, or an effect cannot act in the scene.
+    SceneError
+        When the scene's model cannot be written at all.
+    """
+    build_worlds(scene, [effects])
+    with fresh_folder(out) as draft:
+        way, held, reasons = _best(scene, [s for s in effects if holds(s)], draft)
+        copy = copied(scene, way, draft / "out")
+        before = {path: path.read_bytes() for path in copy.folder.rglob("*.xml")}
+        changes = apply_effects(copy, scene, held)
+        diff = _diff(copy, before)
+        rest = [e for e in (left(s, reasons.get(s.model_dump_json())) for s in effects) if e is not None]
+        found = Exported(
+            folder=str(out),
+            scene=str(copy.scene.relative_to(copy.folder)),
+            model=str(copy.model.relative_to(copy.folder)),
+            way=way,
+            held=tuple(Held(name=s.name, element=s.element, parameters=s.parameters) for s in held),
+            left=tuple(rest),
+            changes=tuple(changes),
+            diff=DIFF if diff else None,
+            effects=EFFECTS if outside(rest) else None,
+        )
+        _write(found, copy, diff)
+        copy.folder.replace(out)
+    return found
+
+
+@contextmanager
+def fresh_folder(out: Path) -> Iterator[Path]:
+    """Yield an empty folder beside `out`, which goes when done: what is whole is moved to `out`.
+
+    Raises
+    ------
+    UsageError
+        When `out` exists.
+    """
+    if out.exists():
+        raise UsageError("the folder to export to exists", found=str(out), fix="name another --out, or remove it")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
+    try:
+        yield draft
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def _best(scene: Scene, asked: Sequence[EffectSetting], draft: Path) -> tuple[Way, list[EffectSetting], dict[str, str]]:
+    """Return the way that holds the most effects (a patch if it holds as many), those effects, and why not the others.
+
+    Raises
+    ------
+    SceneError
+        When the model cannot be written in any way.
+    """
+    tried: list[tuple[Way, list[EffectSetting], dict[str, str]]] = []
+    why: str | None = None
+    for way in ways(scene):
+        if _refused(scene, asked, way, draft) is None:
+            return way, list(asked), {}
+        why = _refused(scene, (), way, draft)
+        if why is None:
+            tried.append((way, *_most(scene, asked, way, draft)))
+    if not tried:
+        raise SceneError(f"the model of scene {scene.name} cannot be written as MJCF", found=why)
+    return max(tried, key=lambda entry: len(entry[1]))
+
+
+def _most(
+    scene: Scene, asked: Sequence[EffectSetting], way: Way, draft: Path
+) -> tuple[list[EffectSetting], dict[str, str]]:
+    """Return the effects that can be written, added one by one, and why the others cannot."""
+    held: list[EffectSetting] = []
+    reasons: dict[str, str] = {}
+    for s in asked:
+        why = _refused(scene, [*held, s], way, draft)
+        if why is None:
+            held.append(s)
+        else:
+            reasons[s.model_dump_json()] = why
+    return held, reasons
+
+
+def _refused(scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Path) -> str | None:
+    """Return why a model written with `effects` is not the one that candata simulates; None when it is."""
+    folder = draft / "trial"
+    try:
+        copy = copied(scene, way, folder)
+        apply_effects(copy, scene, effects)
+        written = load_scene(copy.scene).model
+    except (SceneError, ValueError) as error:
+        return str(error).splitlines()[0]
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    target = build_worlds(scene, [effects]).models[0]
+    still = target.body_weldid == 0
+    apart = [
+        d.field
+        for d in differences(written, target, AGREEMENT[way])
+        # Inertia of what never moves is of no consequence.
+        if d.field not in INERTIA or len(written.body_mass) != len(still) or not still[list(d.ids)].all()
+    ]
+    return f"the model written differs in {', '.join(apart)}" if apart else None
+
+
+def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) -> list[Change]:
+    """Return what changed when the effects were written into the files of a copy."""
+    target = build_worlds(scene, [effects]).models[0]
+    root = parse(copy.model)
+    spec = mujoco.MjSpec.from_file(str(copy.model))
+    spec.compile()
+    found = merged(edits(scene.model, target, spec, root))
+    for path, raw in edited(found).items():
+        path.write_bytes(raw)
+    return [change for edit in found for change in _changes(edit, copy)]
+
+
+def _changes(edit: Edit, copy: Copy) -> list[Change]:
+    """Return the changes of one element."""
+    node = edit.node
+    file = str(node.file.relative_to(copy.folder))
+    element = " ".join(filter(None, [node.tag, node.attributes.get("name")]))
+    out = [
+        Change(file=file, line=node.line, element=element, attribute=k, before=node.attributes.get(k), after=v)
+        for k, v in edit.attributes.items()
+        if v != node.attributes.get(k)
+    ]
+    if edit.tag:
+        out.append(
+            Change(file=file, line=node.line, element=element, attribute="(tag)", before=node.tag, after=edit.tag)
+        )
+    if edit.inside:
+        out.append(Change(file=file, line=node.line, element=element, attribute="(child)", after=edit.inside.strip()))
+    return out
+
+
+def _diff(copy: Copy, before: dict[Path, bytes]) -> bytes:
+    """Return the unified diff of all files that changed, paths from the copy's folder."""
+    out = b""
+    for path, raw in sorted(before.items()):
+        name = path.relative_to(copy.folder).as_posix().encode()
+        lines = difflib.diff_bytes(
+            difflib.unified_diff, _lines(raw), _lines(path.read_bytes()), b"a/" + name, b"b/" + name
+        )
+        out += b"".join(lines)
+    return out
+
+
+def _lines(raw: bytes) -> list[bytes]:
+    """Return lines with their ends; one that ends with the file says so, as diffs do."""
+    *whole, last = raw.split(b"\n")
+    return [line + b"\n" for line in whole] + ([last + b"\n\\ No newline at end of file\n"] if last else [])
+
+
+def _write(found: Exported, copy: Copy, diff: bytes) -> None:
+    """Write the diff, the listing, and the effects that are left beside the model."""
+    if found.diff:
+        (copy.folder / found.diff).write_bytes(diff)
+    if found.effects:
+        file = EffectsFile(scene=os.path.relpath(copy.scene, copy.folder), effects=outside(found.left))
+        (copy.folder / found.effects).write_text(yaml.safe_dump(file.model_dump(mode="json"), sort_keys=False))
+    (copy.folder / LISTING).write_text(found.model_dump_json(indent=2) + "\n")

@@ -1,0 +1,71 @@
+"""Which part of each effect MJCF can hold, and where the rest belongs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from candata.effects import effect
+from candata.schema.effect import EffectSetting, Value
+from candata.schema.record import Record
+
+_COMMAND = "commands: pass them through this in the code that sends them to the simulator"
+_READING = "readings: pass them through this in the code that reads the simulator's state"
+_FORCE = "forces: add them to qfrc_applied before each control step"
+_PACE = "clock: stamp the recording with its true rate, or step this much more or less time between two rows"
+_AS_CANDATA = "run the effects.yaml beside this with candata"
+
+
+class Held(Record):
+    """An effect that the exported model holds."""
+
+    name: str
+    element: str | None = None
+    parameters: dict[str, Value]
+
+    @property
+    def label(self) -> str:
+        """Name and element in words."""
+        return f"{self.name} on {self.element}" if self.element else self.name
+
+
+class Left(Held):
+    """An effect, or its part, that the exported model does not hold: why, and where to apply it instead."""
+
+    whole: bool
+    why: str
+    apply: str
+
+
+def holds(s: EffectSetting) -> bool:
+    """Tell whether MJCF can hold the effect, or what of it acts in the model."""
+    kind = effect(s.name)
+    return kind.edit is not None and kind.pace is None
+
+
+def left(s: EffectSetting, why: str | None = None) -> Left | None:
+    """Return what of an effect stays outside of the model; None where nothing does.
+
+    Parameters
+    ----------
+    s : EffectSetting
+    why : str, optional
+        Why an effect that acts in the model could not be written.
+    """
+    kind = effect(s.name)
+    hooks = [("command", _COMMAND), ("reading", _READING), ("force", _FORCE), ("pace", _PACE)]
+    places = [text for name, text in hooks if getattr(kind, name) is not None]
+    whole = why is not None or not holds(s)
+    if not whole and not places:
+        return None
+    if why is None:
+        why = f"MJCF has no attribute for it: {kind.about}"
+    if not whole:
+        why = f"the model holds what acts in it; the rest is no part of MJCF: {kind.about}"
+    apply = "; ".join(places) if places else "set it in code after loading the model"
+    own = f"; or {_AS_CANDATA}" if whole else ""
+    return Left(name=s.name, element=s.element, parameters=s.parameters, whole=whole, why=why, apply=apply + own)
+
+
+def outside(found: Sequence[Left]) -> tuple[EffectSetting, ...]:
+    """Return the effects that candata still has to add to the exported model."""
+    return tuple(EffectSetting(name=e.name, element=e.element, parameters=e.parameters) for e in found if e.whole)

@@ -1,0 +1,231 @@
+"""The diagnosis handed to mujoco.sysid: a model, free parameters with bounds, and the recorded sequences."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset
+from candata.effects import effect
+from candata.errors import DataError, Where
+from candata.gap.recordings import Recordings, recordings
+from candata.gap.starts import Starts, starts
+from candata.repair.affine import Free, free_parameters
+from candata.repair.copies import Copy, copied
+from candata.repair.mjcf import Change, apply_effects, fresh_folder
+from candata.repair.parts import Held, Left, left
+from candata.repair.script import IDENTIFY
+from candata.scenes import Scene
+from candata.schema.effect import EffectSetting
+from candata.schema.record import Record
+from candata.simulate.world import build_worlds
+
+Array = NDArray[np.float64]
+SENSOR, CONTROL = 0, 5  # `SignalType` of the toolbox (MuJoCo 4.0): MjSensor, MjCtrl
+#: Names of the object's sensors in the exported model.
+POSITION, ROTATION = "object_position", "object_rotation"
+#: Time stamps are this much early, as the toolbox rounds their number up.
+EARLY = 1e-12
+_COMMAND = "filter the controls in custom_rollout (a delay: also the actuator's own `delay` and `nsample`)"
+_READING = "modify_residual, with signal_modifier.apply_delay, apply_bias or apply_gain"
+
+
+class SysidExport(Record):
+    """What an export for mujoco.sysid wrote."""
+
+    folder: str
+    model: str
+    parameters: tuple[Free, ...]
+    fixed: tuple[Held, ...]
+    left: tuple[Left, ...]
+    sequences: int
+    sensors: tuple[str, ...]
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def headline(self) -> str:
+        """One line for people."""
+        names = ", ".join(f"{p.name} {p.start[0]:.4g}" + (" ..." if p.start[1:] else "") for p in self.parameters)
+        fixed = f"; fixed in the model: {', '.join(h.label for h in self.fixed)}" if self.fixed else ""
+        return f"{self.model}: {self.sequences} sequences; free: {names or 'nothing'}{fixed}"
+
+
+def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Dataset, out: Path) -> SysidExport:
+    """Return what was written to `out` for the toolbox mujoco.sysid, and what it cannot represent.
+
+    `model.xml` holds the effects at their diagnosed values, `parameters.yaml` (as `ParameterDict.load_from_disk`
+    reads it) starts there, `targets.json` says which numbers of the model each parameter sets, `sequences/` holds one
+    file an episode (as `SystemTrajectory.load_from_disk` reads it), and `identify.py` puts them together.
+
+    Raises
+    ------
+    UsageError
+        When `out` exists, or an effect cannot act in the scene.
+    DataError
+        When the dataset is empty or does not fit the scene.
+    """
+    build_worlds(scene, [effects])
+    if len(dataset) == 0:
+        raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
+    recs = recordings(scene, dataset.episodes())
+    kept = [s for s in effects if _in_model(s)]
+    with fresh_folder(out) as draft:
+        copy = copied(scene, "whole", draft / "out")
+        sensors = _sensed(copy, scene, recs)
+        changes = apply_effects(copy, scene, kept)
+        model = mujoco.MjModel.from_xml_path(str(copy.model))
+        free = _free(scene, kept, model)
+        moved = {p.effect for p in free}
+        found = SysidExport(
+            folder=str(out),
+            model=str(copy.model.relative_to(copy.folder)),
+            parameters=tuple(free),
+            fixed=tuple(_held(s) for s in kept if s.name not in moved),
+            left=tuple(_left(s) for s in effects if s not in kept),
+            sequences=len(recs),
+            sensors=sensors,
+            changes=tuple(changes),
+        )
+        _write(found, copy, scene, recs, model)
+        copy.folder.replace(out)
+    return found
+
+
+def _in_model(s: EffectSetting) -> bool:
+    """Tell whether an effect is in the model alone: nothing of it in commands, readings, forces or the clock."""
+    kind = effect(s.name)
+    return kind.edit is not None and not any((kind.command, kind.reading, kind.force, kind.pace))
+
+
+def _held(s: EffectSetting) -> Held:
+    """Return an effect that the model holds."""
+    return Held(name=s.name, element=s.element, parameters=s.parameters)
+
+
+def _left(s: EffectSetting) -> Left:
+    """Return an effect that the toolbox has no parameter for, and where its code takes it."""
+    kind = effect(s.name)
+    where = [text for hook, text in ((kind.command, _COMMAND), (kind.reading, _READING)) if hook is not None]
+    apply = "; ".join(where) or left(s, "").apply  # type: ignore[union-attr]
+    why = f"it is no number of the model: {kind.about}"
+    return Left(name=s.name, element=s.element, parameters=s.parameters, whole=True, why=why, apply=apply)
+
+
+def _free(scene: Scene, kept: Sequence[EffectSetting], model: mujoco.MjModel) -> list[Free]:
+    """Return the parameters of all effects; of two that set the same number, the first."""
+    out: list[Free] = []
+    taken: set[tuple[str, str, str, int | None]] = set()
+    for which in range(len(kept)):
+        found = free_parameters(scene, kept, which, model)
+        slots = {(p.kind, p.name, p.attribute, p.index) for f in found for part in f.places for p in part}
+        if not slots & taken:
+            out += found
+            taken |= slots
+    return out
+
+
+def _sensed(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
+    """Write a model whose only sensors are what was recorded, all of whose elements have names; return the sensors."""
+    spec = mujoco.MjSpec.from_file(str(copy.model))
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
+    for kind, things in (("geom", spec.geoms), ("pair", spec.pairs), ("body", spec.bodies), ("joint", spec.joints)):
+        taken = {thing.name for thing in things}
+        for number, thing in enumerate(things):
+            if not thing.name:
+                thing.name = next(n for n in (f"{kind}_{number}{'_' * k}" for k in range(9)) if n not in taken)
+    kinds, objects = mujoco.mjtSensor, mujoco.mjtObj
+    names: list[str] = []
+    if "joint_position" in recs.readings:
+        for joint in scene.file.joints:
+            spec.add_sensor(name=joint, type=kinds.mjSENS_JOINTPOS, objtype=objects.mjOBJ_JOINT, objname=joint)
+            names.append(joint)
+    if "object_pose" in recs.readings:
+        for name, kind in ((POSITION, kinds.mjSENS_FRAMEPOS), (ROTATION, kinds.mjSENS_FRAMEQUAT)):
+            spec.add_sensor(name=name, type=kind, objtype=objects.mjOBJ_XBODY, objname=scene.file.object)
+            names.append(name)
+    spec.compile()
+    copy.model.write_text(spec.to_xml())
+    return tuple(names)
+
+
+def _write(found: SysidExport, copy: Copy, scene: Scene, recs: Recordings, model: mujoco.MjModel) -> None:
+    """Write parameters, targets, sequences, program and listing."""
+    states = {
+        p.name: {
+            "name": p.name, "nominal": list(p.own), "min_value": list(p.low), "max_value": list(p.high),
+            "value": list(p.start), "frozen": False,
+        }
+        for p in found.parameters
+    }  # fmt: skip
+    folder = copy.folder
+    (folder / "parameters.yaml").write_text(yaml.safe_dump(states, default_flow_style=False))
+    targets = {p.name: [[place.model_dump() for place in part] for part in p.places] for p in found.parameters}
+    (folder / "targets.json").write_text(json.dumps(targets, indent=1) + "\n")
+    (folder / "identify.py").write_text(IDENTIFY.replace("MODEL", found.model))
+    (folder / "export.json").write_text(found.model_dump_json(indent=2) + "\n")
+    (folder / "sequences").mkdir()
+    begin = starts(scene, recs)
+    for e, name in enumerate(recs.ids):
+        np.savez(folder / "sequences" / f"{name}.npz", **_sequence(scene, recs, begin, e, model))
+
+
+def _sequence(scene: Scene, recs: Recordings, begin: Starts, e: int, model: mujoco.MjModel) -> dict[str, Any]:
+    """Return the arrays of one episode: controls at every physics step, readings where all are valid, the start.
+
+    Forces ride along for the user's own residual; the toolbox does not read them.
+    """
+    first, last = int(begin.rows[e]), int(recs.lengths[e])
+    step, rate = float(model.opt.timestep), scene.file.rate_hz
+    steps = max(1, round(1 / rate / step))
+    control = np.zeros(((last - first) * steps, model.nu))
+    control[:, scene.actuator_ids] = np.repeat(recs.commands[e, first:last], steps, axis=0)
+    columns = [recs.readings[c][e, first:last] for c in ("joint_position", "object_pose") if c in recs.readings]
+    data = np.concatenate(columns, axis=1)
+    seen = np.isfinite(data).all(1)
+    times = np.arange(last - first) / rate
+    out = {
+        "control_times": np.arange(len(control)) * step * (1 - EARLY),
+        "control_data": control,
+        "control_signal_mapping": _mapping([f"{model.actuator(a).name}_ctrl" for a in range(model.nu)], CONTROL, {}),
+        "sensordata_times": times[seen],
+        "sensordata_data": data[seen],
+        "sensordata_signal_mapping": _sensor_mapping(model),
+        "initial_state": _state(model, begin.qpos[e], begin.qvel[e]),
+    }
+    if "fingertip_force" in recs.readings:
+        out["fingertip_force"] = recs.readings["fingertip_force"][e, first:last][seen]
+    return out
+
+
+def _sensor_mapping(model: mujoco.MjModel) -> Array:
+    """Return the toolbox's mapping of all sensors."""
+    sensors = [model.sensor(i) for i in range(model.nsensor)]
+    return _mapping([s.name for s in sensors], SENSOR, {s.name: int(s.dim[0]) for s in sensors})
+
+
+def _mapping(names: Sequence[str], kind: int, widths: dict[str, int]) -> Array:
+    """Return names with their columns, as JSON in an array: how the toolbox stores what it measured."""
+    out, start = {}, 0
+    for name in names:
+        width = widths.get(name, 1)
+        out[name] = [kind, list(range(start, start + width))]
+        start += width
+    return np.asarray(json.dumps(out))
+
+
+def _state(model: mujoco.MjModel, qpos: Array, qvel: Array) -> Array:
+    """Return a state of the model as MuJoCo's rollout takes it."""
+    data = mujoco.MjData(model)
+    data.qpos[:], data.qvel[:] = qpos, qvel
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    state = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, data, state, kind)
+    return state

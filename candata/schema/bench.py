@@ -1,0 +1,147 @@
+"""Records of the blind check: a case, its sealed label, its result, and the table that comes of them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from candata.schema.effect import EffectSetting
+from candata.schema.record import Record
+from candata.schema.report import Report
+
+Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local"]
+
+
+class CaseFile(Record):
+    """`case.json`, beside the dataset of a case: what may be known before the labels are opened.
+
+    `scene` is a built-in scene or a `scene.yaml`, a relative path counting from the case's folder; `sealed` is
+    sha256(label + salt).
+    """
+
+    name: str
+    scene: str
+    scene_digest: str | None = None
+    episodes: int
+    sealed: str
+
+
+class Outside(Record):
+    """A cause that is in no library: what it is, where it acts, and its numbers."""
+
+    name: str
+    acts_on: Literal["joint", "fingertip", "object", "wrist"]
+    element: str | None = None
+    values: dict[str, float] = {}
+
+
+class Label(Record):
+    """The truth of a case: `effects` of the library in its world, `main` the one that stands above a background.
+
+    `seed` feeds the noise of the case and keeps its hash from being guessed.
+    """
+
+    case: str
+    kind: Kind
+    effects: tuple[EffectSetting, ...] = ()
+    main: str | None = None
+    outside: Outside | None = None
+    seed: int = 0
+
+
+class LabelsFile(Record):
+    """`sealed.json`: the secret salt and each case's label as canonical JSON text; `asked` is what was drawn from."""
+
+    salt: str
+    asked: dict[str, str | int | float] = {}
+    labels: dict[str, str]
+
+
+class CaseResult(Record):
+    """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not; `sealed` is the case's own.
+
+    `cold` marks the first case of a process (by its number, `process`) in a fresh folder, where nothing is cached.
+    """
+
+    case: str
+    sealed: str
+    method: str = "candata"
+    cpu_s: float
+    cold: bool
+    process: int = 0
+    report: Report | None = None
+    error: str | None = None
+
+
+class CaseResults(Record):
+    """One line of `baselines.jsonl`: what each baseline said of a case."""
+
+    sealed: str
+    results: tuple[CaseResult, ...]
+
+
+class Shares(Record):
+    """One line of `shares.jsonl`: by how much the loss rises, in floors, when a true contributor is left out.
+
+    `alike` is the largest cosine between the residuals that two contributors make.
+    """
+
+    case: str
+    sealed: str
+    rises: dict[str, float]
+    alike: float | None = None
+
+
+class Row(Record):
+    """A measure of the table: `low` and `high` bound the target; both null where there is none."""
+
+    measure: str
+    value: float | None
+    n: int
+    low: float | None = None
+    high: float | None = None
+    unit: Literal["%", "", "s"] = "%"
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the value lies within the target; None without a value or a target."""
+        if self.value is None or (self.low is None and self.high is None):
+            return None
+        return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
+
+
+class Miss(Record):
+    """A case that went wrong: the truth, the verdict, what was named, and what made it count as a miss."""
+
+    case: str
+    kind: Kind
+    truth: str
+    verdict: str
+    named: str
+    why: str
+    gap: float | None = None
+
+
+class Bin(Record):
+    """One bin of the calibration curve: mean stated support, share that was right, and how many."""
+
+    support: float
+    right: float
+    n: int
+
+
+class BenchFile(Record):
+    """`bench.json`: the table, the misses, the confusion matrix and the calibration curve of one method.
+
+    `confusion` maps a true cause to what was said first and how often; `baselines` are other methods, and this one,
+    on the cases that the others were given.
+    """
+
+    method: str = "candata"
+    scene: str
+    cases: int
+    done: int
+    rows: tuple[Row, ...]
+    misses: tuple[Miss, ...]
+    confusion: dict[str, dict[str, int]]
+    calibration: tuple[Bin, ...]
+    baselines: tuple[BenchFile, ...] = ()

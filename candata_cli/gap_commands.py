@@ -1,0 +1,232 @@
+"""`candata gap bench` and `candata gap score`: the sealed self-check, on cases of our own or made elsewhere."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from candata.gap.blind.outcomes import Outcome
+    from candata.gap.blind.running import Place
+    from candata.gap.blind.sanity import Fitness
+    from candata.schema.bench import BenchFile, CaseResult, Kind
+
+KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
+BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
+BENCH_EXAMPLE = """\b
+Examples:
+  candata gap bench --out out/bench
+  candata gap bench --out out/small --kinds one,null --counts one=40,null=10 --jobs 2
+  candata gap bench --out out/mine --scene my/scene.yaml --episodes 12
+  candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
+
+\b
+Baselines: lowest_error (smallest training error), bic, one_se (forward and one standard error, no floor),
+commonest (the same answer always), oracle (told the cause). Not among them: mujoco.sysid with everything free,
+which needs the packages of mujoco[sysid] and a parameter written for each effect.
+"""
+SCORE_EXAMPLE = """\b
+Example: candata gap score cases --labels sealed.json --out out/score
+
+\b
+A case is a folder: a candata dataset with a case.json beside its files,
+  {"name": "case-0001", "scene": "scene.yaml or built-in", "episodes": 20, "sealed": "sha256(label + salt)"}
+and all labels are one file, {"salt": "64 hex digits", "labels": {"case-0001": "label as JSON text"}}, a label being
+  {"case": "case-0001", "kind": "one", "effects": [{"name": "object_mass", "parameters": {"mass_scale": 1.4}}]}
+See schemas/case.schema.json, labels.schema.json and label.schema.json for every field.
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the group."""
+    group = typer.Typer(help="Check the diagnosis itself, blind.", no_args_is_help=True, rich_markup_mode=None)
+    group.command("bench", epilog=BENCH_EXAMPLE)(bench)
+    group.command("score", epilog=SCORE_EXAMPLE)(score)
+    app.add_typer(group, name="gap")
+
+
+def bench(
+    out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
+    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = "xhand_tabletop",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
+    duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 3.2,
+    kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
+    counts: Annotated[str, typer.Option(help="Cases of a kind, like one=120,quarter=40.")] = "",
+    only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
+    baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
+    baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
+) -> None:
+    """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
+
+    Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
+    5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
+    """
+    from candata.gap.blind.cases import CASES, LABELS, make_cases, seal_labels
+    from candata.gap.blind.sanity import check_scene
+    from candata.scenes import load_scene
+    from candata_cli import console
+
+    wanted, names, beside = _counts(kinds, counts), _words(only), _known(baselines, BASELINES, "baseline")
+    world = load_scene(scene)
+
+    def live() -> tuple[str, ...]:
+        fit = check_scene(world, seed=seed, duration_s=duration_s, only=names)
+        for line in _fitness(fit):
+            console.note(line)
+        return fit.live
+
+    sealed = seal_labels(
+        out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
+    )  # fmt: skip
+    with console.progress("making cases", len(sealed.labels)) as advance:
+        make_cases(
+            out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, jobs=jobs,
+            told=lambda _name: advance(1),
+        )  # fmt: skip
+    run = _Run(out, out / CASES, out / LABELS, jobs, seed, None, beside, baseline_cases)
+    _diagnose_and_score(run, json)
+
+
+def score(
+    cases: Annotated[Path, typer.Argument(help="Folder of cases.")],
+    labels: Annotated[Path, typer.Option(help="The sealed labels.")],
+    out: Annotated[Path, typer.Option(help="Folder for results and score; an interrupted run goes on.")],
+    scene: Annotated[str | None, typer.Option(help="Nominal simulator, instead of the one each case names.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of each diagnosis.")] = 0,
+    baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
+    baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
+) -> None:
+    """Diagnose and score cases that were made elsewhere."""
+    run = _Run(out, cases, labels, jobs, seed, scene, _known(baselines, BASELINES, "baseline"), baseline_cases)
+    _diagnose_and_score(run, json)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What is diagnosed and scored, and how."""
+
+    out: Path
+    cases: Path
+    labels: Path
+    jobs: int
+    seed: int
+    scene: str | None
+    baselines: list[str]
+    baseline_cases: int
+
+
+def _diagnose_and_score(run: _Run, json: bool) -> None:
+    """Diagnose what is not yet, open the labels, write and print the score."""
+    from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
+    from candata.gap.blind.outcomes import Outcome
+    from candata.gap.blind.running import Place, run_cases
+    from candata.gap.blind.scoring import score_run
+    from candata.gap.blind.shares import measure_shares
+    from candata.reports.bench import bench_text, write_bench
+    from candata_cli import console
+
+    cases = read_cases(run.cases)
+    places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
+    with _countdown(len(places)) as told:
+        results = run_cases(run.out, places, jobs=run.jobs, seed=run.seed, told=told)
+    labels = open_labels(cases, read_labels(run.labels))
+    several = sum(len(labels[path.name].effects) > 1 for path in cases)
+    with console.progress("weighing true causes", several) as advance:
+        shares = measure_shares(run.out, places, labels, jobs=run.jobs, told=advance)
+    outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
+    found = score_run(outcomes, scene=places[0].scene, cases=len(places))
+    if run.baselines:
+        found = found.model_copy(update={"baselines": _beside(run, places, outcomes)})
+    page = write_bench(found, run.out)
+    console.out(found.model_dump_json(indent=2) if json else bench_text(found))
+    console.note(f"score: {run.out / 'bench.json'}, {page}")
+
+
+def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
+    """Return the score of the diagnosis and of each baseline on the first cases."""
+    from candata.gap.blind.baselines import run_baselines
+    from candata.gap.blind.scoring import score_run
+    from candata_cli import console
+
+    some, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
+    labels = {o.label.case: o.label for o in outcomes}
+    with console.progress("baselines", count) as advance:
+        found = run_baselines(
+            run.out, places[:count], labels, run.baselines, jobs=run.jobs, seed=run.seed, told=advance
+        )  # fmt: skip
+    scores = [score_run(some, scene=places[0].scene, cases=count)]
+    for method, results in found.items():
+        theirs = [replace(o, result=r) for o, r in zip(some, results, strict=True)]
+        scores.append(score_run(theirs, scene=places[0].scene, cases=count, method=method))
+    return tuple(scores)
+
+
+def _counts(kinds: str, counts: str) -> dict[Kind, int]:
+    """Return how many cases of each kind are asked for."""
+    from candata.errors import UsageError
+    from candata.gap.blind.draws import COUNTS
+
+    given: dict[str, int] = {}
+    for word in _words(counts):
+        name, _, number = word.partition("=")
+        if not number.isdigit():
+            raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
+        given[name] = int(number)
+    wanted = _words(kinds)
+    _known(",".join((*wanted, *given)), KINDS, "kind of case")
+    return {kind: given.get(kind, number) for kind, number in COUNTS.items() if kind in wanted}
+
+
+def _words(text: str) -> list[str]:
+    """Return the words of a comma-separated list."""
+    return [word.strip() for word in text.split(",") if word.strip()]
+
+
+def _known(text: str, names: Sequence[str], kind: str) -> list[str]:
+    """Return the words of a comma-separated list, each one of `names`."""
+    from candata.errors import UnknownNameError
+
+    for word in _words(text):
+        if word not in names:
+            raise UnknownNameError(kind, word, names)
+    return _words(text)
+
+
+def _fitness(fit: Fitness) -> list[str]:
+    """Return what to say about the scene, a line each."""
+    lines = []
+    if fit.moving:
+        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f}")
+    if fit.live:
+        least = min(fit.live, key=lambda name: fit.moved[name])
+        lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
+    if fit.dead:
+        lines.append(f"not drawn, since they move nothing in these motions: {', '.join(fit.dead)}")
+    return lines
+
+
+@contextmanager
+def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
+    """Yield what hears of each result and says on stderr how many are done and the time left."""
+    from candata_cli import console
+
+    begun, done = time.monotonic(), 0
+
+    def told(result: CaseResult) -> None:
+        nonlocal done
+        done += 1
+        left = (time.monotonic() - begun) / done * (total - done) / 60
+        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left:.0f} min left")
+
+    yield told

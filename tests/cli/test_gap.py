@@ -1,0 +1,107 @@
+"""`candata gap bench` and `candata gap score`: files, exit codes, what is printed; a stand-in for the diagnosis."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+from types import SimpleNamespace
+
+import pytest
+
+from candata.gap.blind import running
+from candata.gap.blind.baselines import BASELINES
+from candata.schema.bench import BenchFile
+from candata.schema.report import DataUsed, EpisodeCount, Report
+from candata_cli import gap_commands
+from candata_cli import main as entry
+
+SMALL = ("--scene", "cube_toss", "--episodes", 2, "--duration-s", 0.4, "--jobs", 1)
+FEW = ("--kinds", "one,null", "--counts", "one=2,null=1", "--only", "sliding_friction,pose_bias")
+
+
+def run(*arguments: object) -> SimpleNamespace:
+    """Run a command in this process; return exit code, stdout and stderr."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
+        entry.main([str(a) for a in arguments])
+    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
+
+
+@pytest.fixture
+def quiet(monkeypatch):
+    """Put a diagnosis that finds nothing in the place of the real one."""
+
+    def nothing(dataset, scene, seed):
+        counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
+        return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
+
+    monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
+
+
+@pytest.fixture
+def bench(quiet, tmp_path):
+    done = run("gap", "bench", "--out", tmp_path / "bench", *SMALL, *FEW)
+    return SimpleNamespace(folder=tmp_path / "bench", **vars(done))
+
+
+def test_a_run_prints_the_table_and_the_misses_and_writes_both(bench):
+    assert bench.code == 0
+    assert bench.out.startswith("cube_toss: 3 of 3 cases, 2 missed\n")
+    assert [line.split()[-1] for line in bench.out.splitlines()[3:5]] == ["MISSED", "MISSED"]
+    assert "about 0 min left" in bench.err
+    found = BenchFile.model_validate_json((bench.folder / "bench.json").read_text())
+    assert {m.truth for m in found.misses} == {"sliding_friction", "pose_bias"}
+    assert (bench.folder / "bench.html").is_file()
+
+
+def test_a_second_run_diagnoses_nothing_again_and_says_the_same(bench, quiet):
+    again = run("gap", "bench", "--out", bench.folder, *SMALL, *FEW)
+    assert again.out == bench.out
+    assert "CPU s; about" not in again.err
+
+
+def test_cases_can_be_scored_elsewhere(bench, quiet, tmp_path):
+    labels, out = bench.folder / "sealed.json", tmp_path / "score"
+    done = run("gap", "score", bench.folder / "cases", "--labels", labels, "--out", out, "--jobs", 1, "--json")
+    assert done.code == 0
+    assert json.loads(done.out)["done"] == 3
+    assert (out / "bench.html").is_file()
+
+
+def test_labels_that_were_changed_are_refused(bench, quiet, tmp_path):
+    sealed = json.loads((bench.folder / "sealed.json").read_text())
+    sealed["labels"] = {name: text.replace("one", "null") for name, text in sealed["labels"].items()}
+    forged = tmp_path / "forged.json"
+    forged.write_text(json.dumps(sealed))
+    done = run("gap", "score", bench.folder / "cases", "--labels", forged, "--out", tmp_path / "s", "--jobs", 1)
+    assert (done.code, done.out) == (2, "")
+    assert "is not the one that was sealed" in done.err
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (("--kinds", "ones"), "did you mean 'one'?"),
+        (("--counts", "one=many"), "like one=120,null=40"),
+        (("--baselines", "oracel"), "did you mean 'oracle'?"),
+        (("--only", "object_mas"), "did you mean 'object_mass'?"),
+    ],
+)
+def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
+    done = run("gap", "bench", "--out", tmp_path / "b", *SMALL, *wrong)
+    assert (done.code, done.out) == (2, "")
+    assert text in done.err
+    assert not (tmp_path / "b").exists()
+
+
+def test_missing_cases_are_refused(tmp_path):
+    done = run("gap", "score", tmp_path, "--labels", tmp_path / "sealed.json", "--out", tmp_path / "s")
+    assert done.code == 2
+    assert "no cases" in done.err
+
+
+def test_the_help_lists_the_kinds_and_baselines_that_there_are():
+    assert gap_commands.BASELINES == BASELINES
+    text = run("gap", "bench", "--help").out
+    assert all(word in " ".join(text.split()) for word in (*gap_commands.KINDS, "Examples:"))

@@ -1,0 +1,198 @@
+"""Cases on disk: sealed first, readable by others, silent about their label, whole or absent; a killed run goes on."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from candata.datasets import open_dataset
+from candata.errors import DataError, UsageError
+from candata.gap.blind.cases import (
+    CASE,
+    CASES,
+    LABELS,
+    make_cases,
+    open_labels,
+    read_cases,
+    read_labels,
+    scene_of,
+    seal_labels,
+)
+from candata.gap.blind.running import RESULTS, Place, finished, run_cases
+from candata.gap.blind.sanity import check_scene
+from candata.gap.blind.shares import measure_shares, true_shares
+from candata.schema.bench import CaseResult, Label
+from candata.schema.effect import EffectSetting
+from candata.schema.report import DataUsed, EpisodeCount, Report
+
+SALT = "ab" * 32
+SMALL = {"seed": 1, "episodes": 2, "duration_s": 0.4}
+COUNTS = {"one": 2, "null": 2, "pair": 1}
+SCENE = "cube_toss"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, cube):
+    """A small run with its cases made."""
+    out = tmp_path_factory.mktemp("blind")
+    sealed = seal_labels(out, cube, COUNTS, salt=SALT, **SMALL)
+    make_cases(out, SCENE, sealed, jobs=1, **SMALL)
+    return out
+
+
+def places(run):
+    return [Place(p, SCENE, c.sealed) for p, c in read_cases(run / CASES).items()]
+
+
+def silent(dataset, scene, seed):
+    """Find nothing."""
+    counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
+    return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
+
+
+def test_the_labels_are_for_the_owner_only(run):
+    assert (run / LABELS).stat().st_mode & 0o777 == 0o600
+
+
+def test_a_case_tells_nothing_of_its_label(run):
+    labels = read_labels(run / LABELS)
+    for path, case in read_cases(run / CASES).items():
+        told = "\n".join(f.read_text() for f in path.rglob("*.json") if f.name != "dataset.json")
+        hidden = json.loads(labels.labels[case.name])
+        assert all(e["name"] not in told for e in hidden["effects"])
+        assert str(hidden["seed"]) not in told
+        assert all(e.meta.effects is None and e.meta.seed is None for e in open_dataset(path))
+        assert set(json.loads((path / CASE).read_text())) == {"name", "scene", "scene_digest", "episodes", "sealed"}
+
+
+def test_nulls_have_different_hashes(run):
+    assert len({case.sealed for case in read_cases(run / CASES).values()}) == 5
+
+
+def test_all_cases_share_their_commands_and_starts_but_not_their_noise(run, cube):
+    nulls = [n for n, t in read_labels(run / LABELS).labels.items() if json.loads(t)["kind"] == "null"]
+    first, other = (open_dataset(run / CASES / n).episode("episode-0000")["object_pose"] for n in nulls)
+    assert (first != other).any()
+    # The same throw: apart by noise of 0.5 mm in position, five of these and the root of two allowed.
+    assert abs(first[:, :3] - other[:, :3]).max() < 5 * 1.5 * cube.file.noise.object_pose[0]
+
+
+def test_the_labels_open_and_one_that_was_changed_does_not(run):
+    cases, sealed = read_cases(run / CASES), read_labels(run / LABELS)
+    assert sorted(one.kind for one in open_labels(cases, sealed).values()) == ["null", "null", "one", "one", "pair"]
+    name = next(iter(sealed.labels))
+    text = json.dumps({**json.loads(sealed.labels[name]), "kind": "null", "effects": []})
+    with pytest.raises(DataError, match=f"the label of {name} is not the one"):
+        open_labels(cases, sealed.model_copy(update={"labels": {**sealed.labels, name: text}}))
+    with pytest.raises(DataError, match="no label"):
+        open_labels(cases, sealed.model_copy(update={"labels": {}}))
+
+
+def test_the_same_command_takes_what_stands_and_another_is_refused(run, cube):
+    before = (run / LABELS).read_text()
+    again = seal_labels(run, cube, COUNTS, **SMALL)
+    assert make_cases(run, SCENE, again, jobs=1, told=lambda name: pytest.fail("made again"), **SMALL)
+    assert (run / LABELS).read_text() == before
+    with pytest.raises(UsageError, match="asked for something else") as caught:
+        seal_labels(run, cube, COUNTS | {"one": 3}, **SMALL)
+    assert "count_one 2" in str(caught.value)
+
+
+def test_a_random_salt_draws_other_cases_for_the_same_seed(tmp_path, cube):
+    first, other = (seal_labels(tmp_path / n, cube, {"one": 6}, **SMALL) for n in ("a", "b"))
+    assert first.salt != other.salt
+    assert list(first.labels.values()) != list(other.labels.values())
+
+
+def test_a_case_whose_making_was_cut_short_is_made_anew(tmp_path, cube):
+    sealed = seal_labels(tmp_path, cube, {"null": 1}, **SMALL)
+    (tmp_path / CASES / ".case-0001").mkdir(parents=True)
+    (tmp_path / CASES / ".case-0001" / "rest").write_text("")
+    (path,) = make_cases(tmp_path, SCENE, sealed, jobs=1, **SMALL)
+    assert len(open_dataset(path)) == 2
+    assert not (path / "rest").exists()
+
+
+def test_a_killed_run_goes_on_where_it_stopped(run, tmp_path):
+    heard: list[str] = []
+
+    def killed(dataset, scene, seed):
+        if len(heard) == 2:
+            raise KeyboardInterrupt
+        return silent(dataset, scene, seed)
+
+    with pytest.raises(KeyboardInterrupt):
+        run_cases(tmp_path, places(run), judge=killed, told=lambda r: heard.append(r.case))
+    log = tmp_path / RESULTS
+    log.write_text(log.read_text() + '{"case": "case-0')  # a line that the kill cut
+    again: list[str] = []
+    results = run_cases(tmp_path, places(run), judge=silent, told=lambda r: again.append(r.case))
+    assert heard + again == [r.case for r in results] == [p.folder.name for p in places(run)]
+    assert len(finished(log, CaseResult)) == 5
+    assert [r.cold for r in results] == [True] + [False] * 4
+
+
+def test_results_of_other_cases_are_not_taken_for_these(run, tmp_path):
+    run_cases(tmp_path, [p._replace(sealed=f"other {p.sealed}") for p in places(run)], judge=silent)
+    heard: list[CaseResult] = []
+    run_cases(tmp_path, places(run), judge=silent, told=heard.append)
+    assert len(heard) == 5
+
+
+def test_a_diagnosis_that_fails_is_a_result(run, tmp_path):
+    def failing(dataset, scene, seed):
+        raise DataError("nothing to compare")
+
+    (result,) = run_cases(tmp_path, places(run)[:1], judge=failing)
+    assert (result.report, result.error) == (None, "nothing to compare")
+
+
+def test_a_scene_file_is_found_from_its_case(tmp_path, run):
+    path, case = next(iter(read_cases(run / CASES).items()))
+    assert scene_of(path, case) == SCENE
+    own = case.model_copy(update={"scene": "../../my/scene.yaml"})
+    assert scene_of(tmp_path / "cases" / "case-0001", own) == str(tmp_path / "my" / "scene.yaml")
+
+
+def test_no_cases_and_a_case_under_another_name_are_refused(tmp_path, run):
+    with pytest.raises(UsageError, match="no cases"):
+        read_cases(tmp_path)
+    (tmp_path / "case-0007").mkdir()
+    text = (run / CASES / "case-0001" / CASE).read_text()
+    (tmp_path / "case-0007" / CASE).write_text(text)
+    with pytest.raises(UsageError, match="another name"):
+        read_cases(tmp_path)
+    (tmp_path / "case-0007" / CASE).write_text(text[:-5])
+    with pytest.raises(UsageError, match="not JSON"):
+        read_cases(tmp_path)
+
+
+def test_what_is_taken_out_of_the_true_world_is_worth_its_size(arm, arm_episodes, as_dataset):
+    strong = EffectSetting(name="servo_gain", parameters={"kp_scale": 0.5})
+    faint = EffectSetting(name="servo_damping", parameters={"kv_scale": 1.0003})
+    dataset = as_dataset(arm_episodes((strong, faint)))
+    found = true_shares(dataset, arm, Label(case="c", kind="pair", effects=(strong, faint)))
+    # Half the stiffness is far above the 1 mrad of the encoders; 0.03 % of damping lags by some 0.1 mrad.
+    assert found.rises["servo_gain"] > 1 > 0.2 > abs(found.rises["servo_damping"])
+    assert found.alike is not None
+    assert 0 <= found.alike <= 1
+
+
+def test_shares_are_measured_once_and_for_sets_alone(run, tmp_path):
+    labels = open_labels(read_cases(run / CASES), read_labels(run / LABELS))
+    heard: list[int] = []
+    for _ in range(2):
+        found = measure_shares(tmp_path, places(run), labels, told=heard.append)
+    assert heard == [1]
+    (pair,) = [name for name, one in labels.items() if one.kind == "pair"]
+    assert set(found) == {pair}
+    assert set(found[pair].rises) == {e.name for e in labels[pair].effects}
+
+
+def test_a_scene_is_checked_before_anything_is_hidden(cube):
+    fit = check_scene(cube, seed=1, duration_s=0.4, only=("sliding_friction", "object_mass", "pose_bias"))
+    assert fit.moving == 0
+    # A cube in free flight on a rigid plane moves alike whatever its mass.
+    assert fit.dead == ("object_mass",)
+    assert set(fit.live) == {"sliding_friction", "pose_bias"}

@@ -1,0 +1,194 @@
+"""The score: each measure counts what it says, misses are named, nothing is scored against what was only drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.gap.blind.outcomes import Outcome, covered, parameter_error
+from candata.gap.blind.scoring import calibration, confusion, miss, score_run
+from candata.schema.bench import CaseResult, Label, Outside, Shares
+from candata.schema.effect import EffectSetting
+from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Ranked, Report, Unknown
+
+DATA = DataUsed(dataset="case", episodes=EpisodeCount(total=20, folds=4, held_out=20))
+MASS = EffectSetting(name="object_mass", parameters={"mass_scale": 1.5})
+SLIDE = EffectSetting(name="sliding_friction", parameters={"scale": 0.6})
+DRY = EffectSetting(name="joint_dry_friction", element="index2", parameters={"frictionloss_Nm": 0.05})
+CONE = EffectSetting(name="friction_cone", parameters={"cone": "pyramidal"})
+
+
+def say(setting: EffectSetting, support: float = 0.9, **values: float) -> NamedEffect:
+    """Name an effect with its numbers, or others, each within 10 %."""
+    numbers = {**setting.parameters, **values}
+    found = {
+        n: Estimate(value=v) if isinstance(v, str) else Estimate(value=v, low=0.9 * v, high=1.1 * v)
+        for n, v in numbers.items()
+    }
+    return NamedEffect(name=setting.name, element=setting.element, share=1.0, support=support, parameters=found)
+
+
+def case(kind, effects=(), named=(), verdict=None, rises=None, closed=0.99, cpu_s=10.0, cold=False, **more) -> Outcome:
+    label = Label(case="case-0001", kind=kind, effects=effects, main=more.get("main"), outside=more.get("outside"))
+    report = Report(
+        verdict=verdict or ("explained" if named else "no_gap"), effects=tuple(named), unknown=more.get("unknown"),
+        ambiguous_class=more.get("tied", ()), ranking=more.get("ranking", ()),
+        gap=Gap(before=3.0, after=1.0, closed=closed if named else None), data=DATA,
+    )  # fmt: skip
+    shares = Shares(case="case-0001", sealed="", rises=rises, alike=more.get("alike")) if rises else None
+    return Outcome(label, CaseResult(case="case-0001", sealed="", cpu_s=cpu_s, cold=cold, report=report), shares)
+
+
+def row(outcomes, measure):
+    found = score_run(outcomes, scene="s", cases=len(outcomes))
+    return next(r for r in found.rows if r.measure == measure)
+
+
+def test_first_counts_what_is_named_first_and_in_three_what_is_ranked():
+    third = tuple(Ranked(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "object_mass"))
+    fourth = tuple(Ranked(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "c", "object_mass"))
+    some = [
+        case("one", (MASS,), (say(MASS),)),
+        case("one", (MASS,), (say(SLIDE), say(MASS))),
+        case("one", (MASS,), verdict="unknown_effect", ranking=third),
+        case("one", (MASS,), verdict="unknown_effect", ranking=fourth),
+    ]
+    assert row(some, "one effect: first").value == 25
+    assert row(some, "one effect: in three").value == 75
+    assert row(some, "one effect: and nothing else").value == 25
+
+
+def test_the_right_name_on_the_wrong_element_is_not_first():
+    wrong = DRY.model_copy(update={"element": "ring1"})
+    some = [case("local", (DRY,), (say(DRY),)), case("local", (DRY,), (say(wrong),))]
+    assert row(some, "local fault: effect and element first").value == 50
+    assert row(some, "local fault: the right joint or finger first").value == 50
+
+
+def test_another_effect_on_the_right_joint_counts_for_where_alone():
+    damping = EffectSetting(name="joint_damping", element="index2", parameters={"damping_Nms_rad": 0.1})
+    some = [case("local", (DRY,), (say(damping),))]
+    assert row(some, "local fault: the right joint or finger first").value == 100
+    assert row(some, "local fault: effect and element first").value == 0
+
+
+def test_parameter_error_is_relative_and_of_rightly_named_effects_only():
+    near, far = case("one", (MASS,), (say(MASS, mass_scale=1.53),)), case("one", (MASS,), (say(SLIDE),))
+    assert parameter_error(near) == pytest.approx(0.02)
+    assert parameter_error(far) is None
+    assert row([near, far], "parameter error: median").n == 1
+
+
+def test_a_choice_has_neither_error_nor_interval():
+    right = case("one", (CONE,), (say(CONE),))
+    assert parameter_error(right) is None
+    assert covered(right) == []
+
+
+def test_coverage_counts_every_number_of_a_vector():
+    bias = EffectSetting(name="pose_bias", parameters={"bias_m": (0.01, -0.01, 0.0)})
+    estimate = Estimate(value=(0.01, -0.01, 0.004), low=(0.009, -0.011, 0.003), high=(0.011, -0.009, 0.005))
+    found = NamedEffect(name="pose_bias", share=1.0, support=0.9, parameters={"bias_m": estimate})
+    assert covered(case("one", (bias,), (found,))) == [True, True, False]
+
+
+def test_sets_are_right_when_all_are_named_and_nothing_else():
+    both, extra, missing = (MASS, SLIDE), (say(MASS), say(SLIDE), say(CONE)), (say(MASS),)
+    some = [case("pair", both, named) for named in ((say(SLIDE), say(MASS)), extra, missing)]
+    assert row(some, "two effects: all right").value == pytest.approx(100 / 3)
+    assert row(some, "two effects: a wrong name").value == pytest.approx(100 / 3)
+
+
+def test_first_is_scored_against_the_true_shares_not_against_what_was_drawn():
+    rises = {"object_mass": 0.2, "sliding_friction": 1.7}
+    right = case("background", (MASS, SLIDE), (say(SLIDE),), rises=rises, main="object_mass")
+    drawn = case("background", (MASS, SLIDE), (say(MASS),), rises=rises, main="object_mass")
+    assert row([right, drawn], "all 5 % wrong + one: largest true contributor first").value == 50
+    assert row([right], "all 5 % wrong + one: the drawn one first").value == 0
+
+
+def test_abstention_is_a_verdict_and_not_silence():
+    wind = Outside(name="wind", acts_on="object")
+    flagged = {"verdict": "unknown_effect", "outside": wind}
+    some = [
+        case("outside", unknown=Unknown(acts_on="object", words="w"), **flagged),
+        case("outside", unknown=Unknown(acts_on="joint", words="w"), **flagged),
+        case("outside", outside=wind),
+        case("outside", named=(say(MASS),), outside=wind),
+    ]
+    assert row(some, "outside the library: abstains").value == 50
+    assert row(some, "outside the library: where it acts is right").value == 25
+    whys = [m.why for o in some if (m := miss(o))]
+    assert whys == ["said to act on joint, acts on object", "overlooked", "explained by the library"]
+
+
+def test_nulls_and_false_abstention():
+    some = [case("null"), case("null", named=(say(MASS),)), case("one", (MASS,), verdict="unknown_effect")]
+    assert row(some, "null: an effect named").value == 50
+    assert row(some, "library effects: false abstention").value == 100
+
+
+def test_a_solver_mismatch_is_found_in_a_class_or_flagged():
+    some = [
+        case("solver", (CONE,), (say(CONE),)),
+        case("solver", (CONE,), verdict="ambiguous", tied=("friction_cone", "impratio")),
+        case("solver", (CONE, MASS), (say(MASS),), verdict="partly_explained", unknown=Unknown(words="w")),
+        case("solver", (CONE, MASS), (say(SLIDE),)),
+    ]
+    assert row(some, "solver mismatch: found or flagged").value == 75
+    assert row(some, "solver mismatch: 50 % mass error on top, first or second").value == 50
+
+
+def test_calibration_error_of_an_honest_and_of_a_boastful_method():
+    rng = np.random.default_rng(1)
+
+    def told(support, right):
+        return case("one", (MASS,), (say(MASS if right else SLIDE, support=support),))
+
+    stated = rng.uniform(0.4, 1.0, 400)
+    honest = [told(s, rng.random() < s) for s in stated]
+    boastful = [told(1.0, i % 2 == 0) for i in range(50)]
+    assert len(calibration(honest)) == 5
+    assert {b.n for b in calibration(honest)} == {80}
+    # Five bins of 80 draws each are off by some 0.04 by chance.
+    assert row(honest, "calibration error of support").value < 0.08
+    assert row(boastful, "calibration error of support").value == pytest.approx(0.5)
+
+
+def test_rows_below_target_come_first_and_misses_say_truth_verdict_and_name():
+    some = [case("one", (MASS,), (say(SLIDE),)), case("null")]
+    found = score_run(some, scene="s", cases=9)
+    met = [r.met for r in found.rows]
+    assert met == sorted(met, key=lambda m: {False: 0, True: 1, None: 2}[m])
+    assert met[0] is False
+    (missed,) = found.misses
+    assert (missed.truth, missed.verdict, missed.named, missed.gap) == (
+        "object_mass", "explained", "sliding_friction", 3.0
+    )  # fmt: skip
+    assert (found.done, found.cases) == (2, 9)
+
+
+def test_a_miss_of_a_set_says_what_is_faint_and_what_looks_alike():
+    rises = {"object_mass": 2.0, "sliding_friction": 0.02}
+    missed = miss(case("pair", (MASS, SLIDE), (say(MASS),), rises=rises, alike=0.93))
+    assert missed is not None
+    assert missed.why == "not all named; sliding_friction is worth 0.02 floors; two look alike, cosine 0.93"
+
+
+def test_the_confusion_matrix_counts_first_names_or_verdicts():
+    some = [case("one", (MASS,), (say(SLIDE),)), case("quarter", (MASS,)), case("null")]
+    assert confusion(some) == {"none": {"no_gap": 1}, "object_mass": {"sliding_friction": 1, "no_gap": 1}}
+
+
+def test_a_failed_diagnosis_is_a_miss_with_its_reason():
+    label = Label(case="case-0001", kind="null")
+    outcome = Outcome(label, CaseResult(case="case-0001", sealed="", cpu_s=1.0, cold=False, error="nothing to compare"))
+    missed = miss(outcome)
+    assert missed is not None
+    assert (missed.verdict, missed.why) == ("error", "nothing to compare")
+
+
+def test_first_cases_are_timed_apart():
+    some = [case("null", cpu_s=90.0, cold=True), case("null", cpu_s=12.0)]
+    assert row(some, "CPU s of a first case: median").value == 90
+    assert row(some, "CPU s a case, cached signatures: median").value == 12

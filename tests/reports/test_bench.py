@@ -1,0 +1,59 @@
+"""A blind run for people: rows below target first in the text, a page that holds everything it shows."""
+
+from __future__ import annotations
+
+import pytest
+
+from candata.reports.bench import bench_page, bench_text, confusion_map, target_text, value_text, write_bench
+from candata.schema.bench import BenchFile, Bin, Miss, Row
+
+ROWS = (
+    Row(measure="one effect: first", value=80.0, n=40, low=95),
+    Row(measure="null: an effect named", value=0.0, n=10, high=3),
+    Row(measure="one effect: and nothing else", value=75.0, n=40),
+)
+MISS = Miss(case="case-0003", kind="one", truth="a<b>", verdict="no_gap", named="-", why="not first", gap=1.2345)
+
+
+@pytest.fixture
+def found() -> BenchFile:
+    plain = BenchFile(
+        scene="s", cases=50, done=50, rows=ROWS, misses=(MISS,),
+        confusion={"a<b>": {"no_gap": 1}, "other": {"other": 3}},
+        calibration=(Bin(support=0.7, right=0.6, n=10), Bin(support=0.95, right=0.9, n=10)),
+    )  # fmt: skip
+    return plain.model_copy(update={"baselines": (plain, plain.model_copy(update={"method": "oracle"}))})
+
+
+def test_the_text_says_measured_n_and_target_then_the_misses(found):
+    lines = bench_text(found).splitlines()
+    assert lines[0] == "s: 50 of 50 cases, 1 missed"
+    assert lines[3].split() == ["one", "effect:", "first", "80.0", "%", "40", ">=", "95", "%", "MISSED"]
+    assert lines[4].split()[-1] == "met"
+    missed = next(line for line in lines if line.startswith("case-0003"))
+    assert missed.split() == ["case-0003", "one", "a<b>", "no_gap", "-", "1.23", "not", "first"]
+    assert "oracle" in next(line for line in lines if line.startswith("measure ("))
+
+
+def test_the_page_is_self_contained_and_escapes_what_it_shows(found, tmp_path):
+    page = write_bench(found, tmp_path).read_text()
+    assert page == bench_page(found)
+    assert "1 of 2 targets met" in page
+    assert "a&lt;b&gt;" in page
+    assert '<script src="' not in page
+    assert BenchFile.model_validate_json((tmp_path / "bench.json").read_text()) == found
+
+
+def test_a_confusion_map_puts_right_names_on_its_diagonal(found):
+    (cells,) = confusion_map({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})["data"]
+    assert cells["x"] == ["a", "b", "no_gap"]
+    assert cells["z"][0] == [0.75, 0.25, None]
+    assert cells["text"][1] == ["", "2", ""]
+
+
+def test_units_and_targets_in_words():
+    assert value_text(Row(measure="m", value=None, n=0)) == "-"
+    assert value_text(Row(measure="m", value=0.0421, n=9, unit="")) == "0.042"
+    assert target_text(Row(measure="m", value=1, n=1, low=85, high=95)) == "85 to 95 %"
+    assert target_text(Row(measure="m", value=1, n=1, high=20, unit="s")) == "<= 20 s"
+    assert target_text(Row(measure="m", value=1, n=1)) == ""
