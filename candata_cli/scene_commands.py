@@ -1,4 +1,4 @@
-"""Commands on scenes: scene list, scene show, scene export."""
+"""Commands on scenes: scene list, scene show, scene servo, scene export."""
 
 from __future__ import annotations
 
@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 TARGETS = ("mjcf", "mujoco-sysid")
 _EXPORT = "Example: candata scene export --effects out/report/effects.yaml --out out/repaired"
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+_SERVO_EXAMPLE = """\b
+Example:
+  candata scene servo --dataset out/g1_pick --out out/g1_scene
+"""
 
 
 def register(app: typer.Typer) -> None:
@@ -23,6 +27,7 @@ def register(app: typer.Typer) -> None:
     group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
     group.command("list")(list_)
     group.command("show")(show)
+    group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
     group.command("export", epilog=_EXPORT)(export)
     app.add_typer(group, name="scene")
 
@@ -62,6 +67,26 @@ def show(
         picture.parent.mkdir(parents=True, exist_ok=True)
         by_library = render_png(scene.model, None, picture)
         note(f"{picture}{'' if by_library else ' (no GL library found: a drawn projection)'}")
+
+
+def servo(
+    dataset: Annotated[Path, typer.Option("--dataset", metavar="DATASET", help="Recorded joints and commands.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for scene.xml and scene.yaml.")],
+    natural_hz: Annotated[
+        float | None, typer.Option("--natural", metavar="HZ", min=0.01, help="Natural frequency [a sixth of the rate].")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option("--noise", metavar="RAD", min=0, help="Noise of the positions to declare, 1 sd.")
+    ] = None,
+) -> None:
+    """Write a scene for a robot without a model: one servo a joint, each on its own, from names and ranges."""
+    from candata.datasets import open_dataset
+    from candata.scenes.servo import servo_joints, write_servo_scene
+    from candata_cli.console import out as say
+
+    names, ranges, rate_hz = servo_joints(open_dataset(dataset).episodes())
+    written = write_servo_scene(out, names, ranges, rate_hz, natural_hz, noise)
+    say(f"{written}: {len(names)} joints, {rate_hz:g} Hz")
 
 
 def export(

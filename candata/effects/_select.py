@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,12 +37,35 @@ def joints(scene: Scene, element: str | None) -> Ids:
     UnknownNameError
         When `element` is no driven hinge.
     """
+    return _picked(scene, scene.driven_hinges, element)
+
+
+def _picked(scene: Scene, hinges: Ids, element: str | None) -> Ids:
+    """Return the hinges, or the one named."""
     if element is None:
-        return scene.driven_hinges
-    known = {scene.file.joints[i]: i for i in scene.driven_hinges}
+        return hinges
+    known = {scene.file.joints[i]: i for i in hinges}
     if element not in known:
         raise UnknownNameError("joint", element, known)
     return np.array([known[element]])
+
+
+def moving_hinges(scene: Scene) -> Ids:
+    """Return indices of the hinges that resist motion: the driven ones, or all where nothing drives (a toss)."""
+    if len(scene.actuator_ids):
+        return scene.driven_hinges
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    return np.flatnonzero([scene.model.jnt_type[j] == hinge for j in scene.joint_ids]).astype(int)
+
+
+def has_moving_hinges(scene: Scene) -> bool:
+    """Tell whether the scene has hinges that resist motion."""
+    return len(moving_hinges(scene)) > 0
+
+
+def moving_names(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the hinges that resist motion, in the order of `joint_position`."""
+    return tuple(scene.file.joints[i] for i in moving_hinges(scene))
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
@@ -55,8 +79,8 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 
 def dofs(scene: Scene, element: str | None) -> Ids:
-    """Return addresses in qvel of the joints."""
-    return scene.joint_dof[joints(scene, element)]
+    """Return addresses in qvel of the hinges that resist motion, or of the one named."""
+    return scene.joint_dof[_picked(scene, moving_hinges(scene), element)]
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:

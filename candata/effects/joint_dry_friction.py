@@ -36,7 +36,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
-    elements=_select.joint_names,
+    possible=_select.has_moving_hinges,
+    elements=_select.moving_names,
     edit=_edit,
 )
