@@ -22,16 +22,16 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     commands = np.repeat((hand.open + half * (hand.closed - hand.open))[None], len(t), axis=0)
     stroke = p.blend(t, 0.1 * unit, rng.uniform(1.1, 1.4) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
     again = p.blend(t, 2.2 * unit, 0.6 * unit)
-    if len(hand.slides):
+    if hand.rails.stroke is not None:
         reach = rng.uniform(0.05, 0.08)
-        # A hand pushes along its palm: the second rail where there are several.
-        rail = hand.slides[min(1, len(hand.slides) - 1)]
-        # Lower than the object's middle, or it would tip.
-        commands[:, hand.slides[-1]] -= LOW_M
-        # Backing off along the first rail puts the fingertips, not the links behind them, beside the object.
-        commands[:, hand.slides[0]] -= rng.uniform(0.045, 0.06)
+        back = rng.uniform(0.045, 0.06)
+        if hand.rails.sideways:
+            # Lower than the object's middle, or it would tip; backing off puts the fingertips, not the links behind
+            # them, beside the object. A hand above the object pushes with the fingers that straddle it.
+            p.shift(commands, hand.rails.lift, -LOW_M)
+            p.shift(commands, hand.rails.away, back)
         # The stroke starts clear of the object, so that an episode holds the onset of contact.
-        commands[:, rail] += (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M
+        p.shift(commands, hand.rails.stroke, (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M)
     else:
         commands += (0.6 * (stroke + again))[:, None] * (hand.closed - hand.open)
     return p.finish(scene, commands, rng)
