@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -203,7 +204,7 @@ def _from_file(path: Path) -> Scene:
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
-    source = path.parent / file.model
+    source = _source(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
     try:
@@ -211,6 +212,27 @@ def _from_file(path: Path) -> Scene:
     except ValueError as error:
         raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
     return assemble(str(path), file, spec)
+
+
+def _source(path: Path, model: str) -> Path:
+    """Return where a model lies: beside the scene file, or in an installed package as `PACKAGE:FILE`.
+
+    Raises
+    ------
+    SceneError
+        When the package is not installed.
+    """
+    package, colon, inside = model.partition(":")
+    if not colon or not package.isidentifier() or (path.parent / model).exists():
+        return path.parent / model
+    found = find_spec(package)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    if not folders:
+        raise SceneError(
+            f"the model lies in the package {package}, which is not installed",
+            expected=model, where=Where(path=str(path)), fix=f"pip install {package.replace('_', '-')}",
+        )  # fmt: skip
+    return Path(folders[0]) / inside
 
 
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:
