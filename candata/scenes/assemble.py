@@ -258,7 +258,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
         for index, tip in enumerate(file.fingertips):
             _add_sensors(spec, file, index, tip)
-        for index, root in enumerate(sorted({_root(spec.joint(j).parent).name for j in file.joints})):
+        for index, root in enumerate(sorted({_name_of(spec, _root(spec.joint(j).parent)) for j in file.joints})):
             spec.add_sensor(
                 name=f"{_TOUCH}{index}",
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -341,6 +341,13 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
         actuator.forcelimited, actuator.forcerange = True, (-servo.limit, servo.limit)
 
 
+def _name_of(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> str:
+    """Return the name of a body; one that has none gets one, as a sensor can only refer to a name."""
+    if not body.name:
+        body.name = f"candata_body_{len(_named(spec.bodies))}"
+    return str(body.name)
+
+
 def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
     """Return the ancestor of `body` that stands on the world."""
     while body.parent.name != "world":
@@ -362,7 +369,7 @@ def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> 
         refname=tip,
         intprm=(2, 3, 1),
     )
-    carrier = tip if is_body else spec.geom(tip).parent.name
+    carrier = tip if is_body else _name_of(spec, spec.geom(tip).parent)
     frame = (
         (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index])
         if file.fingertip_frames

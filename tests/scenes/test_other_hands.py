@@ -1,4 +1,4 @@
-"""Hands of other people's files: they load, every effect that can act there does so, and the motions reach the object."""
+"""Hands of other people: they load, every effect that can act there does so, and the motions reach the object."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 from candata.simulate.episodes import Job, make_episodes
+from tests.policies.unknown_hands import JAWS, JAWS_ROLES, write
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 needs_wheel = pytest.mark.skipif(find_spec("gymnasium_robotics") is None, reason="gymnasium-robotics is not installed")
@@ -70,6 +71,24 @@ def test_the_shadow_hand_touches_its_block_and_couples_its_joints():
         outer, inner = (e["joint_position"][:, scene.file.joints.index(f"robot0:LFJ{i}")] for i in (0, 1))
         assert np.ptp(inner) > 0.3
         assert np.abs(0.00705 * outer - 0.00805 * inner).max() < 0.003
+
+
+def test_bodies_need_no_names(tmp_path):
+    """Sensors refer to names: bodies that have none get one, and read the same."""
+    bare = JAWS.replace('<body name="rail"', "<body").replace('<body name="left"', "<body")
+    plain, unnamed = (write(folder, xml, JAWS_ROLES) for folder, xml in folders(tmp_path, JAWS, bare))
+    made = [make_episodes(s, [Job("g", 0, "grasp_lift_shake", 1)], duration_s=1.0)[0] for s in (plain, unnamed)]
+    assert made[0]["contact"].any()
+    for channel in ("object_pose", "fingertip_force"):
+        assert np.array_equal(made[0][channel], made[1][channel])
+
+
+def folders(root: Path, *texts: str) -> list[tuple[Path, str]]:
+    """A new folder for each text."""
+    made = [(root / str(i), text) for i, text in enumerate(texts)]
+    for folder, _ in made:
+        folder.mkdir()
+    return made
 
 
 def test_a_model_in_a_package_that_is_not_there_says_how_to_get_it(tmp_path):
