@@ -97,6 +97,8 @@ def main() -> None:
     parser.add_argument("--duration-s", type=float, default=2.5)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
+    if asked.episodes < 1 or not 0.5 <= asked.duration_s <= 60 or asked.seed < 0:
+        parser.error("give at least 1 episode of 0.5 to 60 s, and a seed from 0 on")
     try:
         import pybullet  # noqa: F401
     except ImportError:
