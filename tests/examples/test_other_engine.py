@@ -129,14 +129,26 @@ def test_what_is_hidden_changes_the_recording(example, scene):
         assert np.abs(plain[channel] - changed[channel]).max() > 3e-3, name
 
 
+def run(*arguments: str, before: tuple[str, ...] = ()) -> subprocess.CompletedProcess[str]:
+    """The script as its user starts it, with folders that are searched for packages first."""
+    paths = os.pathsep.join([*before, str(FOLDER.parents[1])])
+    return subprocess.run(
+        [sys.executable, str(FOLDER / "record.py"), *arguments],
+        env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+
+
+def test_numbers_that_mean_nothing_are_refused(tmp_path):
+    done = run("--out", str(tmp_path / "out"), "--duration-s", "0")
+    assert done.returncode == 2
+    assert done.stderr.endswith("error: give at least 1 episode of 0.5 to 60 s, and a seed from 0 on\n")
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_the_engine_the_example_says_what_to_install(tmp_path):
     """A package that is not there is a line, not a traceback."""
     (tmp_path / "pybullet.py").write_text("raise ImportError")
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / "record.py"), "--out", str(tmp_path / "out")],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(FOLDER.parents[1])])},
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = run("--out", str(tmp_path / "out"), before=(str(tmp_path),))
     assert done.returncode == 3
     assert done.stderr.startswith("pybullet is not installed\n  do: pip install")
     assert not (tmp_path / "out").exists()
