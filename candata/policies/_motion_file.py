@@ -19,7 +19,8 @@ from candata.align import grid, period_ns, resample
 from candata.errors import DataError, UsageError, Where
 from candata.formats._columns import numbers, read_columns
 from candata.policies._contract import Array, Motion, Plan
-from candata.policies._postures import command_range, finish
+from candata.policies._drive import command_range
+from candata.policies._postures import finish
 from candata.scenes import Scene
 
 #: Columns beside the actuators': time from the start of the motion, and its name where there are several.

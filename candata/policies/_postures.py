@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from candata.policies import _drive as d
 from candata.policies._contract import Array, Plan
+from candata.policies._grasp import grasp
 from candata.scenes import Scene
 
 SETTLE_S = 0.6
@@ -19,48 +19,42 @@ PLACE_SD_M = 0.003
 
 
 class Postures(NamedTuple):
-    """Open and closed commands `(A,)` and which columns of `action` are wrist slides."""
+    """Commands `(A,)`: open, closed, and how far a free sweep leaves the open hand; and what the wrist slides do."""
 
     open: Array
     closed: Array
-    slides: NDArray[np.int64]
+    sweep: Array
+    rails: d.Rails
 
 
 def postures(scene: Scene) -> Postures:
-    """Return the postures of the keyframes `open` and `grasp`, or a guess from the joint ranges.
+    """Return the postures of the keyframes `open` and `grasp`, or what is found from the model.
 
-    Without keyframes the hand opens at the model's own start and closes 60 % of the way to the far end of each
-    hinge's range.
+    Without keyframes the hand opens at the model's own start, and closes until its fingertips press on the object;
+    where they do not reach one, it closes 60 % of the way to the far end of each range. What carries the whole hand
+    stays where it is.
     """
-    model, ids = scene.model, scene.actuator_ids
-    slides = np.array([i for i, a in enumerate(ids) if _is_slide(model, a)], int)
+    model, ids, rails = scene.model, scene.actuator_ids, d.rails(scene)
     keys = {model.key(k).name: k for k in range(model.nkey)}
     if {"open", "grasp"} <= set(keys):
-        return Postures(model.key_ctrl[keys["open"]][ids], model.key_ctrl[keys["grasp"]][ids], slides)
-    joints = model.actuator_trnid[ids, 0]
-    start = model.qpos0[model.jnt_qposadr[joints]]
-    low, high = command_range(scene).T
+        opened, closed = (np.array(model.key_ctrl[keys[name]][ids]) for name in ("open", "grasp"))
+        return Postures(opened, closed, closed - opened, rails)
+    start = np.clip(d.holding(scene, model.actuator_length0[ids]), *d.command_range(scene).T)
+    travel = _travel(scene, start)
+    found = grasp(scene)
+    closed = start + travel if found is None else np.array(found)
+    little = np.abs(closed - start) < np.abs(travel) / 2
+    sweep = travel if found is None else np.where(little, travel / 2, closed - start)
+    return Postures(start, closed, sweep, rails)
+
+
+def _travel(scene: Scene, start: Array) -> Array:
+    """Return `(A,)` 60 % of the way to the far end of each range; none for what carries the whole hand."""
+    low, high = d.useful_range(scene).T
     far = np.where(np.abs(high - start) >= np.abs(low - start), high, low)
-    closed = start + 0.6 * (far - start)
-    closed[slides] = start[slides]
-    return Postures(start.copy(), closed, slides)
-
-
-def _is_slide(model: mujoco.MjModel, actuator: int) -> bool:
-    """Tell whether an actuator drives a slide."""
-    return bool(model.jnt_type[model.actuator_trnid[actuator, 0]] == mujoco.mjtJoint.mjJNT_SLIDE)
-
-
-def command_range(scene: Scene) -> Array:
-    """Return `(A, 2)` smallest and largest command: control range, else joint range, else +-1."""
-    model, ids = scene.model, scene.actuator_ids
-    joints = model.actuator_trnid[ids, 0]
-    ranges = np.tile([-1.0, 1.0], (len(ids), 1))
-    limited = model.jnt_limited[joints].astype(bool)
-    ranges[limited] = model.jnt_range[joints][limited]
-    limited = model.actuator_ctrllimited[ids].astype(bool)
-    ranges[limited] = model.actuator_ctrlrange[ids][limited]
-    return ranges
+    travel = np.where(d.servos(scene), 0.6, d.MOTOR_SHARE) * (far - start)
+    travel[sorted(d.carriers(scene))] = 0.0
+    return travel
 
 
 def blend(time_s: Array, start_s: float, length_s: float) -> Array:
@@ -84,6 +78,12 @@ def has_hand_and_object(scene: Scene) -> bool:
     return has_hand(scene) and scene.object_id is not None
 
 
+def shift(commands: Array, rail: d.Rail | None, by: Array | float) -> None:
+    """Add `by`, (T,) or a number [m], in place to the commands of a rail, as its name says; nothing without one."""
+    if rail is not None:
+        commands[:, rail.column] += rail.sign * by
+
+
 def finish(
     scene: Scene, commands: Array, rng: np.random.Generator, *, shift: Array | None = None, dither: bool = True
 ) -> Plan:
@@ -98,15 +98,13 @@ def finish(
     dither : bool
         Add the command noise; without it the commands are only kept within the actuators' ranges.
     """
-    ranges = command_range(scene)
+    ranges = d.command_range(scene)
     if dither:
         size = NOISE_SHARE * (ranges[:, 1] - ranges[:, 0])
         rise = blend(np.arange(len(commands), dtype=np.float64), 0, 20)[:, None]
         commands = commands + _smooth_noise(rng, commands.shape, NOISE_TIME_S * scene.file.rate_hz) * (size * rise)
     commands = np.clip(commands, ranges[:, 0], ranges[:, 1])
-    qpos = np.array(scene.model.qpos0, float)
-    joints = scene.model.actuator_trnid[scene.actuator_ids, 0]
-    qpos[scene.model.jnt_qposadr[joints]] = commands[0]
+    qpos = d.start_qpos(scene, commands[0])
     if scene.object_id is not None:
         at = scene.object_qpos
         qpos[at : at + 2] += PLACE_SD_M * rng.standard_normal(2)

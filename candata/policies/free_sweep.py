@@ -16,21 +16,22 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan: sines whose rate rises from slow reversals (friction) to fast ones (delay, inertia)."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
     commands = np.repeat(hand.open[None], len(t), axis=0)
-    travel = 0.9 * (hand.closed - hand.open)
+    travel = 0.9 * hand.sweep
     slow, fast = rng.uniform(0.3, 0.6, len(travel)), rng.uniform(1.5, 3.0, len(travel))
     phase = 2 * np.pi * (slow * t[:, None] + (fast - slow) * t[:, None] ** 2 / (2 * duration_s))
     commands += p.blend(t, 0, 0.3)[:, None] * 0.5 * (1 - np.cos(phase)) * travel
-    shift = _apart(scene, hand, commands)
-    if len(hand.slides):
-        waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(hand.slides)) * t[:, None])
-        commands[:, hand.slides] += p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves
-    return p.finish(scene, commands, rng, shift=shift)
+    aside = _apart(scene, hand, commands)
+    if hand.rails.away is not None:
+        rails = hand.rails.columns
+        waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(rails)) * t[:, None])
+        commands[:, rails] += p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves
+    return p.finish(scene, commands, rng, shift=aside)
 
 
 def _apart(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
-    """Move the wrist back in place; without one, return how far the object is put away [m]."""
-    if len(hand.slides):
-        commands[:, hand.slides[0]] -= AWAY_M
+    """Move the wrist away in place; where no rail can, return how far the object is put away [m]."""
+    if hand.rails.away is not None:
+        p.shift(commands, hand.rails.away, AWAY_M)
         return None
     return None if scene.object_id is None else np.array([2 * AWAY_M, 0, 0])
 

@@ -16,13 +16,15 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     grip = rng.uniform(0.95, 1.12)
     closed = p.blend(t, 0.1 * unit, rng.uniform(0.5, 0.8) * unit) - p.blend(t, 2.75 * unit, 0.3 * unit)
     commands = hand.open + grip * closed[:, None] * (hand.closed - hand.open)
-    if len(hand.slides):
+    if len(hand.rails.columns):
         lift = p.blend(t, 1.0 * unit, 0.5 * unit) - p.blend(t, 2.35 * unit, 0.35 * unit)
         shaking = p.blend(t, 1.5 * unit, 0.15 * unit) - p.blend(t, 2.2 * unit, 0.15 * unit)
-        amplitude = rng.uniform(0.006, 0.016, len(hand.slides)) * rng.choice([-1, 1], len(hand.slides))
+        count = len(hand.rails.columns)
+        amplitude = rng.uniform(0.006, 0.016, count) * rng.choice([-1, 1], count)
         wave = np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * (t - 1.5 * unit))
-        commands[:, hand.slides] += (shaking * wave)[:, None] * amplitude
-        commands[:, hand.slides[-1]] += rng.uniform(0.04, 0.07) * lift
+        commands[:, hand.rails.columns] += (shaking * wave)[:, None] * amplitude
+        height = rng.uniform(0.04, 0.07)
+        p.shift(commands, hand.rails.lift, height * lift)
     return p.finish(scene, commands, rng)
 
 
@@ -37,12 +39,14 @@ def _carry(lift_m: float, side_m: float) -> Planner:
         unit = duration_s / 3.2
         closed = p.blend(t, 0.1 * unit, 0.6 * unit) - p.blend(t, 2.85 * unit, 0.25 * unit)
         commands = hand.open + 1.05 * closed[:, None] * (hand.closed - hand.open)
-        if len(hand.slides):
+        if len(hand.rails.columns):
             lift = p.blend(t, 0.8 * unit, 0.4 * unit) - p.blend(t, 2.4 * unit, 0.4 * unit)
             there = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
             back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
-            commands[:, hand.slides[:-1]] += side_m * (there - back)[:, None]
-            commands[:, hand.slides[-1]] += lift_m * lift
+            upright = hand.rails.lift.column if hand.rails.lift else -1
+            level = [column for column in hand.rails.columns if column != upright]
+            commands[:, level] += side_m * (there - back)[:, None]
+            p.shift(commands, hand.rails.lift, lift_m * lift)
         return p.finish(scene, commands, rng, dither=False)
 
     return plan

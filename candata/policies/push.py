@@ -12,8 +12,8 @@ from candata.scenes import Scene
 CLEAR_M = 0.035
 #: How far the last rail lowers the hand [m].
 LOW_M = 0.03
-#: Length of the long stroke [m].
-FAR_M = 0.15
+#: Length of the long stroke, and how far the hand backs off for it [m].
+FAR_M, BACK_M = 0.15, 0.05
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -24,16 +24,16 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     commands = np.repeat((hand.open + half * (hand.closed - hand.open))[None], len(t), axis=0)
     stroke = p.blend(t, 0.1 * unit, rng.uniform(1.1, 1.4) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
     again = p.blend(t, 2.2 * unit, 0.6 * unit)
-    if len(hand.slides):
+    if hand.rails.stroke is not None:
         reach = rng.uniform(0.05, 0.08)
-        # A hand pushes along its palm: the second rail where there are several.
-        rail = hand.slides[min(1, len(hand.slides) - 1)]
-        # Lower than the object's middle, or it would tip.
-        commands[:, hand.slides[-1]] -= LOW_M
-        # Backing off along the first rail puts the fingertips, not the links behind them, beside the object.
-        commands[:, hand.slides[0]] -= rng.uniform(0.045, 0.06)
+        back = rng.uniform(0.045, 0.06)
+        if hand.rails.sideways:
+            # Lower than the object's middle, or it would tip; backing off puts the fingertips, not the links behind
+            # them, beside the object. A hand above the object pushes with the fingers that straddle it.
+            p.shift(commands, hand.rails.lift, -LOW_M)
+            p.shift(commands, hand.rails.away, back)
         # The stroke starts clear of the object, so that an episode holds the onset of contact.
-        commands[:, rail] += (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M
+        p.shift(commands, hand.rails.stroke, (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M)
     else:
         commands += (0.6 * (stroke + again))[:, None] * (hand.closed - hand.open)
     return p.finish(scene, commands, rng)
@@ -42,14 +42,15 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
 def _far(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan of one long even stroke and a slow way back; as `_plan` without a wrist."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
-    if not len(hand.slides):
+    if hand.rails.stroke is None:
         return _plan(scene, rng, duration_s)
     unit = duration_s / 3.2
     commands = np.repeat((hand.open + 0.1 * (hand.closed - hand.open))[None], len(t), axis=0)
     stroke = np.clip((t / unit - 0.2) / 2.0, 0, 1) - p.blend(t, 2.4 * unit, 0.7 * unit)
-    commands[:, hand.slides[-1]] -= LOW_M
-    commands[:, hand.slides[0]] -= 0.05
-    commands[:, hand.slides[min(1, len(hand.slides) - 1)]] += (FAR_M + CLEAR_M) * stroke - CLEAR_M
+    if hand.rails.sideways:
+        p.shift(commands, hand.rails.lift, -LOW_M)
+        p.shift(commands, hand.rails.away, BACK_M)
+    p.shift(commands, hand.rails.stroke, (FAR_M + CLEAR_M) * stroke - CLEAR_M)
     return p.finish(scene, commands, rng, dither=False)
 
 

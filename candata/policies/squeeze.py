@@ -17,9 +17,9 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     depth, rate = rng.uniform(0.1, 0.25), rng.uniform(0.7, 1.6)
     wave = 1 + depth * np.sin(2 * np.pi * rate * (t - 0.8 * unit)) * p.blend(t, 0.8 * unit, 0.2 * unit)
     commands = hand.open + (closed * wave)[:, None] * (hand.closed - hand.open)
-    if len(hand.slides):
+    if len(hand.rails.columns):
         pull = p.blend(t, 1.2 * unit, 0.6 * unit) - p.blend(t, 2.1 * unit, 0.5 * unit)
-        commands[:, hand.slides] += pull[:, None] * rng.uniform(-0.012, 0.012, len(hand.slides))
+        commands[:, hand.rails.columns] += pull[:, None] * rng.uniform(-0.012, 0.012, len(hand.rails.columns))
     return p.finish(scene, commands, rng)
 
 

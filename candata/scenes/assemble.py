@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -203,7 +204,7 @@ def _from_file(path: Path) -> Scene:
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
-    source = path.parent / file.model
+    source = _source(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
     try:
@@ -211,6 +212,27 @@ def _from_file(path: Path) -> Scene:
     except ValueError as error:
         raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
     return assemble(str(path), file, spec)
+
+
+def _source(path: Path, model: str) -> Path:
+    """Return where a model lies: beside the scene file, or in an installed package as `PACKAGE:FILE`.
+
+    Raises
+    ------
+    SceneError
+        When the package is not installed.
+    """
+    package, colon, inside = model.partition(":")
+    if not colon or not package.isidentifier() or (path.parent / model).exists():
+        return path.parent / model
+    found = find_spec(package)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    if not folders:
+        raise SceneError(
+            f"the model lies in the package {package}, which is not installed",
+            expected=model, where=Where(path=str(path)), fix=f"pip install {package.replace('_', '-')}",
+        )  # fmt: skip
+    return Path(folders[0]) / inside
 
 
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:
@@ -236,7 +258,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
         for index, tip in enumerate(file.fingertips):
             _add_sensors(spec, file, index, tip)
-        for index, root in enumerate(sorted({_root(spec.joint(j).parent).name for j in file.joints})):
+        for index, root in enumerate(sorted({_name_of(spec, _root(spec.joint(j).parent)) for j in file.joints})):
             spec.add_sensor(
                 name=f"{_TOUCH}{index}",
                 type=mujoco.mjtSensor.mjSENS_CONTACT,
@@ -319,6 +341,13 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
         actuator.forcelimited, actuator.forcerange = True, (-servo.limit, servo.limit)
 
 
+def _name_of(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> str:
+    """Return the name of a body; one that has none gets one, as a sensor can only refer to a name."""
+    if not body.name:
+        body.name = f"candata_body_{len(_named(spec.bodies))}"
+    return str(body.name)
+
+
 def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
     """Return the ancestor of `body` that stands on the world."""
     while body.parent.name != "world":
@@ -340,7 +369,7 @@ def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> 
         refname=tip,
         intprm=(2, 3, 1),
     )
-    carrier = tip if is_body else spec.geom(tip).parent.name
+    carrier = tip if is_body else _name_of(spec, spec.geom(tip).parent)
     frame = (
         (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index])
         if file.fingertip_frames

@@ -142,7 +142,7 @@ def _servo(scene: Scene, joint: int) -> dict:
             return {
                 "actuator": name,
                 "kp": float(model.actuator_gainprm[actuator, 0]),
-                "kv": float(-model.actuator_biasprm[actuator, 2]),
+                "kv": float(0.0 - model.actuator_biasprm[actuator, 2]),
                 "limit": float(model.actuator_forcerange[actuator, 1]) if limited else None,
             }
     return {}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.policies import policy, policy_names
-from candata.policies._postures import command_range
+from candata.policies._drive import command_range
 from candata.scenes import load_scene
 from candata.simulate.episodes import Job, make_episodes
 

@@ -1,0 +1,207 @@
+"""What a command means to an actuator, whatever it pulls: joints, tendons, motors; and what the rails do."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.policies._contract import Array
+from candata.scenes import Scene
+
+Ids = NDArray[np.int64]
+#: Share of its range that a motor without a position servo is driven by: its command is a force, and a scripted
+#: motion has nothing that would hold it back.
+MOTOR_SHARE = 0.2
+#: How upright a rail must be to count as the one that lifts (cosine to the vertical).
+UPRIGHT = 0.7
+
+
+class Rail(NamedTuple):
+    """A column of `action` that drives a wrist slide, and the sign that moves the hand as its name says."""
+
+    column: int
+    sign: float
+
+
+class Rails(NamedTuple):
+    """Slides that carry the whole hand.
+
+    `lift` moves it up, `away` moves it away from the object, `stroke` pushes it along the support; None where no
+    rail can. `sideways` tells whether `away` leads over the support, not up.
+    """
+
+    columns: Ids
+    lift: Rail | None
+    away: Rail | None
+    stroke: Rail | None
+    sideways: bool
+
+
+def servos(scene: Scene) -> NDArray[np.bool_]:
+    """Return `(A,)`: which actuators are position servos, force = gain u + b0 + b1 length + ... with b1 < 0.
+
+    Source: MuJoCo manual, "Actuation model"; an integrating one takes a velocity.
+    """
+    model, ids = scene.model, scene.actuator_ids
+    affine = model.actuator_biastype[ids] == mujoco.mjtBias.mjBIAS_AFFINE
+    direct = model.actuator_dyntype[ids] != mujoco.mjtDyn.mjDYN_INTEGRATOR
+    pulls = (model.actuator_biasprm[ids, 1] < 0) & (model.actuator_gainprm[ids, 0] != 0)
+    return np.asarray(affine & direct & pulls)
+
+
+def holding(scene: Scene, length: Array) -> Array:
+    """Return the commands `(A,)` at which servos rest at an actuator length `(A,)`; 0 for others."""
+    model, ids = scene.model, scene.actuator_ids
+    bias, gain = model.actuator_biasprm[ids], model.actuator_gainprm[ids, 0]
+    at = servos(scene)
+    out = np.zeros(len(ids))
+    out[at] = length[at] * (-bias[at, 1] / gain[at]) - bias[at, 0] / gain[at]
+    return out
+
+
+def lengths(scene: Scene, commands: Array) -> Array:
+    """Return the actuator lengths `(A,)` at which servos rest under commands `(A,)`; the model's own for others."""
+    model, ids = scene.model, scene.actuator_ids
+    bias, gain = model.actuator_biasprm[ids], model.actuator_gainprm[ids, 0]
+    at = servos(scene)
+    out = np.array(model.actuator_length0[ids], float)
+    out[at] = commands[at] * (gain[at] / -bias[at, 1]) - bias[at, 0] / bias[at, 1]
+    return out
+
+
+def command_range(scene: Scene) -> Array:
+    """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest."""
+    model, ids = scene.model, scene.actuator_ids
+    own = model.actuator_ctrllimited[ids].astype(bool)[:, None]
+    rest = holding(scene, model.actuator_length0[ids])[:, None] + np.array([-1.0, 1.0])
+    travel = _travel(scene)
+    return np.where(own, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest))
+
+
+def useful_range(scene: Scene) -> Array:
+    """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is."""
+    allowed, travel = command_range(scene), _travel(scene)
+    low, high = np.maximum(allowed[:, 0], travel[:, 0]), np.minimum(allowed[:, 1], travel[:, 1])
+    return np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed)
+
+
+def _travel(scene: Scene) -> Array:
+    """Return `(A, 2)` the commands that lead to both ends of what an actuator drives; infinite where nothing ends."""
+    limits = [_length_range(scene, int(a)) for a in scene.actuator_ids]
+    bounded = servos(scene) & np.array([r is not None for r in limits], bool)
+    ends = np.array([r if r is not None else (0.0, 0.0) for r in limits]).reshape(-1, 2)
+    asked = np.stack([holding(scene, ends[:, 0]), holding(scene, ends[:, 1])], axis=1)
+    return np.where(bounded[:, None], np.sort(asked, axis=1), np.array([-np.inf, np.inf]))
+
+
+def _length_range(scene: Scene, actuator: int) -> tuple[float, float] | None:
+    """Return the shortest and longest length of an actuator; None where nothing limits it."""
+    model, gear = scene.model, float(scene.model.actuator_gear[actuator, 0])
+    joint, own = scene.driven_joints.get(actuator), None
+    if joint is not None and model.jnt_limited[joint]:
+        own = model.jnt_range[joint]
+    elif model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
+        tendon = model.actuator_trnid[actuator, 0]
+        own = model.tendon_range[tendon] if model.tendon_limited[tendon] else None
+    if own is None:
+        return None
+    low, high = sorted(gear * float(v) for v in own)
+    return low, high
+
+
+def start_qpos(scene: Scene, commands: Array) -> Array:
+    """Return `(nq,)` the model's own start, or its keyframe `open`, with directly driven joints at the commands.
+
+    What tendons and coupled joints do is left to the settling.
+    """
+    model = scene.model
+    qpos = np.array(model.qpos0, float)
+    for k in range(model.nkey):
+        if model.key(k).name == "open":
+            qpos[scene.joint_qpos] = model.key_qpos[k][scene.joint_qpos]
+    length, servo = lengths(scene, commands), servos(scene)
+    for i, a in enumerate(scene.actuator_ids.tolist()):
+        joint, gear = scene.driven_joints.get(a), model.actuator_gear[a, 0]
+        if servo[i] and gear != 0 and joint is not None and _is_scalar(model, joint):
+            qpos[model.jnt_qposadr[joint]] = length[i] / gear
+    return qpos
+
+
+def _is_scalar(model: mujoco.MjModel, joint: int) -> bool:
+    """Tell whether a joint has one number: a hinge or a slide."""
+    return int(model.jnt_type[joint]) in {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+
+
+@lru_cache(maxsize=16)
+def carriers(scene: Scene) -> frozenset[int]:
+    """Return the columns of `action` whose joint carries the whole hand: every fingertip, of two or more.
+
+    Without fingertips it is the slides; of a single fingertip too, since its hinges are its finger.
+    """
+    model, found = scene.model, set()
+    for i, a in enumerate(scene.actuator_ids.tolist()):
+        joint = scene.driven_joints.get(a)
+        if joint is None:
+            continue
+        body = int(model.jnt_bodyid[joint])
+        all_tips = all(_carries(model, body, int(tip)) for tip in scene.fingertip_bodies)
+        several = len(set(scene.fingertip_bodies.tolist())) > 1
+        if all_tips and (several or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE):
+            found.add(i)
+    return frozenset(found)
+
+
+def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
+    """Tell whether `other` is `body` or hangs on it."""
+    while other != body and other != 0:
+        other = int(model.body_parentid[other])
+    return other == body
+
+
+@lru_cache(maxsize=16)
+def rails(scene: Scene) -> Rails:
+    """Return the slides that carry the hand and what each is for, from their axes and where the object stands."""
+    model = scene.model
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    columns = [c for c in sorted(carriers(scene)) if model.jnt_type[_joint(scene, c)] == slide]
+    if not columns:
+        return Rails(np.zeros(0, int), None, None, None, False)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    joints = [_joint(scene, c) for c in columns]
+    axes = data.xaxis[joints] * np.sign(model.actuator_gear[scene.actuator_ids[columns], 0])[:, None]
+    base = data.xanchor[joints].mean(0)
+    back = base - data.xpos[scene.object_id] if scene.object_id is not None else np.array([-1.0, 0, 0])
+    return _roles(columns, axes, back)
+
+
+def _joint(scene: Scene, column: int) -> int:
+    """Return the joint id that a column of `action` drives."""
+    return scene.driven_joints[int(scene.actuator_ids[column])]
+
+
+def _roles(columns: list[int], axes: Array, back: Array) -> Rails:
+    """Return the roles of rails with axes `(R, 3)` when the hand stands `back (3,)` of the object."""
+    upright = int(np.argmax(np.abs(axes[:, 2])))
+    lifts = bool(abs(axes[upright, 2]) > UPRIGHT)
+    along = axes @ back
+    away = int(np.argmax(np.abs(along)))
+    flat = [i for i in range(len(columns)) if abs(axes[i, 2]) <= UPRIGHT]
+    stroke = next((i for i in [*(i for i in flat if i != away), *flat]), None)
+    return Rails(
+        np.array(columns, int),
+        Rail(columns[upright], _sign(axes[upright, 2])) if lifts else None,
+        Rail(columns[away], _sign(along[away])),
+        None if stroke is None else Rail(columns[stroke], -_sign(along[stroke], zero=-1.0)),
+        away in flat,
+    )
+
+
+def _sign(number: float, zero: float = 1.0) -> float:
+    """Return +1 or -1; `zero` for none."""
+    return float(np.sign(number)) or zero

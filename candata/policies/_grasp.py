@@ -1,0 +1,177 @@
+"""A grasp of a hand that nobody has described: where its fingertips meet the object, and what presses them on."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares, nnls
+
+from candata.effects import _contact
+from candata.policies import _drive as d
+from candata.policies._contract import Array
+from candata.scenes import Scene
+
+Ids = NDArray[np.int64]
+#: Sum of the fingertips' forces in weights of the object, and at least so much [N]: two sides of friction 0.7 hold an
+#: object from 1.4 weights in all; about three times that survives the shaking, and shows on a force sensor.
+WEIGHTS, LEAST_N = 4.0, 3.0
+#: Farthest fall of the object onto its support, and the gap at which it counts as touching [m].
+FALL_M, TOUCH_M = 0.3, 1e-3
+#: Distance that counts in the search as much as one actuator's whole range [m], and how much the forces that do not
+#: cancel count beside it.
+SCALE_M, BALANCE = 0.002, 5.0
+#: A fingertip farther than this from the object after the search has not reached it [m].
+REACHED_M = 0.01
+#: A tendon couples its joints when its range is less than this share of what one of them alone can pull.
+TIGHT = 0.3
+
+
+@lru_cache(maxsize=16)
+def grasp(scene: Scene) -> tuple[float, ...] | None:
+    """Return the commands `(A,)` that press the fingertips on the object, or None where no two of them reach it.
+
+    The fingers' servos are searched for the posture in which the fingertips touch the object where it stands, from
+    sides that balance (least squares, nearest to the model's own start); the servos are then asked for more than
+    that, by the joint torques J^T f of balanced forces towards the object's centre. The rest stays where it is.
+    """
+    free = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
+    tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
+    tips = [t for t in tips if len(t)]
+    if scene.object_id is None or not len(free) or not tips:
+        return None
+    hand = _Hand(scene, free, tips)
+    touching, distances = hand.touch()
+    if (distances < REACHED_M).sum() < min(2, len(tips)):
+        return None
+    low, high = d.useful_range(scene)[free].T
+    commands = d.holding(scene, scene.model.actuator_length0[scene.actuator_ids])
+    commands[free] = np.clip(touching + hand.press(touching, distances), low, high)
+    return tuple(commands.tolist())
+
+
+class _Hand:
+    """Kinematics of a hand beside its object, as a function of the commands of some servos."""
+
+    def __init__(self, scene: Scene, free: Ids, tips: list[Ids]) -> None:
+        self.scene, self.model, self.free, self.tips = scene, scene.model, free, tips
+        self.data = mujoco.MjData(self.model)
+        self.start = d.holding(scene, self.model.actuator_length0[scene.actuator_ids])
+        self.qpos0 = d.start_qpos(scene, self.start)
+        self.data.qpos[:] = self.qpos0
+        self._drop()
+        self.answer = np.linalg.pinv(self._moment())[:, : len(free)]
+
+    def _drop(self) -> None:
+        """Let the object down until it touches: it can always fall by its smallest distance to anything."""
+        at, fallen = self.scene.object_qpos + 2, 0.0
+        others = [g for g in _contact.geoms(self.scene, None) if g not in self.scene.object_geoms]
+        height = float(self.qpos0[at])
+        while fallen < FALL_M:
+            mujoco.mj_kinematics(self.model, self.data)
+            gap = min((self._distance(int(g))[0] for g in others), default=FALL_M)
+            if gap < TOUCH_M:
+                self.qpos0[at] = self.data.qpos[at]
+                return
+            fallen += gap
+            self.data.qpos[at] = height - fallen
+        self.data.qpos[at] = height
+
+    def _distance(self, geom: int) -> tuple[float, Array]:
+        """Return the signed distance of a geom to the object [m] and the segment `(6,)` between them."""
+        best, where, segment = 1.0, np.zeros(6), np.zeros(6)
+        for own in self.scene.object_geoms:
+            found = mujoco.mj_geomDistance(self.model, self.data, geom, int(own), best, segment)
+            if found < best:
+                best, where = found, segment.copy()
+        return best, where
+
+    def _moment(self) -> Array:
+        """Return `(A + C, nv)` how fast each free actuator's length, and each coupling, grows with each joint."""
+        model, data = self.model, self.data
+        mujoco.mj_fwdPosition(model, data)
+        dense = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+        equal = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        coupled = data.efc_J[: data.nefc * model.nv].reshape(-1, model.nv)[equal]
+        return np.concatenate([dense[self.scene.actuator_ids][self.free], coupled, *_tight_tendons(model)])
+
+    def _pose(self, commands: Array) -> None:
+        """Put the joints where the servos rest; tendons pull their joints alike, couplings and limits hold."""
+        model, whole = self.model, self.start.copy()
+        whole[self.free] = commands
+        longer = d.lengths(self.scene, whole)[self.free] - d.lengths(self.scene, self.start)[self.free]
+        self.data.qpos[:] = self.qpos0
+        mujoco.mj_integratePos(model, self.data.qpos, self.answer @ longer, 1.0)
+        for joint in np.flatnonzero(model.jnt_limited):
+            at = model.jnt_qposadr[joint]
+            self.data.qpos[at] = np.clip(self.data.qpos[at], *model.jnt_range[joint])
+        mujoco.mj_kinematics(model, self.data)
+
+    def _contacts(self) -> tuple[Array, Array]:
+        """Return where each fingertip is nearest to the object `(F, 3)` [m], and how far from it `(F,)` [m]."""
+        near = [min((self._distance(int(g)) for g in tip), key=lambda found: found[0]) for tip in self.tips]
+        return np.array([segment[:3] for _, segment in near]), np.array([gap for gap, _ in near])
+
+    def _forces(self, points: Array) -> Array:
+        """Return `(F, 3)` forces towards the object's centre whose sizes sum to 1 and that cancel as far as they can.
+
+        What the object lies on pushes back too, where no rail will lift the object off it: a palm that holds it up.
+        """
+        inward = self.data.xpos[self.scene.object_id] - points
+        inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), mujoco.mjMINVAL)
+        count = len(points)
+        # A heavy row keeps the sum of the sizes at 1; light ones spread the load over all fingertips.
+        rows = np.concatenate([inward.T, 100 * np.ones((1, count)), 0.3 * np.eye(count)])
+        if d.rails(self.scene).lift is None:
+            rows = np.column_stack([rows, np.arange(3 + 1 + count) == 2])
+        sizes, _ = nnls(rows, 100.0 * (np.arange(len(rows)) == 3))
+        return inward * sizes[:count, None]
+
+    def touch(self) -> tuple[Array, Array]:
+        """Return the commands at which the fingertips come nearest to touching, and the distances left [m]."""
+        low, high = d.useful_range(self.scene)[self.free].T
+        span = high - low
+        own = np.clip((self.start[self.free] - low) / span, 0.0, 1.0)
+
+        def errors(share: Array) -> Array:
+            self._pose(low + share * span)
+            points, gaps = self._contacts()
+            return np.concatenate([gaps / SCALE_M, BALANCE * self._forces(points).sum(0), share - own])
+
+        first = np.clip(own, 0.1, 0.9)
+        found = least_squares(errors, first, bounds=(0.0, 1.0), diff_step=1e-4, max_nfev=40).x
+        self._pose(low + found * span)
+        return low + found * span, self._contacts()[1]
+
+    def press(self, commands: Array, distances: Array) -> Array:
+        """Return how much more to ask of the servos, so that the fingertips that touch press on the object."""
+        self._pose(commands)
+        mujoco.mj_comPos(self.model, self.data)
+        weight = float(self.model.body_subtreemass[self.scene.object_id] * np.linalg.norm(self.model.opt.gravity))
+        reached = np.flatnonzero(distances < REACHED_M)
+        points = self._contacts()[0][reached]
+        torque, jacobian = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
+        for tip, point, force in zip(reached, points, self._forces(points), strict=True):
+            body = int(self.model.geom_bodyid[self.tips[tip][0]])
+            mujoco.mj_jac(self.model, self.data, jacobian, None, point, body)
+            torque += jacobian.T @ force * max(WEIGHTS * weight, LEAST_N)
+        return self.answer.T @ torque / self.model.actuator_gainprm[self.scene.actuator_ids[self.free], 0]
+
+
+def _tight_tendons(model: mujoco.MjModel) -> list[Array]:
+    """Return `(1, nv)` of each tendon that couples joints: fixed, and limited to a small part of what they can pull."""
+    out = []
+    for tendon in np.flatnonzero(model.tendon_limited):
+        span = slice(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+        if (model.wrap_type[span] != mujoco.mjtWrap.mjWRAP_JOINT).any():
+            continue
+        row, pulls = np.zeros((1, model.nv)), []
+        for joint, coefficient in zip(model.wrap_objid[span], model.wrap_prm[span], strict=True):
+            row[0, model.jnt_dofadr[joint]] = coefficient
+            pulls.append(abs(coefficient) * np.ptp(model.jnt_range[joint]))
+        if len(pulls) > 1 and np.ptp(model.tendon_range[tendon]) < TIGHT * max(pulls):
+            out.append(row / np.linalg.norm(row))
+    return out
