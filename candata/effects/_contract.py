@@ -48,6 +48,8 @@ class Parameter:
         `scene -> int`, 1 for a scalar.
     choices : tuple of str
         The words of a discrete parameter; its number is the index.
+    enumerated : bool
+        Whether nothing lies between the probes: they are all the values there are.
     owners : callable, optional
         `scene -> names (size,)`: the element each number of a vector belongs to, where every element has its own.
     """
@@ -62,6 +64,7 @@ class Parameter:
     neutral: Callable[[Scene], float] | None = None
     size: Callable[[Scene], int] = lambda scene: 1
     choices: tuple[str, ...] = ()
+    enumerated: bool = False
     owners: Callable[[Scene], tuple[str, ...]] | None = None
 
 

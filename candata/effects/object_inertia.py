@@ -21,7 +21,7 @@ EFFECT = Effect(
             "inertia_scale",
             "1",
             fixed(0.15, 6.0),
-            values(0.4, 2.5),
+            values(0.4, 0.7, 1.5, 2.5),
             spans((0.25, 0.55), (1.8, 3.5)),
             "a hollow body has 5/3 of a solid one's inertia, a weight in the middle a fraction of it",
             always(1.0),

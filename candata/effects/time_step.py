@@ -29,18 +29,16 @@ def _bounds(scene: Scene) -> Bounds:
 
 
 def _probes(scene: Scene) -> tuple[float, ...]:
-    """Return half the step, and a coarser one where it fits."""
-    own, steps = scene.model.opt.timestep, scene.substeps
-    coarser = (_divided(scene, 1.7 * own),) if steps > 1 else ()
-    return (own / 2, *coarser)
-
-
-def _draws(scene: Scene) -> tuple[tuple[float, float], ...]:
     """Return the finer and coarser steps that divide the control step."""
     own, steps = scene.model.opt.timestep, scene.substeps
     ends = _bounds(scene)
     found = [_divided(scene, factor * own) for factor in (0.2, 0.25, 0.5, 1.6, 2.5)]
-    return tuple((v, v) for v in dict.fromkeys(found) if v != own and v <= ends.high and (v < own or steps > 1))
+    return tuple(v for v in dict.fromkeys(found) if v != own and v <= ends.high and (v < own or steps > 1))
+
+
+def _draws(scene: Scene) -> tuple[tuple[float, float], ...]:
+    """Return the same steps as intervals."""
+    return tuple((v, v) for v in _probes(scene))
 
 
 EFFECT = Effect(
@@ -54,6 +52,7 @@ EFFECT = Effect(
             _draws,
             "MuJoCo manual, option/timestep: 2 ms is the default, models in use have 0.5 to 5 ms",
             neutral=lambda scene: float(scene.model.opt.timestep),
+            enumerated=True,
         ),
     ),
     acts_on="world",

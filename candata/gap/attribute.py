@@ -124,6 +124,7 @@ def attribute(problem: Problem) -> Attribution:
     best = first.fits[0]
     tied = tied_with(best, first.fits)
     chosen, world, remains = _forward(problem, best, grow=len(tied) == 1)
+    chosen, world, remains = _with_measured(world, chosen, remains)
     if remains and len(tied) == 1:
         chosen, world, remains = _jointly(world, chosen)
     return Attribution(first, chosen, tuple(tied), world.score, remains)
@@ -133,7 +134,7 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     """Return every candidate's held-out evidence on top of the effects held."""
     channels = list(problem.recs.readings)
     taken = {c.name for c, _ in held}
-    found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken]
+    found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
     base, luck = _base(problem, here, held)
     responses, dead = respond(problem, here, found)
     responses += respond(problem, here, promising(problem, here, responses, base))[0]
@@ -222,6 +223,15 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
         if not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             return best, world, remains
         problem, best = world, grown
+
+
+def _with_measured(problem: Problem, best: Fit, remains: bool) -> tuple[Fit, Problem, bool]:
+    """Return the set joined by what was measured directly: it needs no gain to be believed."""
+    new = tuple((c, u) for c, u in problem.measured if c.name not in {m.name for m, _ in best.members})
+    if not new:
+        return best, problem, remains
+    world, found = _rescored(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
+    return found, world, bool(found.evidence.loss.mean() > null_level(world.score, world.rng))
 
 
 def _jointly(problem: Problem, best: Fit) -> tuple[Fit, Problem, bool]:

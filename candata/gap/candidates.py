@@ -30,7 +30,7 @@ class Candidate:
     logarithmic : (d,) bool
         Coordinates that are logarithms of the value (scales and times), so that half and double are alike.
     choices : bool
-        Whether the value is a choice, not a number.
+        Whether only the probes and the neutral value exist: words, or numbers with nothing between them.
     own : (n,) bool
         Which of the effect's n numbers the coordinates are; the others stay at their identity.
     rest : (n,) float64
@@ -85,7 +85,8 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     table = np.array(rows, float)
     mine = active(name, scene, element)
     neutral, low_end, high_end = table[mine, :3].T.copy()
-    discrete = bool(effect(name).parameters[0].choices)
+    first = effect(name).parameters[0]
+    discrete = bool(first.choices) or first.enumerated
     return Candidate(
         name, element, neutral, low_end, high_end, table[mine, 4].astype(bool), discrete, mine, table[:, 3].copy()
     )

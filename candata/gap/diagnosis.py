@@ -14,6 +14,7 @@ from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
+from candata.gap.candidates import candidate
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
@@ -26,6 +27,7 @@ from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
+from candata.gap.rest_scale import length_scale, ruled_out
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import (
@@ -38,7 +40,7 @@ from candata.gap.shrink import (
     support,
 )
 from candata.gap.signatures import library
-from candata.gap.starts import starts
+from candata.gap.starts import is_toss, starts
 from candata.gap.unknown import Described, describe
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
@@ -151,7 +153,24 @@ def _problem(
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    return Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
+    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
+    return _with_lengths(problem) if is_toss(replayer.scene) else problem
+
+
+def _with_lengths(problem: Problem) -> Problem:
+    """Return the problem with what free fall and rest say of the tracker's lengths, before anything is fitted."""
+    scene, recs = problem.replayer.scene, problem.recs
+    found = length_scale(scene, recs, problem.begin, problem.rng)
+    if found.scale is None:
+        return replace(problem, ruled_out=ruled_out(found))
+    c, s = candidate("pose_scale", scene), found.scale
+    note = (
+        f"the tracker's lengths are {s.value:.4f} of true ({s.low:.4f} to {s.high:.4f}), read off free fall and the "
+        f"height at rest of {s.episodes} tosses, without a fit of contact"
+    )
+    measured = ((c, np.log([s.value]) if c.logarithmic[0] else np.array([s.value])),)
+    noted = replace(recs, notes=(*recs.notes, note))
+    return replace(problem, recs=noted, ruled_out=ruled_out(found), measured=measured)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:

@@ -32,6 +32,8 @@ SETTLE_S = 0.4
 TOPPLED_RAD = 0.1
 #: What no resampling shows: a camera's clock off by 0.1 % reads gravity off by 0.2 %.
 SYSTEMATIC = 0.002
+#: Effects that change lengths or heights as the tracker reports them.
+LENGTHS = ("pose_scale", "object_size", "support_height", "pose_bias", "clock_drift")
 #: Resamples of the tosses, and the ends of a 90 % interval.
 RESAMPLES, ENDS = 1000, (0.05, 0.95)
 
@@ -97,6 +99,13 @@ def length_scale(scene: Scene, recs: Recordings, begin: Starts, rng: np.random.G
     flight, rest = scale_from_flight(scene, recs, begin, rng), scale_from_rest(scene, recs, rng)
     causes = _causes(flight, rest)
     return LengthScale(flight, rest, causes, _weighed(flight, rest) if causes == ("pose_scale",) else None)
+
+
+def ruled_out(found: LengthScale) -> frozenset[str]:
+    """Return the effects on lengths that free fall and rest together exclude; none where one of them was not seen."""
+    if not found.causes or found.flight is None or found.rest is None:
+        return frozenset()
+    return frozenset(LENGTHS) - frozenset(found.causes)
 
 
 def _causes(flight: Scale | None, rest: Scale | None) -> tuple[str, ...]:

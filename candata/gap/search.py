@@ -27,7 +27,10 @@ Members = tuple[tuple[Candidate, Array], ...]
 
 @dataclass(frozen=True)
 class Problem:
-    """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals."""
+    """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
+
+    `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit.
+    """
 
     replayer: Replayer
     recs: Recordings
@@ -41,6 +44,8 @@ class Problem:
     library: Library
     before: dict[str, Array]
     raw: Array
+    ruled_out: frozenset[str] = frozenset()
+    measured: Members = ()
 
     @property
     def nominal(self) -> Compact:

@@ -65,7 +65,10 @@ def _everything(problem: Problem, start: Fit) -> Members:
     """Return the members of `start` and, at their neutral values, all other candidates that are numbers."""
     taken = {c.name for c, _ in start.members}
     found = candidates(problem.replayer.scene, list(problem.recs.readings))
-    return (*start.members, *((c, c.neutral.copy()) for c in found if c.name not in taken and not c.choices))
+    return (
+        *start.members,
+        *((c, c.neutral.copy()) for c in found if c.name not in taken | problem.ruled_out and not c.choices),
+    )
 
 
 def present(members: Members) -> Members:
