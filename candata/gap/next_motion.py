@@ -1,8 +1,8 @@
 """What to do next: the motion under which the causes that are still tied differ most (T-optimal).
 
-Each tied candidate in turn is taken for the truth: its world plays a motion, the others replay it under the observer as
-a diagnosis would, and what is left after the best refit counts. The motion whose least separation is largest is the
-one to record.
+Each tied candidate in turn is taken for the truth: its world plays a motion, and all replay it under the observer as a
+diagnosis would. What counts is what will decide: by how much the loss of a wrong candidate, refitted, lies above that
+of the true one, in floors of the motion itself. The motion whose least of these is largest is the one to record.
 
 Source: Atkinson & Fedorov 1975, "Optimal design: experiments for discriminating between several models", Biometrika
 62, eq. 1; the refit runs along the line from no effect to the fitted one.
@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
-from candata.gap.floor import smallest
+from candata.gap.floor import spread
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
-from candata.gap.residuals import Layout, layout, residual
-from candata.gap.score import Score
+from candata.gap.residuals import layout, residual
+from candata.gap.score import Compact, Score, score
 from candata.gap.search import Problem
 from candata.gap.starts import starts
 from candata.policies import Motion, command_limits, policy
@@ -34,7 +33,7 @@ from candata.simulate.jobs import possible_policies
 Array = NDArray[np.float64]
 #: Plays of each motion from other starts in the first look, and of the `FINALISTS` best in the second, by the number
 #: of rivals: the time grows with its square (16 and 20 CPU s in `xhand_tabletop`).
-PLAYS = {2: (3, 6), 3: (2, 3)}
+PLAYS = {2: (2, 5), 3: (1, 2)}
 FINALISTS = 3
 #: Tied candidates that are told apart at most.
 RIVALS = max(PLAYS)
@@ -42,10 +41,8 @@ RIVALS = max(PLAYS)
 FORCE_MARGIN = 1.5
 #: Shortest and longest proposed motion [s]: time to grasp, carry and let go, whatever the recordings' length.
 SHORTEST_S, LONGEST_S = 2.0, 4.0
-#: Farthest that a refit goes along the line from no effect to the fitted one.
-FARTHEST = 3.0
-#: Neighbouring blocks over which the spread of plays is averaged.
-CHAOS_BLOCKS = 16
+#: Points of the line from no effect (0) to the fitted one (1) and beyond at which a refit is tried.
+REFIT = tuple(np.linspace(0.0, 3.0, 25).tolist())
 
 
 @dataclass(frozen=True)
@@ -61,9 +58,6 @@ class Rivals:
         Sensor noise of the recordings.
     channels : tuple of str
         What the recordings hold.
-    spread : (P, D) float64, optional
-        Spread of a residual's block means when only noise differs, by phase and column of the residual; what the
-        noise alone leaves by default.
     force_limit_n : float, optional
         Largest force on a fingertip [N]; by default `FORCE_MARGIN` times what the scene's usual motions need.
     """
@@ -72,7 +66,6 @@ class Rivals:
     sets: tuple[EffectSet, ...]
     noise: Noise
     channels: tuple[str, ...]
-    spread: Array | None = None
     force_limit_n: float | None = None
 
 
@@ -84,7 +77,7 @@ class Choice:
     ----------
     motion : Motion
     separation : float
-        Least difference between two candidates after a refit: RMS of block means, in floors.
+        Least loss by which a wrong candidate is worse than the truth after a refit, in floors of the motion.
     usual : float
         The same under the scene's usual motions, their median.
     tried : int
@@ -98,36 +91,14 @@ class Choice:
 
 
 def rivals_of(problem: Problem, sets: Sequence[EffectSet]) -> Rivals:
-    """Return the rivals of a diagnosis: in units of its floor, within the forces of its recordings."""
+    """Return the rivals of a diagnosis: with its noise, within the forces of its recordings."""
     return Rivals(
         problem.replayer,
         tuple(sets[:RIVALS]),
         problem.noise,
         tuple(problem.recs.readings),
-        typical_spread(problem.plan, problem.score),
         _recorded_limit(problem.recs),
     )
-
-
-def typical_spread(plan: Layout, score: Score) -> Array:
-    """Return `(P, D)` the median floor of each column by phase; over all phases where one did not occur."""
-    sigma = score.sigma.reshape(*plan.phase.shape, -1).astype(float)
-    seen = score.mask.reshape(sigma.shape)
-    rows = []
-    for p in range(len(plan.phases)):
-        here = np.where(seen & (plan.phase == p)[..., None], sigma, np.nan)
-        rows.append(_median(here))
-    overall = _median(np.where(seen, sigma, np.nan))
-    return np.where(np.isfinite(rows), rows, np.where(np.isfinite(overall), overall, 1.0))
-
-
-def _median(values: Array) -> Array:
-    """Return `(D,)` the median over all but the last axis; NaN for a column without values."""
-    flat = values.reshape(-1, values.shape[-1])
-    out = np.full(flat.shape[1], np.nan)
-    some = np.isfinite(flat).any(0)
-    out[some] = np.nanmedian(flat[:, some], axis=0)
-    return out
 
 
 def _recorded_limit(recs: Recordings) -> float | None:
@@ -208,15 +179,14 @@ def separating_motion(rivals: Rivals, duration_s: float, rng: np.random.Generato
 
 
 def separations(rivals: Rivals, motions: Sequence[Motion], plays: int, seed: int) -> tuple[Array, Array]:
-    """Return `(M,)` the least separation of two rivals [floors] and `(M,)` the largest fingertip force [N].
+    """Return `(M,)` the least loss of a wrong rival [floors] and `(M,)` the largest fingertip force [N].
 
     Parameters
     ----------
     rivals : Rivals
     motions : sequence of M Motion
     plays : int
-        Plays of each from other starts, at least 2: what differs from play to play (noise, chaos of contact) is no
-        separation.
+        Plays of each from other starts.
     seed : int
         Seed of starts and noise; each world gets the same.
     """
@@ -227,8 +197,9 @@ def separations(rivals: Rivals, motions: Sequence[Motion], plays: int, seed: int
             size = np.linalg.norm(recs.readings["fingertip_force"], axis=-1)
             force = np.maximum(force, np.nanmax(size.reshape(len(motions), -1), axis=1))
         others = [some for k, some in enumerate(rivals.sets) if k != number]
-        for apart in _left(rivals, _compared(rivals, recs), others, plays):
-            least = np.minimum(least, apart)
+        for losses in _losses(rivals, _compared(rivals, recs), truth, others):
+            refitted = losses.reshape(len(REFIT), len(motions), plays).mean(2).min(0)
+            least = np.minimum(least, np.maximum(refitted, 0.0))
     return least, force
 
 
@@ -249,48 +220,27 @@ def _compared(rivals: Rivals, recs: Recordings) -> Recordings:
     return replace(recs, readings={n: v for n, v in recs.readings.items() if n in rivals.channels})
 
 
-def _left(rivals: Rivals, recs: Recordings, others: Sequence[EffectSet], plays: int) -> list[Array]:
-    """Return, for each rival of the world in which `recs` were made, `(M,)` what it leaves of each motion."""
+def _losses(rivals: Rivals, recs: Recordings, truth: EffectSet, others: Sequence[EffectSet]) -> list[Array]:
+    """Return, for each rival, `(E,)` how much worse than the truth it does on recordings of the truth's world."""
     scene = rivals.replayer.scene
     begin = starts(scene, recs)
-    nominal, *theirs = replay_all(rivals.replayer, recs, begin, [(), *others])
+    nominal, right, *theirs = replay_all(rivals.replayer, recs, begin, [(), truth, *others])
     plan = layout(scene, recs, begin, nominal)
-    spread = rivals.spread
-    if spread is None:
-        spread = np.repeat(smallest(plan, rivals.noise)[None], len(plan.phases), axis=0)
-    sigma = spread[plan.phase]
-    none = _by_motion(residual(recs, plan, nominal), plays)
-    return [unexplained(none, _by_motion(residual(recs, plan, r), plays), _by_motion(sigma, plays)) for r in theirs]
+    own = residual(recs, plan, right)
+    # What the truth leaves of its own recording is the floor: noise, and the chaos of these contacts.
+    level = score(own, spread("declared", rivals.noise, plan, own[None]), plan)
+    none = level.normal(residual(recs, plan, nominal))
+    return [worse(level, none, level.normal(residual(recs, plan, r))) for r in theirs]
 
 
-def _by_motion(values: Array, plays: int) -> Array:
-    """Return `(M, plays, B, D)` of `(M x plays, B, D)`."""
-    return values.reshape(-1, plays, *values.shape[1:])
-
-
-def unexplained(none: Array, fitted: Array, sigma: Array) -> Array:
-    """Return `(M,)` the RMS residual [floors] that a refitted rival leaves in every play of a motion.
-
-    Residuals between no effect and the fitted one are taken as linear, and the point with the least of them counts.
-    The mean product of different plays is free of what is not common to them: noise and chaos add nothing, and the
-    spread of the plays widens the floor.
+def worse(level: Score, none: Compact, fitted: Compact) -> Array:
+    """Return `(G, E)` the loss beyond the floor that a rival leaves, at each point of the line on which it is refitted.
 
     Parameters
     ----------
-    none, fitted : (M, R, B, D) float64
-        Residuals of R plays without an effect and with the rival's fit; NaN where not seen.
-    sigma : (M, R, B, D) float64
-        Floor of each.
+    level : Score
+        In units of what the truth leaves.
+    none, fitted : (E, K) float32
+        Normalised residuals without an effect and with the rival's fit; linear in between and beyond.
     """
-    seen = np.asarray((np.isfinite(none) & np.isfinite(fitted)).all(1))
-    none, fitted = (np.where(seen[:, None], v, 0.0) for v in (none, fitted))
-    spread = 0.5 * (none.var(1, ddof=1) + fitted.var(1, ddof=1))
-    # Averaged over neighbours: weights that follow each cell's own luck would favour cells that agree by chance.
-    unit = np.sqrt(np.maximum((sigma**2).mean(1), uniform_filter1d(spread, CHAOS_BLOCKS, axis=1)))[:, None]
-    z, step = none / unit, (fitted - none) / unit
-    along = step.mean(1)
-    share = -(z.mean(1) * along).sum((1, 2)) / np.maximum((along**2).sum((1, 2)), 1e-12)
-    left = z + np.clip(share, 0.0, FARTHEST)[:, None, None, None] * step
-    plays = left.shape[1]
-    common = (left.sum(1) ** 2 - (left**2).sum(1)) / (plays * (plays - 1))
-    return np.sqrt(np.maximum(common.sum((1, 2)) / np.maximum(seen.sum((1, 2)), 1), 0.0))
+    return np.stack([level.loss(none + np.float32(u) * (fitted - none)) - 1.0 for u in REFIT])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from candata.errors import DataError
-from candata.gap.attribute import Attribution
+from candata.gap.attribute import MATTERS, Attribution
 from candata.gap.next_motion import RIVALS, Choice, rivals_of, separating_motion, usual_motions
 from candata.gap.recordings import Recordings
 from candata.gap.search import Problem
@@ -15,9 +15,6 @@ from candata.scenes import Scene
 from candata.schema.report import NextMotion
 
 MOTION_FILE = "motion.parquet"
-#: Separation [floors] below which a motion is not said to tell candidates apart. A world that is its own rival reads up
-#: to 0.31, by the chaos of contact: measured on the 15 motions of `xhand_tabletop`, six plays each.
-CLEAR = 0.5
 #: Length of a motion where no recording says how long one is [s].
 USUAL_S = 3.2
 
@@ -68,9 +65,9 @@ def _choice(problem: Problem, found: Attribution) -> Choice | None:
 def _reason(found: Choice) -> str:
     """Return why this motion, and what to expect of it."""
     compared = f"best of {found.tried} motions" if found.tried > 1 else "the only motion within the limits"
-    size = f"{compared}: a wrong cause would leave {found.separation:.2g} floors"
-    usual = f"where the usual motions leave {found.usual:.2g}"
-    return f"{size}, {usual}" + ("" if found.separation >= CLEAR else "; that is little, and it may not decide")
+    size = f"{compared}: a wrong cause would be {found.separation:.2g} floors worse"
+    usual = f"in the usual motions {found.usual:.2g}"
+    return f"{size}, {usual}" + ("" if found.separation >= MATTERS else "; that is little, and it may not decide")
 
 
 def more(scene: Scene, recs: Recordings, fewest: int) -> Proposal:

@@ -104,8 +104,8 @@ class Symptom(Record):
 class NextMotion(Record):
     """The motion that best separates what is tied.
 
-    `expected_separation` is what a wrong candidate leaves of it after a refit, RMS in floors; `reason` says in words
-    why this motion, or what else to record.
+    `expected_separation` is by how many floors the loss of a wrong candidate lies above that of the true one; `reason`
+    says in words why this motion, or what else to record.
     """
 
     name: str
