@@ -25,9 +25,11 @@ def respond(
     """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones."""
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
+    probed = [(c, u) for c in found for u in screening(c, problem)]
+    moved = iter(problem.signatures(probed))
     for c in found:
         points = screening(c, problem)
-        moves = problem.signatures([(c, u) for u in points])
+        moves = [next(moved) for _ in points]
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
         else:

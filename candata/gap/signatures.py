@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import shutil
 import uuid
 import zipfile
@@ -75,7 +76,11 @@ class Library:
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
-        return [self._signature(some) for some in settings]
+        found: dict[int, Compact] = {}
+        # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
+        for i in np.random.default_rng(os.getpid()).permutation(len(settings)):
+            found[int(i)] = self._signature(settings[i])
+        return [found[i] for i in range(len(settings))]
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
