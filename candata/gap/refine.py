@@ -19,6 +19,9 @@ Array = NDArray[np.float64]
 World = Callable[[Array], Members]
 #: First fits that must have been simulated where they are, and most rounds of simulations of one of them.
 FRONT, TRIES = 4, 3
+#: Share of the best gain below which what signatures promise is too little to be looked at. Chosen: signatures are off by
+#: a tenth or so.
+PROMISE = 0.5
 #: A scalar counts as simulated within this share of its distance from the neutral value, or of its range.
 CLOSE, CLOSE_RANGE = 0.1, 0.005
 #: How much farther from the neutral value a scalar is tried whose best is its farthest point.
@@ -35,7 +38,8 @@ def refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> li
     """Return single fits, best held-out gain first, the first of them simulated on the recording where they are."""
     tries: dict[str, int] = {}
     while True:
-        todo = [f for f in fits[:FRONT] if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
+        front = [f for f in fits[:FRONT] if f.gain > PROMISE * fits[0].gain]
+        todo = [f for f in front if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
         if not todo:
             return fits
         for f in todo:
@@ -93,8 +97,17 @@ def _stepped(problem: Problem, fit: Fit, base: Array, held: Members) -> Fit:
     """Return a vector's fit moved to the best simulated share of its step; flat where no share helps."""
     c, plane = fit.members[0][0], fit.plane
     target = plane.best(np.arange(len(base)))
-    moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], lambda u: (*held, (c, u)))
+    moved = stepped(problem, plane, target, lambda u: (*held, (c, u)))
     return fit_one(problem, c, replace(moved, slope=np.zeros_like(moved.slope)) if moved is plane else moved, base)
+
+
+def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plane:
+    """Return the plane moved to the largest share of a step that lowers the simulated loss; itself where none does."""
+    for share in SHARES:
+        moved = best_of(problem, plane, [plane.at + share * (target - plane.at)], world)
+        if moved is not plane:
+            return moved
+    return plane
 
 
 def best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: World) -> Plane:
@@ -113,7 +126,7 @@ def joint(problem: Problem, members: Members, base: Array) -> Fit:
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     for _ in range(ROUNDS):
         target = plane.best(np.arange(len(base)))
-        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], fit.split)
+        moved = stepped(problem, plane, target, fit.split)
         if moved is plane:
             break
         plane = replace(moved, slope=slopes_of(problem, fit.split(moved.at)))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
-from candata.gap.refine import SHARES, around, best_of, joint, slopes_of
+from candata.gap.refine import around, joint, slopes_of, stepped
 from candata.gap.response import SCALES, Plane
 from candata.gap.score import Compact, Score, weights
 from candata.gap.search import Fit, Members, Problem
@@ -51,7 +51,7 @@ def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
     held = np.ones(len(neutral))
     for _ in range(ROUNDS):
         target, held = _target(problem, plane, neutral, held)
-        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], world)
+        moved = stepped(problem, plane, target, world)
         if moved is plane:
             break
         plane = replace(moved, slope=slopes_of(problem, _split(members, moved.at)))
