@@ -8,6 +8,7 @@ share it.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -157,7 +158,7 @@ def _code() -> str:
 
 def _shared_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts]:
     """Return the folder of signatures from (nearly) the same start, and that start; a new one where there is none."""
-    for known in sorted(folder.glob("*/starts.npz")):
+    for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
         found = _start_in(known)
         if found is not None and _is_same(scene, found, begin):
             known.parent.touch()
@@ -199,7 +200,8 @@ def _keep(file: Path | None, **arrays: NDArray) -> None:
             np.savez(out, allow_pickle=False, **arrays)
         draft.replace(file)
     except OSError:
-        draft.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
 
 
 def _read(file: Path | None) -> dict[str, NDArray] | None:
