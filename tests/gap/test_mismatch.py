@@ -146,9 +146,9 @@ def test_a_fault_of_a_hand_is_found(hand, handled, fault):
     assert found(hand, changed(hand, handled, change))[0] == (kind, True)
 
 
-def test_a_frame_that_hardly_differs_is_noted(gripper, gripped):
-    """The fingertips of this gripper close nearly along the world's axes."""
-    assert found(gripper, changed(gripper, gripped, to_world)) == [("force_frame", False)]
+def test_a_frame_that_hardly_differs_is_not_refused(gripper, gripped):
+    """The fingertips of this gripper close nearly along the world's axes: at most a note is due."""
+    assert not any(definite for _, definite in found(gripper, changed(gripper, gripped, to_world)))
 
 
 def test_sound_recordings_have_no_finding(gripper, gripped, hand, handled, arm, arm_episodes):
