@@ -155,8 +155,8 @@ def tie(arm, *names: str) -> SimpleNamespace:
     [
         (2.04, "best of 6 motions: a wrong cause would be 2 floors worse, in the usual motions 0.31"),
         (
-            0.04,
-            "best of 6 motions: a wrong cause would be 0.04 floors worse, in the usual motions 0.31; "
+            0.01,
+            "best of 6 motions: a wrong cause would be 0.01 floors worse, in the usual motions 0.31; "
             "that is little, and it may not decide",
         ),
     ],
