@@ -190,7 +190,8 @@ def _sequence(scene: Scene, recs: Recordings, begin: Starts, e: int, model: mujo
     columns = [recs.readings[c][e, first:last] for c in ("joint_position", "object_pose") if c in recs.readings]
     data = np.concatenate(columns, axis=1)
     seen = np.isfinite(data).all(1)
-    times = np.arange(last - first) / rate
+    # The toolbox stamps what a step began with by the time at its end: readings have to come one physics step late.
+    times = np.arange(last - first) / rate + step
     out = {
         "control_times": np.arange(len(control)) * step * (1 - EARLY),
         "control_data": control,

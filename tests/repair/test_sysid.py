@@ -124,7 +124,7 @@ def test_the_toolbox_loads_it_and_its_rollout_is_the_recording(exported):
     for gain in (0.7, 1.0):
         x = np.array([1.5 if "mass" in p.name else gain for p in parameters.values()])
         _, predicted, measured = residual(x, parameters, return_pred_all=True)
-        assert measured[0][0].data.shape == predicted[0][0].data.shape == (79, 10)
+        assert measured[0][0].data.shape == predicted[0][0].data.shape == (80, 10)
         worst.append(np.abs(predicted[0][0].data - measured[0][0].data)[:, 1:3].max())
     # The start is taken as at rest, the recording was settling: tenths of a milliradian.
     assert worst[0] < 5e-4
