@@ -74,9 +74,10 @@ def record(scene: Scene, motion: Motion, world: EffectSet, count: int, seed: int
     nominal = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(scene, recs, begin, nominal)
     spread = floor(replayer, recs, begin, plan, rng, NULLS, world)
-    level = score(residual(recs, plan, nominal), spread, plan)
+    raw = residual(recs, plan, nominal)
+    level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, None)
-    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf)
+    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf, nominal, raw)
 
 
 def fitted(problem: Problem, c: Candidate) -> np.ndarray:

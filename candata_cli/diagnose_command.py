@@ -37,10 +37,15 @@ def diagnose(
         Path | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
     ] = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
+    keep: Annotated[
+        bool,
+        typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of the same commands."),
+    ] = True,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     from candata.datasets import open_dataset
+    from candata.datasets.durable import user_cache
     from candata.errors import UnknownNameError, UsageError
     from candata.gap import diagnose as run
     from candata.reports import summary, write_diagnosis
@@ -65,6 +70,7 @@ def diagnose(
             world,
             jobs=jobs,
             seed=seed,
+            cache=user_cache() if keep else None,
             progress=stage,
         )
         stage("writing the report")

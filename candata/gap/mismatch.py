@@ -16,8 +16,10 @@ from candata.gap.mismatch_commands import (
     late,
     paired,
     still_findings,
-    swap_findings,
+    swap_finding,
+    swaps,
     unit_findings,
+    within,
     zero_findings,
 )
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
@@ -45,6 +47,8 @@ RIVALS = (
 )
 #: By how much a shift must beat the best rival's joint error to be sure.
 SURELY = 0.7
+#: By how much an exchange of commands must bring the scene's joints closer to the recorded ones to be sure.
+CLOSER = 0.5
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,7 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
     pairs = paired(scene, some)
     found = pose_findings(scene, some)
     if pairs is not None:
-        found += unit_findings(scene, pairs) + swap_findings(pairs) + still_findings(some, pairs)
+        found += unit_findings(scene, pairs) + still_findings(some, pairs)
     if not any(f.definite for f in found) and not is_toss(scene):
         found += _by_replay(_Look(replayer, some, pairs))
     found += _tasks(recs)
@@ -95,6 +99,9 @@ def _by_replay(look: _Look) -> list[Finding]:
     found: list[Finding] = []
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
+        found += _swapped(look, look.pairs, own)
+        if found:
+            return found
         found += following_findings(look.pairs, own)
         if not found:
             found += zero_findings(scene, look.pairs, own)
@@ -105,6 +112,27 @@ def _by_replay(look: _Look) -> list[Finding]:
         if touching is not None:
             found += distance_findings(scene, touching) or force_findings(scene, touching)
     return found
+
+
+def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+    """Return that commands are in another order, where the scene agrees: with that order its joints come closer."""
+    drive, out = pairs.drive, []
+    for chosen in swaps(pairs):
+        commands = look.recs.commands.copy()
+        commands[..., drive.columns] = (pairs.target[..., chosen] - drive.offset) / drive.slope
+        other = look.play(replace(look.recs, commands=commands))["joint_position"][..., drive.joints]
+        moved = chosen != np.arange(len(chosen))
+        given, new = (float(np.median(_distances(pairs.joint - v, moved))) for v in (own, other))
+        if new < CLOSER * given:
+            out.append(swap_finding(pairs, chosen))
+    return out
+
+
+def _distances(off: Array, some: NDArray[np.bool_]) -> Array:
+    """Return `(E,)` the RMS difference of some joints in each episode."""
+    part = off[..., some]
+    seen = np.isfinite(part)
+    return np.sqrt((np.where(seen, part, 0.0) ** 2).sum((1, 2)) / np.maximum(seen.sum((1, 2)), 1))
 
 
 def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
@@ -133,26 +161,27 @@ def _lateness(rows: float, rate: float, words: str) -> Finding:
 
 
 def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]:
-    """Return that commands are logged late: sure where no servo and no clock explains it as well as a shift."""
-    steps = max(1, round(-rows))
+    """Return that commands are logged late: sure where no servo and no clock explains it as well as a shift.
+
+    Nothing where one of them explains it better.
+    """
+    steps, joints = max(1, round(-rows)), pairs.drive.joints
     moved = replace(look.recs, commands=_ahead(look.recs.commands, steps))
-    shift = _apart(pairs, look.play(moved))
+    shift = _apart(pairs, look.play(moved)["joint_position"][..., joints])
     possible = [r for r in RIVALS if effect(r[0]).possible(look.replayer.scene)]
     sets = [(EffectSetting(name=n, parameters={p: v}),) for n, p, v in possible]
-    rival = min([_apart(pairs, look.play(look.recs, s)) for s in sets], default=np.inf)
-    sure = shift < SURELY * min(rival, _apart(pairs, {"joint_position": _placed(look, pairs, own)}))
+    plays = (look.play(look.recs, s)["joint_position"][..., joints] for s in sets)
+    rival = min([_apart(pairs, own), *(_apart(pairs, v) for v in plays)])
+    if rival < SURELY * shift:
+        return []
+    sure = shift < SURELY * rival
     one = "`action: previous` in map.yaml, if each row holds the command before it" if steps == 1 else ""
+    fix = one or f"move the commands {steps} steps ahead"
     return [Finding(
-        "shifted_commands", bool(sure), "joints react before their commands", "commands that come first",
-        f"{-rows:.1f} steps earlier than the scene's", one or f"move the commands {steps} steps ahead", "action",
+        "shifted_commands", sure, "joints react earlier than the scene's, as if commands were logged late",
+        "commands that come first", f"{-rows:.1f} steps early",
+        fix if sure else f"a faster servo or clock explains it as well; else: {fix}", "action",
     )]  # fmt: skip
-
-
-def _placed(look: _Look, pairs: Paired, own: Array) -> Array:
-    """Return `(E, T, J)` positions of all joints, those of the servos filled in."""
-    out = np.zeros((*own.shape[:2], len(look.replayer.scene.joint_ids)))
-    out[..., pairs.drive.joints] = own
-    return out
 
 
 def _ahead(commands: Array, steps: int) -> Array:
@@ -160,13 +189,10 @@ def _ahead(commands: Array, steps: int) -> Array:
     return np.concatenate([commands[:, steps:], np.repeat(commands[:, -1:], steps, axis=1)], axis=1)
 
 
-def _apart(pairs: Paired, readings: dict[str, Array]) -> float:
-    """Return the median over joints of the RMS difference to the recording, over each joint's spread."""
-    off = pairs.joint - readings["joint_position"][..., pairs.drive.joints]
-    off = off - np.nanmean(off, axis=(0, 1))
-    size = np.sqrt(np.nanmean(off**2, axis=(0, 1)))
-    spread = np.sqrt(pairs.found.var_q[0])
-    moving = spread > 5 * pairs.quiet + 1e-9
+def _apart(pairs: Paired, own: Array) -> float:
+    """Return the median over moving joints of the RMS difference to `own (E, T, S)`, over each joint's spread."""
+    size, spread = within(pairs.joint - own), within(pairs.joint)
+    moving = spread > 5 * pairs.quiet + 1e-6
     return float(np.median(size[moving] / spread[moving])) if moving.any() else np.inf
 
 

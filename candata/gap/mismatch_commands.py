@@ -23,10 +23,13 @@ REACH_S = 0.3
 FOLLOWS = 0.8
 #: Factors between units that people mix up.
 UNITS = {"degrees": 180 / np.pi, "thousandths (mm, mrad)": 1e3, "hundredths (cm, per cent)": 1e2}
-#: A slope this many times off a unit's factor still counts as that unit: servos lag and sag.
-UNIT_WITHIN = 1.3
-#: By how much the squared error must fall, a joint, before a command is called another joint's.
-SWAP_GAIN = 8.0
+#: A slope this many times off the nearest unit's factor still counts as that unit: servos sag, fingers are stopped.
+UNIT_WITHIN = 1.7
+#: By how much the squared error must fall, as the mean of its logarithm over episodes, before a replay is asked
+#: whether a command is another joint's: little, as the replay decides.
+SWAP_GAIN = 1.3
+#: Rows below which stillness says nothing: motions begin at rest.
+TOLD_ROWS = 16
 #: A joint that moves by less than this share of what the scene's own moves is dead.
 DEAD = 0.05
 #: Constant [rad] between command and joint beyond which it is another zero: the bound of `joint_offset`.
@@ -87,12 +90,14 @@ def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
     """Return joints that follow their command at the factor of another unit, or against its sign."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
     follows = (r2 > FOLLOWS) & _moves(p)
-    out = []
-    for unit, factor in UNITS.items():
-        for channel, at in (("action", 1 / factor), ("joint_position", factor)):
-            near = follows & (np.abs(np.log(np.maximum(np.abs(slope), 1e-9) / at)) < np.log(UNIT_WITHIN))
-            if near.any() and (near.sum() >= follows.sum() / 2 or _beyond(scene, p, near, channel)):
-                out.append(_unit(p, near, unit, channel, slope))
+    commanded, out = within(p.target) > 1e-3, []
+    factors = np.array([1 / f for f in UNITS.values()] + list(UNITS.values()))
+    ratio = np.abs(np.log(np.maximum(np.abs(slope), 1e-9)[:, None] / factors))
+    for k, unit in enumerate([*UNITS, *UNITS]):
+        channel = "action" if k < len(UNITS) else "joint_position"
+        near = follows & (ratio.argmin(1) == k) & (ratio[:, k] < np.log(UNIT_WITHIN))
+        if near.any() and (2 * near.sum() >= commanded.sum() or _beyond(scene, p, near, channel)):
+            out.append(_unit(p, near, unit, channel, slope))
     if not out:
         out += [_factor(p, f, slope) for f in [follows & (np.abs(slope) > 3)] if f.any()]
         out += [_reversed(p, f, slope) for f in [follows & (slope < -1 / 3) & (slope > -3)] if f.any()]
@@ -101,7 +106,7 @@ def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
 
 def _moves(p: Paired) -> NDArray[np.bool_]:
     """Return `(S,)` whether a joint moves within episodes by clearly more than its noise."""
-    return _spread(p.joint) > 5 * p.quiet + 1e-6
+    return within(p.joint) > 5 * p.quiet + 1e-6
 
 
 def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> bool:
@@ -146,8 +151,11 @@ def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
 def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
     slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
-    off = np.nan_to_num(p.joint - nominal)
-    shift, nearest = off.mean((0, 1)), np.quantile(np.abs(off), 0.1, axis=(0, 1))
+    flat = (p.joint - nominal).reshape(-1, len(p.names))
+    off = flat[np.isfinite(flat).all(1)]
+    if not len(off):
+        return []
+    shift, nearest = off.mean(0), np.quantile(np.abs(off), 0.1, axis=0)
     hinge = scene.model.jnt_type[scene.joint_ids[p.drive.joints]] == mujoco.mjtJoint.mjJNT_HINGE
     far = hinge & (nearest > ZERO_RAD)
     moves = far & (r2 > 0.5) & (slope > 0.5) & (slope < 1.5)
@@ -164,34 +172,38 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
-def swap_findings(p: Paired) -> list[Finding]:
-    """Return joints that follow each other's commands.
+def swaps(p: Paired) -> list[Index]:
+    """Return exchanges `(S,)` that are worth a replay: which command each joint may follow instead of its own.
 
-    The assignment of commands to joints with the least sum of log squared errors (Kuhn 1955), in which a joint keeps
-    its own unless another fits `SWAP_GAIN` times better; in each exchange two joints must gain that much, and none may
-    lose a factor of two.
+    The assignment of commands to joints with the least sum of costs (Kuhn 1955), one exchange for each of its cycles. A
+    cost is the log squared error, mean over episodes: those in which contact stops the fingers tell little, and weigh
+    little.
     """
-    away = np.abs(p.found.mean_q[:, :, None] - p.found.mean_u)
-    error = (p.found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
-    spread = p.found.var_q[0]
-    cost = np.log(np.maximum(error, 0) + (p.quiet**2 + 1e-4 * spread + 1e-10)[:, None])
-    given = np.diag(cost)
-    moved = cost + np.log(SWAP_GAIN) * (1 - np.eye(len(cost)))
-    # A joint without readings has no say.
-    moved[~(p.found.count[0] > 0)] = 0.0
-    _, chosen = linear_sum_assignment(moved)
-    gain = given - cost[np.arange(len(cost)), chosen]
-    out = []
-    for cycle in _cycles(chosen):
-        if (gain[cycle] > np.log(SWAP_GAIN)).sum() > 1 and (gain[cycle] > -np.log(2)).all():
-            pairs = ", ".join(f"{p.names[i]} follows the command of {p.names[chosen[i]]}" for i in cycle)
-            out.append(Finding(
-                "swapped_commands", True, "commands are in another order than the scene's actuators",
-                "each joint follows its own command", pairs,
-                "put the columns of `action` in the order of `actuators` in scene.yaml, or name them", "action",
-                tuple(p.names[i] for i in cycle),
-            ))  # fmt: skip
-    return out
+    cost = np.mean([_cost(p, e) for e in range(len(p.joint))], axis=0)
+    each = np.arange(len(cost))
+    _, chosen = linear_sum_assignment(cost + np.log(SWAP_GAIN) * (1 - np.eye(len(cost))))
+    return [np.where(np.isin(each, cycle), chosen, each) for cycle in _cycles(chosen)]
+
+
+def _cost(p: Paired, episode: int) -> Array:
+    """Return `(S, S)` the log squared error of each joint with each command in one episode, at its best lag."""
+    found = lagged(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.found.lags)
+    away = np.abs(found.mean_q[:, :, None] - found.mean_u)
+    error = (found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
+    # A joint that was not seen has no say.
+    return np.where(found.count[0][:, None] > 0, np.log(np.maximum(error, 0) + p.quiet[:, None] ** 2 + 1e-8), 0.0)
+
+
+def swap_finding(p: Paired, chosen: Index) -> Finding:
+    """Return the finding that joints follow each other's commands."""
+    moved = np.flatnonzero(chosen != np.arange(len(chosen)))
+    return Finding(
+        "swapped_commands", True, "commands are in another order than the scene's actuators",
+        "each joint follows its own command",
+        ", ".join(f"{p.names[i]} follows the command of {p.names[chosen[i]]}" for i in moved),
+        "put the columns of `action` in the order of `actuators` in scene.yaml, or name them", "action",
+        tuple(p.names[i] for i in moved),
+    )  # fmt: skip
 
 
 def _cycles(chosen: Index) -> list[list[int]]:
@@ -211,11 +223,11 @@ def _cycles(chosen: Index) -> list[list[int]]:
 
 def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
     """Return that nothing moves, where neither commands nor joints nor the object do."""
-    commanded = _spread(p.target) > 1e-3
+    commanded = within(p.target) > 1e-3
     moved = "object_pose" in recs.readings and bool(
         (np.nanstd(recs.readings["object_pose"][..., :3], axis=1) > 0.005).any()
     )
-    if commanded.any() or _moves(p).any() or moved:
+    if commanded.any() or _moves(p).any() or moved or recs.lengths.max() < TOLD_ROWS:
         return []
     return [Finding(
         "still", False, "nothing moves in these recordings", "commands that move the joints",
@@ -232,12 +244,20 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
         What the scene's own joints do under the recorded commands, open loop.
     """
     seen = np.isfinite(p.joint)
-    asked, own = (_spread(np.where(seen, v, np.nan)) for v in (p.target, nominal))
-    real = _spread(p.joint)
+    asked, own = (within(np.where(seen, v, np.nan)) for v in (p.target, nominal))
+    real = within(p.joint)
     commanded = asked > np.maximum(0.01, 10 * p.quiet)
     dead = commanded & (own > 0.3 * asked) & (real < np.maximum(DEAD * own, 1.5 * p.quiet))
     stuck = commanded & (own < 0.1 * asked) & (real > 0.5 * asked)
+    both = commanded & (own < 0.1 * asked) & (real < 0.1 * asked)
     out = []
+    if both.any():
+        names = _named(p, both)
+        out.append(Finding(
+            "scene_still", False, "neither the recorded joints nor the scene's follow their commands",
+            "joints that move when commanded", f"still: {_listed(names)}",
+            "look at ranges, gains and links that collide; these joints tell nothing", "joint_position", names,
+        ))  # fmt: skip
     if stuck.any():
         names = _named(p, stuck)
         out.append(Finding(
@@ -264,7 +284,7 @@ def late(p: Paired, nominal: Array) -> Array:
     return np.where((np.abs(p.own(p.found.r2())) > FOLLOWS) & _moves(p), rows, np.nan)
 
 
-def _spread(values: Array) -> Array:
+def within(values: Array) -> Array:
     """Return `(S,)` the standard deviation within episodes of `values (E, T, S)`, 0 where nothing was seen."""
     own = centred(values)
     count = np.isfinite(own).sum((0, 1))

@@ -28,6 +28,8 @@ TOUCH_N, TOUCH_ROWS = 0.5, 20
 LOOKED_AT = 400
 #: Cosine of recorded and expected forces below which they disagree, and above which another reading of them agrees.
 AGAINST, AGREES = 0.3, 0.6
+#: Another reading is noted where it agrees this well, and its distance from 1 is so many times smaller.
+NEARLY, NEARER = 0.95, 4.0
 
 
 def pose_findings(scene: Scene, recs: Recordings) -> list[Finding]:
@@ -237,10 +239,11 @@ def force_findings(scene: Scene, t: Touches) -> list[Finding]:
         (-world, "force_frame", "in the world's frame and of the other sign", "turn sign and frame"),
     )
     best, kind, words, fix = max(readings)
-    if own > AGAINST or best < AGREES:
+    against = own < AGAINST and best > AGREES
+    if not against and not (best > NEARLY and 1 - own > NEARER * (1 - best)):
         return _turned(scene, t)
     return [Finding(
-        kind, True, "fingertip_force is not the force on the fingertip in its own frame",
+        kind, against, "fingertip_force is not the force on the fingertip in its own frame",
         "N, the force the object exerts on the fingertip, in the fingertip's frame",
         f"they agree with the scene when taken as {words} (cosine {best:.2f}, as given {own:.2f})", fix,
         "fingertip_force",

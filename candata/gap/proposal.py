@@ -85,6 +85,6 @@ def more(scene: Scene, recs: Recordings, fewest: int) -> Proposal:
     motions = usual_motions(scene, max(length, USUAL_S))
     if not motions:
         return None, ()
-    count = fewest - len(recs)
+    count = fewest - len(recs) if len(recs) < fewest else fewest
     reason = f"at least {count} more episode{'s' if count != 1 else ''}, the object put back before each"
     return NextMotion(name="the usual motions in turn", file=MOTION_FILE, reason=reason), motions

@@ -12,13 +12,16 @@ from candata.gap.candidates import Candidate
 from candata.gap.folds import CrossFit, cross_fit
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
-from candata.gap.screen import slopes
+from candata.gap.screen import slope_width, slopes
 from candata.gap.search import Fit, Members, Problem, fit_one
 
 Array = NDArray[np.float64]
 World = Callable[[Array], Members]
 #: First fits that must have been simulated where they are, and most rounds of simulations of one of them.
 FRONT, TRIES = 4, 3
+#: Share of the best gain below which what signatures promise is too little to be looked at. Chosen: signatures are
+#: off by a tenth or so.
+PROMISE = 0.5
 #: A scalar counts as simulated within this share of its distance from the neutral value, or of its range.
 CLOSE, CLOSE_RANGE = 0.1, 0.005
 #: How much farther from the neutral value a scalar is tried whose best is its farthest point.
@@ -27,6 +30,11 @@ OUTWARDS = 0.7
 SHARES = (1.0, 0.5)
 #: Most Gauss-Newton rounds of a joint fit; it ends earlier when no share of a step helps.
 ROUNDS = 4
+#: Share of the loss below which another round is not worth its rollouts.
+ENOUGH = 0.02
+#: Most coordinates whose slopes are simulated, how often at most, and the share of the loss that once must have gained
+#: for another time.
+MOST_SLOPES, SIMULATED, WORTHWHILE = 8, 3, 0.1
 #: Half widths of the brackets around the best scalar, as shares of its distance from the neutral value.
 BRACKETS = (0.12, 0.05)
 
@@ -35,7 +43,8 @@ def refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> li
     """Return single fits, best held-out gain first, the first of them simulated on the recording where they are."""
     tries: dict[str, int] = {}
     while True:
-        todo = [f for f in fits[:FRONT] if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
+        front = [f for f in fits[:FRONT] if f.gain > PROMISE * fits[0].gain]
+        todo = [f for f in front if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
         if not todo:
             return fits
         for f in todo:
@@ -93,8 +102,17 @@ def _stepped(problem: Problem, fit: Fit, base: Array, held: Members) -> Fit:
     """Return a vector's fit moved to the best simulated share of its step; flat where no share helps."""
     c, plane = fit.members[0][0], fit.plane
     target = plane.best(np.arange(len(base)))
-    moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], lambda u: (*held, (c, u)))
+    moved = stepped(problem, plane, target, lambda u: (*held, (c, u)))
     return fit_one(problem, c, replace(moved, slope=np.zeros_like(moved.slope)) if moved is plane else moved, base)
+
+
+def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plane:
+    """Return the plane moved to the largest share of a step that lowers the simulated loss; itself where none does."""
+    for share in SHARES:
+        moved = best_of(problem, plane, [plane.at + share * (target - plane.at)], world)
+        if moved is not plane:
+            return moved
+    return plane
 
 
 def best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: World) -> Plane:
@@ -108,17 +126,43 @@ def best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: Worl
 
 
 def joint(problem: Problem, members: Members, base: Array) -> Fit:
-    """Return a set refitted by Gauss-Newton: slopes from signatures, steps kept where rollouts lower the loss."""
+    """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts."""
     plane = around(problem, members, members)
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
-    for _ in range(ROUNDS):
-        target = plane.best(np.arange(len(base)))
-        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], fit.split)
-        if moved is plane:
+    plane = _descended(problem, fit, plane, None)
+    for _ in range(SIMULATED if len(plane.at) <= MOST_SLOPES else 0):
+        before = float(problem.score.loss(plane.z).mean())
+        slope = _differences(problem, fit, plane)
+        plane = _descended(problem, fit, replace(plane, slope=slope), slope)
+        if float(problem.score.loss(plane.z).mean()) > (1 - WORTHWHILE) * before:
             break
-        plane = replace(moved, slope=slopes_of(problem, fit.split(moved.at)))
     evidence = cross_fit(plane, problem.score, problem.parts, base)
     return replace(fit, members=fit.split(plane.at), response=plane, evidence=evidence)
+
+
+def _descended(problem: Problem, fit: Fit, plane: Plane, slope: Compact | None) -> Plane:
+    """Return the plane after steps that each lower the simulated loss clearly; slopes from signatures if not given."""
+    for _ in range(ROUNDS):
+        before = float(problem.score.loss(plane.z).mean())
+        moved = stepped(problem, plane, plane.best(np.arange(len(plane.z))), fit.split)
+        if moved is plane:
+            break
+        plane = replace(moved, slope=slopes_of(problem, fit.split(moved.at)) if slope is None else slope)
+        if float(problem.score.loss(plane.z).mean()) > (1 - ENOUGH) * before:
+            break
+    return plane
+
+
+def _differences(problem: Problem, fit: Fit, plane: Plane) -> Compact:
+    """Return slopes `(d, E, K)` by finite differences of rollouts; those of choices stay zero."""
+    size = np.concatenate([slope_width(c, u) for c, u in fit.split(plane.at)])
+    steps = np.where(plane.at + size > plane.high, -size, size)
+    numbers = np.flatnonzero(np.concatenate([np.full(c.size, not c.choices) for c, _ in fit.members]))
+    worlds = [problem.setting(fit.split(plane.at + steps[i] * np.eye(len(steps))[i])) for i in numbers]
+    slope = np.zeros_like(plane.slope)
+    for i, z in zip(numbers, problem.residuals(worlds), strict=True):
+        slope[i] = (z - plane.z) / np.float32(steps[i])
+    return slope
 
 
 def around(problem: Problem, members: Members, world: Members) -> Plane:

@@ -158,9 +158,10 @@ class Plane:
 
 
 def _ridge(slope: Compact, span: Array) -> Array:
-    """Return the diagonal of a ridge that leaves well-seen coordinates alone."""
-    strength = np.einsum("dek,dek->d", slope, slope, dtype=np.float64)
-    return 1e-6 * strength.max(initial=0.0) + 1.0 / np.maximum(span, 1e-12) ** 2
+    """Return the diagonal of a ridge that leaves well-seen coordinates alone, each in units of its range."""
+    square = np.maximum(span, 1e-12) ** 2
+    strength = np.einsum("dek,dek->d", slope, slope, dtype=np.float64) * square
+    return (1e-9 * strength.max(initial=0.0) + 1.0) / square
 
 
 def _solve(slope: Compact, z: Compact, weight: Compact, ridge: Array) -> Array:

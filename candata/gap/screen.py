@@ -15,8 +15,8 @@ from candata.gap.search import Problem
 Array = NDArray[np.float64]
 #: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
 LIVELY = 0.05
-#: Half width over which a signature's slope is read, as a share of the coordinate's range.
-SLOPE_WIDTH = 0.02
+#: Width over which slopes are read: this share of the distance from neutral, within these shares of the range.
+WIDTH, NARROWEST, WIDEST = 0.1, 0.002, 0.02
 
 
 def respond(
@@ -25,9 +25,11 @@ def respond(
     """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones."""
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
+    probed = [(c, u) for c in found for u in screening(c, problem)]
+    moved = iter(problem.signatures(probed))
     for c in found:
         points = screening(c, problem)
-        moves = problem.signatures([(c, u) for u in points])
+        moves = [next(moved) for _ in points]
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
         else:
@@ -65,6 +67,12 @@ def slopes(problem: Problem, c: Candidate, u: Array) -> Compact:
         return response.slope
     if c.choices:
         return np.zeros((1, *moves[0].shape), np.float32)
-    width = SLOPE_WIDTH * (c.high - c.low)
+    width = slope_width(c, u)
     low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
     return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])
+
+
+def slope_width(c: Candidate, u: Array) -> Array:
+    """Return `(d,)` how far from `u (d,)` slopes are read: above the chaos of single contacts, below what bends."""
+    span = c.high - c.low
+    return np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)

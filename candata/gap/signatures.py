@@ -8,8 +8,10 @@ share it.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import os
 import shutil
 import uuid
 import zipfile
@@ -75,7 +77,11 @@ class Library:
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
-        return [self._signature(some) for some in settings]
+        found: dict[int, Compact] = {}
+        # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
+        for i in np.random.default_rng(os.getpid()).permutation(len(settings)):
+            found[int(i)] = self._signature(settings[i])
+        return [found[i] for i in range(len(settings))]
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
@@ -152,7 +158,7 @@ def _code() -> str:
 
 def _shared_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts]:
     """Return the folder of signatures from (nearly) the same start, and that start; a new one where there is none."""
-    for known in sorted(folder.glob("*/starts.npz")):
+    for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
         found = _start_in(known)
         if found is not None and _is_same(scene, found, begin):
             known.parent.touch()
@@ -194,7 +200,8 @@ def _keep(file: Path | None, **arrays: NDArray) -> None:
             np.savez(out, allow_pickle=False, **arrays)
         draft.replace(file)
     except OSError:
-        draft.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
 
 
 def _read(file: Path | None) -> dict[str, NDArray] | None:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
-from candata.gap.refine import SHARES, around, best_of, joint, slopes_of
-from candata.gap.response import SCALES, Plane
+from candata.gap.refine import around, joint, slopes_of, stepped
+from candata.gap.response import Plane
 from candata.gap.score import Compact, Score, weights
 from candata.gap.search import Fit, Members, Problem
 
@@ -23,9 +23,9 @@ Index = NDArray[np.int64]
 #: Rounds of the joint fit at most.
 ROUNDS = 7
 #: Strengths that are tried, as shares of the one that holds every number at its neutral value.
-STRENGTHS = np.geomspace(0.5, 0.002, 10)
+STRENGTHS = np.geomspace(0.3, 1e-5, 12)
 #: Sweeps of coordinate descent (Friedman, Hastie & Tibshirani 2010).
-SWEEPS = 60
+SWEEPS = 200
 #: Share of the gain below which a member is dropped, and how many standard errors its own must be.
 LEAST, SURE = 0.02, 1.64
 
@@ -51,7 +51,7 @@ def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
     held = np.ones(len(neutral))
     for _ in range(ROUNDS):
         target, held = _target(problem, plane, neutral, held)
-        moved = best_of(problem, plane, [plane.at + s * (target - plane.at) for s in SHARES], world)
+        moved = stepped(problem, plane, target, world)
         if moved is plane:
             break
         plane = replace(moved, slope=slopes_of(problem, _split(members, moved.at)))
@@ -103,16 +103,15 @@ def _target(problem: Problem, plane: Plane, neutral: Array, held: Array) -> tupl
     size = np.sqrt(np.maximum(np.diag(a), 1e-12))
     most = float(np.max(np.abs(b) / (held * size), initial=0.0))
     strength = _strength(problem, quadratic, held * size, most, bounds)
-    t = _descent(a, b, strength * held * size, bounds)
+    t = _descent(a, b, strength * held * size, bounds, np.zeros(len(b)))
     effect = size * np.abs(t)
     return neutral + t, 1.0 / (effect / max(float(effect.max()), 1e-12) + 0.05)
 
 
 def _quadratic(score: Score, plane: Plane, now: Array) -> _Quadratic:
-    """Return the quadratic of the robust loss around the plane, by weights of its least-squares fit."""
+    """Return the quadratic of the robust loss by the weights at its free fit: outliers there are outliers of all."""
     target = plane.best(np.arange(len(plane.z)))
-    last = plane.read(target) if len(SCALES) else plane.z
-    weight = np.where(score.mask, np.maximum(weights(plane.z), weights(last)), 0).astype(np.float32)
+    weight = np.where(score.mask, weights(plane.read(target)), 0).astype(np.float32)
     unit = np.maximum(score.mask.sum(1), 1) * score.floor
     slope = plane.slope.transpose(1, 0, 2)
     weighted = slope * weight[:, None, :]
@@ -122,22 +121,20 @@ def _quadratic(score: Score, plane: Plane, now: Array) -> _Quadratic:
 
 
 def _strength(problem: Problem, quadratic: _Quadratic, held: Array, most: float, bounds: tuple[Array, Array]) -> float:
-    """Return the strongest penalty whose held-out loss is within one standard error of the least."""
+    """Return the penalty with the least held-out loss."""
     loss = np.zeros((len(STRENGTHS), len(quadratic.a)))
     for test in problem.parts:
         a, b = quadratic.take(np.setdiff1d(np.arange(len(quadratic.a)), test))
+        t = np.zeros(len(b))
         for i, share in enumerate(STRENGTHS):
-            t = _descent(a, b, share * most * held, bounds)
+            t = _descent(a, b, share * most * held, bounds, t)
             loss[i, test] = quadratic.b[test] @ t + 0.5 * np.einsum("i,eij,j->e", t, quadratic.a[test], t)
-    best = int(loss.mean(1).argmin())
-    worse = loss - loss[best]
-    error = worse.std(1, ddof=1) / np.sqrt(loss.shape[1])
-    return float(STRENGTHS[int(np.flatnonzero(worse.mean(1) <= error)[0])] * most)
+    return float(STRENGTHS[int(loss.mean(1).argmin())] * most)
 
 
-def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array]) -> Array:
-    """Return t of least `t a t / 2 + b t + penalty |t|` within bounds, by coordinate descent."""
-    t = np.zeros(len(b))
+def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], start: Array) -> Array:
+    """Return t of least `t a t / 2 + b t + penalty |t|` within bounds, by coordinate descent from `start`."""
+    t = start.copy()
     size = np.maximum(np.diag(a), 1e-12)
     for _ in range(SWEEPS):
         before = t.copy()
@@ -150,7 +147,7 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array]) ->
 
 
 def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
-    """Return the fit without the members that are worth nothing, the others refitted."""
+    """Return the fit without the members that are worth nothing, the others refitted, until all are worth something."""
     plane = fit.plane
     losses = problem.score.loss(plane.z)
     gain = float((base - losses).mean())
@@ -160,7 +157,7 @@ def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
         error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
         if member[0].choices or rise.mean() > max(LEAST * gain, SURE * error):
             kept.append(member)
-    return fit if len(kept) in (0, len(fit.members)) else joint(problem, tuple(kept), base)
+    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, tuple(kept), base), base)
 
 
 def _without(plane: Plane, members: Sequence[tuple], i: int) -> Compact:

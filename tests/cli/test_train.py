@@ -200,7 +200,11 @@ def test_a_missing_package_is_an_install_hint(package, data, tmp_path, monkeypat
 
 def test_the_room_needs_no_torch_for_its_metrics():
     code = (
-        "import sys; sys.modules['torch'] = None; import candata.training; import candata.training.metrics, "
-        "candata.training.poses, candata.training.results, candata.training.scoring, candata.reports.evaluation"
+        "import sys, types\n"
+        "def refuse(name, *_):\n"
+        "    if name.split('.')[0] == 'torch': raise ImportError(name)\n"
+        "sys.meta_path.insert(0, types.SimpleNamespace(find_spec=refuse))\n"
+        "import candata.training, candata.training.metrics, candata.training.poses, candata.training.results\n"
+        "import candata.training.scoring, candata.reports.evaluation\n"
     )
     subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": str(ROOT)}, check=True)

@@ -120,7 +120,7 @@ def test_a_killed_run_goes_on_where_it_stopped(run, tmp_path):
     def killed(dataset, scene, seed, cache):
         if len(heard) == 2:
             raise KeyboardInterrupt
-        return silent(dataset, scene, seed)
+        return silent(dataset, scene, seed, cache)
 
     with pytest.raises(KeyboardInterrupt):
         run_cases(tmp_path, places(run), judge=killed, told=lambda r: heard.append(r.case))

@@ -188,3 +188,21 @@ def test_progress_tells_every_stage(arm, arm_episodes, judge):
     stages: list[str] = []
     judge(arm, arm_episodes(count=3), progress=stages.append)
     assert stages == ["reading"]
+
+
+def test_swapped_commands_are_refused_before_any_search(arm, arm_episodes, judge):
+    stages: list[str] = []
+    made = [Episode(e.meta, dict(e.arrays) | {"action": e["action"][:, ::-1]}) for e in arm_episodes()]
+    with pytest.raises(DataError, match="shoulder follows the command of elbow"):
+        judge(arm, made, progress=stages.append)
+    assert stages == ["reading"]
+
+
+def test_broken_episodes_are_named_and_too_few_are_left(arm, arm_episodes, planted, judge):
+    made = arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=12)
+    late = np.arange(160) * 10_000_000 + np.where(np.arange(160) > 80, 10**9, 0)
+    broken = [Episode(e.meta, dict(e.arrays) | {"time_ns": late}) for e in made[:6]]
+    report = judge(arm, [*broken, *made[6:]]).report
+    assert (report.verdict, report.effects) == ("too_little_data", ())
+    assert report.data.notes[0] == "6 episodes; at least 8 are needed to hold any out"
+    assert report.data.notes[1].startswith("6 of 12 episodes left out (arm-000: stamps do not keep the rate")

@@ -115,6 +115,9 @@ def test_too_little_data_asks_for_the_usual_motions(arm, arm_episodes, cube):
     assert [m.name for m in motions] == ["free_sweep"] == [m.name for m in usual_motions(arm, 2.0)]
     assert (words.name, words.file) == ("the usual motions in turn", "motion.parquet")
     assert words.reason == "at least 5 more episodes, the object put back before each"
+    # Enough episodes in which nothing moves are as good as none.
+    still, _ = proposal.more(arm, recordings(arm, arm_episodes(count=8)), 8)
+    assert still.reason.startswith("at least 8 more episodes")
 
 
 def test_a_toss_has_nothing_to_command(cube):
@@ -135,9 +138,10 @@ def problem(arm, arm_episodes, planted):
     readings = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(arm, recs, begin, readings)
     spread = floor(replayer, recs, begin, plan, rng, 4)
-    level = score(residual(recs, plan, readings), spread, plan)
+    raw = residual(recs, plan, readings)
+    level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, None)
-    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf)
+    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf, readings, raw)
 
 
 def tie(arm, *names: str) -> SimpleNamespace:
@@ -151,8 +155,8 @@ def tie(arm, *names: str) -> SimpleNamespace:
     [
         (2.04, "best of 6 motions: a wrong cause would be 2 floors worse, in the usual motions 0.31"),
         (
-            0.04,
-            "best of 6 motions: a wrong cause would be 0.04 floors worse, in the usual motions 0.31; "
+            0.01,
+            "best of 6 motions: a wrong cause would be 0.01 floors worse, in the usual motions 0.31; "
             "that is little, and it may not decide",
         ),
     ],

@@ -177,3 +177,68 @@ def test_the_declared_kind_of_force_is_kept(arm, force):
 
 def test_two_kinds_of_force_are_not_mixed(arm):
     assert "force" in refusal(arm, episode(force="mean"), episode(id="e1", force="instant"))
+
+
+def twelve(*broken: Episode) -> list[Episode]:
+    """Twelve episodes of which the first ones are the broken."""
+    return [*broken, *(episode(20, id=f"s{i}") for i in range(12 - len(broken)))]
+
+
+def gapped(rows: int = 20, **meta: object) -> Episode:
+    """An episode that lost ten rows in its middle: its stamps jump."""
+    stamps = np.arange(rows) * 10_000_000
+    stamps[rows // 2 :] += 100_000_000
+    return episode(rows, arrays={"time_ns": stamps}, **meta)
+
+
+def test_episodes_that_cannot_be_replayed_are_left_out_by_name(arm):
+    unseen = np.arange(20) > 0
+    made = twelve(gapped(id="jump"), episode(20, id="late", arrays={"action_valid": unseen}), episode(1, id="short"))
+    found = recordings(arm, made)
+    assert found.ids == tuple(f"s{i}" for i in range(9))
+    assert found.notes == (
+        "3 of 12 episodes left out (jump: stamps do not keep the rate: rows are missing, or the clock jumps; "
+        "late: the first command is not valid; short: episodes are too short to replay)",
+    )
+
+
+def test_a_clock_that_jumps_in_every_episode_is_refused(arm):
+    assert refusal(arm, gapped()) == (
+        "stamps do not keep the rate: rows are missing, or the clock jumps\n"
+        "  expected: row 10 at 0.100 s (100 Hz)\n"
+        "  found: 0.200 s\n"
+        "  where: episode e0, channel time_ns, index 10\n"
+        "  do: import it on a regular grid, or give the true rate"
+    )
+
+
+def test_a_clock_that_drifts_or_jitters_is_no_fault(arm, rng):
+    stamps = np.arange(200) * 10_200_000 + rng.integers(0, 5_000_000, 200)
+    assert len(recordings(arm, [episode(200, arrays={"time_ns": stamps})])) == 1
+
+
+def test_half_the_episodes_broken_leaves_the_other_half(arm):
+    made = twelve(*(gapped(id=f"b{i}") for i in range(6)))
+    assert recordings(arm, made).ids == tuple(f"s{i}" for i in range(6))
+
+
+@pytest.mark.parametrize(("have", "kept", "compared"), [(10, 10, True), (8, 8, True), (7, 12, False), (5, 12, False)])
+def test_a_channel_that_few_episodes_lack_costs_these_episodes(hand, have, kept, compared):
+    joints = np.zeros((4, len(hand.file.joints)))
+    names = {"joint_names": hand.file.joints, "actuator_names": hand.file.actuator_names, "rate_hz": hand.file.rate_hz}
+    arrays = {"joint_position": joints, "action": joints, "object_pose": pose(4)}
+    drops = [() if i < have else ("object_pose",) for i in range(12)]
+    found = recordings(hand, [episode(4, d, arrays, id=f"e{i}", **names) for i, d in enumerate(drops)])
+    assert (len(found), "object_pose" in found.readings, len(found.notes)) == (kept, compared, 1)
+
+
+def test_a_channel_without_valid_rows_was_not_recorded(hand):
+    joints = np.zeros((4, len(hand.file.joints)))
+    names = {"joint_names": hand.file.joints, "actuator_names": hand.file.actuator_names, "rate_hz": hand.file.rate_hz}
+    arrays = {
+        "joint_position": joints,
+        "action": joints,
+        "object_pose": pose(4),
+        "object_pose_valid": np.zeros(4, bool),
+    }
+    assert set(recordings(hand, [episode(4, arrays=arrays, **names)]).readings) == {"joint_position"}

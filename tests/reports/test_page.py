@@ -218,9 +218,9 @@ def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evi
         about: str
 
     class Newer(Report):
-        edit: Edit | None = None
+        later: Edit | None = None
 
-    newer = Newer.model_validate({**make_report().model_dump(), "edit": {"kept": 0.9, "about": "another object"}})
+    newer = Newer.model_validate({**make_report().model_dump(), "later": {"kept": 0.9, "about": "another object"}})
     text = said(reports.write_report(newer, full_evidence, None, tmp_path, YAML).read_text("utf-8"))
     assert "kept 0.9, about another object" in text
 

@@ -1,0 +1,249 @@
+"""Mismatch: every fault of the recording is found, and no effect of the library is taken for one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from candata.effects import effect, effect_names, setting
+from candata.errors import DataError
+from candata.gap.mismatch import checked, mismatch
+from candata.gap.mismatch_sensors import tips
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.scenes import Scene, load_scene
+from candata.schema.episode import Episode
+from candata.simulate.seal import draw_parameter
+
+Change = Callable[[Scene, Episode], dict[str, np.ndarray]]
+GRIPPER = """<mujoco><compiler angle="radian"/><option timestep="0.0025" integrator="implicitfast"/>
+<default><geom friction="0.9 .005 .0001" condim="4" solref="0.01 1"/></default><worldbody>
+  <geom name="table" type="plane" size=".5 .5 .05"/>
+  <body name="wrist" pos="0 0 .04">
+    <joint name="lift" type="slide" axis="0 0 1" range="-.02 .15" limited="true" damping="2" armature=".1"/>
+    <geom type="sphere" size=".015" mass=".5" contype="0" conaffinity="0"/>
+    <body name="left" pos="0 .05 0" euler="0 0 .5"><joint name="left" axis="0 0 -1" range="-.2 1.4" armature=".001"/>
+      <geom type="capsule" fromto="0 0 0 .07 0 0" size=".006" mass=".03" contype="0" conaffinity="0"/>
+      <geom name="left_tip" type="sphere" pos=".08 0 0" size=".012" mass=".01"/></body>
+    <body name="right" pos="0 -.05 0" euler="0 0 -.6"><joint name="right" axis="0 0 1" range="-.2 1.6" armature=".001"/>
+      <geom type="capsule" fromto="0 0 0 .07 0 0" size=".006" mass=".03" contype="0" conaffinity="0"/>
+      <geom name="right_tip" type="sphere" pos=".08 0 0" size=".012" mass=".01"/></body></body>
+  <body name="box" pos=".09 0 .03"><freejoint/><geom type="box" size=".025 .03 .03" mass=".15"/></body></worldbody>
+  <actuator>
+    <position name="lift" joint="lift" kp="2000" kv="60" ctrlrange="-.02 .15" forcerange="-60 60"/>
+    <position name="left" joint="left" kp="2.5" kv=".06" ctrlrange="-.2 1.4" forcerange="-1 1"/>
+    <position name="right" joint="right" kp="4" kv=".12" ctrlrange="-.2 1.6" forcerange="-1 1"/>
+  </actuator></mujoco>
+"""
+ROLES = """model: gripper.xml
+rate_hz: 80
+object: box
+joints: [lift, left, right]
+actuators: [lift, left, right]
+fingertips: [left_tip, right_tip]
+support: table
+noise: {object_pose: [0.001, 0.005], joint_position: 0.002, fingertip_force: 0.02, force_step: 0.05}
+"""
+MOTIONS = ("grasp_lift_shake", "free_sweep", "squeeze")
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory) -> Scene:
+    """A user's own: two fingers on a lift, a box on a table."""
+    folder = tmp_path_factory.mktemp("gripper")
+    (folder / "gripper.xml").write_text(GRIPPER)
+    (folder / "scene.yaml").write_text(ROLES)
+    return load_scene(folder / "scene.yaml")
+
+
+@pytest.fixture(scope="module")
+def gripped(gripper, played) -> list[Episode]:
+    return played(gripper, policies=MOTIONS, count=6)
+
+
+@pytest.fixture(scope="module")
+def handled(hand, played) -> list[Episode]:
+    return played(hand, policies=("grasp_lift_shake", "push", "free_sweep"), count=6)
+
+
+def changed(scene: Scene, episodes: Sequence[Episode], change: Change) -> list[Episode]:
+    """Episodes with some channels replaced; contact flags go, as they follow from forces."""
+    kept = [{k: v for k, v in e.arrays.items() if not k.endswith("contact")} for e in episodes]
+    return [Episode(e.meta, k | change(scene, e)) for e, k in zip(episodes, kept, strict=True)]
+
+
+def channel(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    return lambda scene, e: {name: change(np.array(e[name], float))}
+
+
+def columns(name: str, joints: Sequence[int], change: Callable[[np.ndarray], np.ndarray]) -> Change:
+    def one(values: np.ndarray) -> np.ndarray:
+        values[:, joints] = change(values[:, joints])
+        return values
+
+    return channel(name, one)
+
+
+def later(rows: int) -> Change:
+    """Commands that are logged some rows late."""
+    return channel("action", lambda a: np.concatenate([np.repeat(a[:1], rows, axis=0), a[:-rows]]))
+
+
+def to_world(scene: Scene, e: Episode) -> dict[str, np.ndarray]:
+    frames = tips(scene, np.array(e["joint_position"]))[1]
+    return {"fingertip_force": np.einsum("nfij,nfj->nfi", frames, e["fingertip_force"])}
+
+
+def frozen(scene: Scene, e: Episode) -> dict[str, np.ndarray]:
+    return {c: np.repeat(e[c][:1], len(e), axis=0) for c in ("action", "joint_position", "object_pose")}
+
+
+MILLI = np.r_[1e3, 1e3, 1e3, 1, 1, 1, 1]
+#: Faults of any hand with forces: what is done to the recording, and the kind of finding.
+FAULTS: dict[str, tuple[Change, str]] = {
+    "later 1": (later(1), "shifted_commands"),
+    "later 3": (later(3), "shifted_commands"),
+    "dead": (channel("joint_position", lambda q: 0 * q + q[:1]), "dead_joint"),
+    "millimetres": (channel("object_pose", lambda p: p * MILLI), "pose_unit"),
+    "under the table": (channel("object_pose", lambda p: p - np.r_[0, 0, 0.8, 0, 0, 0, 0]), "pose_frame"),
+    "beside the hand": (channel("object_pose", lambda p: p + np.r_[0.6, 0, 0, 0, 0, 0, 0]), "pose_frame"),
+    "force sign": (channel("fingertip_force", np.negative), "force_sign"),
+    "force in world": (to_world, "force_frame"),
+    "force turned": (channel("fingertip_force", lambda f: f[..., [2, 0, 1]]), "force_frame"),
+}
+GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
+    "swapped": (columns("action", [1, 2], lambda a: a[:, ::-1]), "swapped_commands"),
+    "swapped kinds": (columns("action", [0, 1], lambda a: a[:, ::-1]), "swapped_commands"),
+    "degrees": (columns("action", [1, 2], np.degrees), "command_unit"),
+    "lift in mm": (columns("action", [0], lambda a: 1e3 * a), "command_unit"),
+    "joints in degrees": (columns("joint_position", [1, 2], np.degrees), "joint_unit"),
+    "reversed": (columns("action", [2], np.negative), "reversed_commands"),
+    "other zero": (columns("joint_position", [1], lambda q: q + 1.57), "zero"),
+}
+HAND_FAULTS = {k: v for k, v in FAULTS.items() if k != "later 3"} | {
+    "swapped": (columns("action", [3, 7], lambda a: a[:, ::-1]), "swapped_commands"),
+    "cycle": (columns("action", [3, 4, 5], lambda a: a[:, [1, 2, 0]]), "swapped_commands"),
+    "degrees": (columns("action", range(3, 15), np.degrees), "command_unit"),
+    "x y z w": (channel("object_pose", lambda p: p[:, [0, 1, 2, 4, 5, 6, 3]]), "quaternion_order"),
+}
+
+
+def found(scene: Scene, episodes: Sequence[Episode]) -> list[tuple[str, bool]]:
+    return [(f.kind, f.definite) for f in mismatch(Replayer(scene), recordings(scene, episodes))]
+
+
+@pytest.mark.parametrize("fault", GRIPPER_FAULTS)
+def test_a_fault_of_a_users_gripper_is_found(gripper, gripped, fault):
+    change, kind = GRIPPER_FAULTS[fault]
+    assert found(gripper, changed(gripper, gripped, change))[0] == (kind, True)
+
+
+@pytest.mark.parametrize("fault", HAND_FAULTS)
+def test_a_fault_of_a_hand_is_found(hand, handled, fault):
+    change, kind = HAND_FAULTS[fault]
+    assert found(hand, changed(hand, handled, change))[0] == (kind, True)
+
+
+def test_a_frame_that_hardly_differs_is_not_refused(gripper, gripped):
+    """The fingertips of this gripper close nearly along the world's axes: at most a note is due."""
+    assert not any(definite for _, definite in found(gripper, changed(gripper, gripped, to_world)))
+
+
+def test_sound_recordings_have_no_finding(gripper, gripped, hand, handled, arm, arm_episodes):
+    for scene, episodes in ((gripper, gripped), (hand, handled), (arm, arm_episodes())):
+        assert found(scene, episodes) == []
+
+
+def drawn(scene: Scene, name: str, seed: int):
+    """An effect at its drawn size, on one element where the seed is odd."""
+    rng = np.random.default_rng([effect_names().index(name), seed])
+    values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
+    parts = effect(name).elements(scene)
+    return setting(name, values, scene, str(rng.choice(parts)) if seed % 2 and len(parts) > 1 else None)
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_no_effect_is_taken_for_a_fault(gripper, played, name):
+    if not effect(name).possible(gripper):
+        pytest.skip("cannot act in this scene")
+    for seed in (0, 1):
+        made = played(gripper, (drawn(gripper, name, seed),), count=4, seed=seed, duration_s=1.2, policies=MOTIONS)
+        assert not any(definite for _, definite in found(gripper, made))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", effect_names())
+def test_no_effect_on_a_hand_is_taken_for_a_fault(hand, played, name):
+    if not effect(name).possible(hand):
+        pytest.skip("cannot act in this scene")
+    motions = ((), ("free_sweep", "push"), ("grasp_lift_shake",), ("squeeze", "roll"))
+    for seed, policies in enumerate(motions):
+        made = played(hand, (drawn(hand, name, seed),), count=6, seed=100 + seed, policies=policies)
+        assert not any(definite for _, definite in found(hand, made))
+
+
+def test_a_delay_of_a_step_is_physics_with_a_note(gripper, gripped):
+    ahead = changed(gripper, gripped, channel("action", lambda a: np.concatenate([a[1:], a[-1:]])))
+    assert found(gripper, ahead) == [("shifted_commands", False)]
+    notes = checked(Replayer(gripper), recordings(gripper, ahead)).notes
+    assert len(notes) == 1
+    assert "one step counted wrong: `action: next` in map.yaml" in notes[0]
+
+
+def test_a_refusal_says_what_was_found_and_what_to_do(gripper, gripped):
+    swapped = changed(gripper, gripped, GRIPPER_FAULTS["swapped"][0])
+    with pytest.raises(DataError) as caught:
+        checked(Replayer(gripper), recordings(gripper, swapped))
+    assert caught.value.exit_code == 2
+    assert str(caught.value) == (
+        "commands are in another order than the scene's actuators\n"
+        "  expected: each joint follows its own command\n"
+        "  found: left follows the command of right, right follows the command of left\n"
+        "  where: channel action\n"
+        "  do: put the columns of `action` in the order of `actuators` in scene.yaml, or name them"
+    )
+
+
+def test_one_dead_joint_is_held_where_it_was_and_left_out(hand, handled):
+    joint = hand.file.joints.index("index1")
+    dead = changed(hand, handled, columns("joint_position", [joint], lambda q: 0 * q + q[:1]))
+    kept = checked(Replayer(hand), recordings(hand, dead))
+    assert ["still: index1" in n for n in kept.notes] == [True]
+    # After the tenth of a second from which a replay starts.
+    assert np.isnan(kept.readings["joint_position"][:, 8:, joint]).all()
+    assert np.isfinite(kept.readings["joint_position"][:, :, joint + 1]).all()
+    held = np.array([e["joint_position"][0, joint] for e in dead])
+    assert kept.commands[:, :, joint] == pytest.approx(np.repeat(held[:, None], kept.commands.shape[1], axis=1))
+
+
+def test_a_scene_whose_joint_is_locked_is_refused(gripper, gripped, tmp_path):
+    (tmp_path / "gripper.xml").write_text(GRIPPER.replace('range="-.2 1.4"', 'range="-.01 .01"'))
+    (tmp_path / "scene.yaml").write_text(ROLES)
+    locked = load_scene(tmp_path / "scene.yaml")
+    assert found(locked, gripped)[0] == ("scene_stuck", True)
+
+
+def test_nothing_that_moves_is_too_little_data(gripper, played, judge):
+    made = changed(gripper, played(gripper, policies=("free_sweep",), duration_s=0.5), frozen)
+    report = judge(gripper, made).report
+    assert report.verdict == "too_little_data"
+    assert report.effects == ()
+    assert any(n.startswith("nothing moves in these recordings") for n in report.data.notes)
+
+
+def test_motions_that_were_not_repeated_are_noted(gripper, gripped):
+    alone = [Episode(e.meta.model_copy(update={"task": f"t{i}"}), e.arrays) for i, e in enumerate(gripped)]
+    assert ("no_repeats", False) in found(gripper, alone)
+
+
+def test_motors_tell_nothing_of_a_joints_place(tmp_path, gripped):
+    motors = GRIPPER.replace("<position", "<motor")
+    for word in ('kp="2000" kv="60"', 'kp="2.5" kv=".06"', 'kp="4" kv=".12"'):
+        motors = motors.replace(word, "")
+    (tmp_path / "gripper.xml").write_text(motors)
+    (tmp_path / "scene.yaml").write_text(ROLES)
+    scene = load_scene(tmp_path / "scene.yaml")
+    swapped = changed(scene, gripped, GRIPPER_FAULTS["swapped"][0])
+    assert "swapped_commands" not in [kind for kind, _ in found(scene, swapped)]

@@ -1,0 +1,98 @@
+"""Signatures: what they promise is what a recording shows, and the cache changes nothing but the time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import signatures
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer, replay_all
+from candata.gap.residuals import residual
+from candata.gap.signatures import library
+
+
+@pytest.fixture(scope="module")
+def still(arm, arm_episodes):
+    """Recordings of the nominal arm without noise, and the problem they pose."""
+    recs = recordings(arm, arm_episodes(noise=False))
+    return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+
+
+def shelf(problem, root, begin=None):
+    return library(problem.replayer, problem.recs, begin or problem.begin, problem.plan, root)
+
+
+def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_episodes, still, planted):
+    some = planted("joint_damping", damping_Nms_rad=0.4)
+    recs = recordings(arm, arm_episodes(some, noise=False))
+    seen = residual(recs, still.plan, replay_all(still.replayer, recs, still.begin, [()])[0])
+    (found,) = still.library.signatures([some])
+    inside = np.isfinite(seen)
+    # The recorded world began at the same place: only float32 lies between the two.
+    assert found[inside] == pytest.approx(seen[inside], abs=1e-6)
+    assert np.abs(seen[inside]).max() > 1e-3
+
+
+def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, tmp_path):
+    some = planted("armature", armature_kgm2=0.01)
+    (fresh,) = shelf(still, None).signatures([some])
+    (made,) = shelf(still, tmp_path).signatures([some])
+    steps = []
+    counted = replace(still, replayer=replace(still.replayer, count=steps.append))
+    (kept,) = shelf(counted, tmp_path).signatures([some])
+    assert np.array_equal(made, fresh, equal_nan=True)
+    assert np.array_equal(kept, fresh, equal_nan=True)
+    assert steps == []
+
+
+def test_a_damaged_file_is_made_again(still, planted, tmp_path):
+    some = planted("armature", armature_kgm2=0.02)
+    (made,) = shelf(still, tmp_path).signatures([some])
+    for file in tmp_path.rglob("*.npz"):
+        if file.name != "starts.npz":
+            data = bytearray(file.read_bytes())
+            data[len(data) // 2] ^= 255
+            file.write_bytes(data)
+    (again,) = shelf(still, tmp_path).signatures([some])
+    assert np.array_equal(again, made, equal_nan=True)
+
+
+@pytest.mark.parametrize(("off_rad", "shared"), [(0.05, True), (0.2, False)])
+def test_starts_that_a_biased_sensor_could_have_read_share_signatures(still, tmp_path, off_rad, shared):
+    first = shelf(still, tmp_path)
+    moved = replace(still.begin, qpos=still.begin.qpos + off_rad, qpos0=still.begin.qpos0 + off_rad)
+    second = shelf(still, tmp_path, moved)
+    assert (second.folder == first.folder) is shared
+    assert np.array_equal(second.begin.qpos, first.begin.qpos if shared else moved.qpos)
+
+
+def test_other_commands_have_other_signatures(still, tmp_path):
+    recs = replace(still.recs, commands=still.recs.commands + 1e-6)
+    other = library(still.replayer, recs, still.begin, still.plan, tmp_path)
+    assert other.folder.parent != shelf(still, tmp_path).folder.parent
+
+
+def test_nulls_are_the_same_with_and_without_the_cache(still, tmp_path):
+    noise = still.replayer.scene.file.noise
+    fresh = shelf(still, None).nulls(noise)
+    shelf(still, tmp_path).nulls(noise)
+    assert np.array_equal(shelf(still, tmp_path).nulls(noise), fresh, equal_nan=True)
+
+
+def test_a_cache_that_cannot_be_written_is_no_harm(still, planted, tmp_path):
+    (tmp_path / "signatures").write_text("a file where a folder should be")
+    (found,) = shelf(still, tmp_path).signatures([planted("armature", armature_kgm2=0.02)])
+    assert np.isfinite(found).any()
+
+
+def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, tmp_path, monkeypatch):
+    first = shelf(still, tmp_path)
+    monkeypatch.setattr(signatures, "LIMIT_BYTES", 10)
+    recs = replace(still.recs, commands=still.recs.commands + 1e-6)
+    second = library(still.replayer, recs, still.begin, still.plan, tmp_path)
+    assert not first.folder.exists()
+    assert second.folder.exists()

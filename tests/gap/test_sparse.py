@@ -1,0 +1,54 @@
+"""The joint sparse fit: many small causes at once, and no cause where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.gap.attribute import _base
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+from candata.gap.sparse import sparse
+
+#: Four things wrong at once, the damping most of all.
+WRONG = {
+    "joint_damping": {"damping_Nms_rad": 0.2},
+    "joint_dry_friction": {"frictionloss_Nm": 0.08},
+    "armature": {"armature_kgm2": 0.005},
+    "actuation_delay": {"delay_s": 0.004},
+}
+
+
+@pytest.fixture(scope="module")
+def found(arm, arm_episodes, planted):
+    """The joint fit around the damping alone, and the loss of the nominal arm."""
+    effects = tuple(s for name, x in WRONG.items() for s in planted(name, **x))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base, _ = _base(problem, problem.nominal, ())
+    c = candidate("joint_damping", arm)
+    start = joint(problem, ((c, np.full(1, 0.2)),), base)
+    return sparse(problem, start, base), start, base
+
+
+def test_all_that_is_wrong_is_in_the_set_and_nothing_else(found):
+    fit, _, _ = found
+    assert {c.name for c, _ in fit.members} == set(WRONG)
+
+
+def test_the_set_closes_what_one_cause_could_not(found):
+    fit, start, base = found
+    assert fit.evidence.loss.mean() < 1.3 < start.evidence.loss.mean()
+    assert fit.gain > start.gain
+    assert fit.evidence.loss == pytest.approx(base - fit.evidence.gain)
+
+
+def test_values_are_near_the_true_ones(found):
+    fit, _, _ = found
+    values = {c.name: float(c.values(u)[0]) for c, u in fit.members if c.size == 1}
+    # Four overlapping causes from 1 mrad of noise: a tenth of each.
+    assert values["joint_damping"] == pytest.approx(0.2, rel=0.1)
+    assert values["actuation_delay"] == pytest.approx(0.004, rel=0.1)
