@@ -241,7 +241,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         collinearity(f.found.first.fits),
         ranges(named, f.scene),
     )
-    stand_in = (*repaired, rest.stopgap) if rest and rest.stopgap else ()
+    stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
     files = [EffectsFile(scene=_lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
     return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
 

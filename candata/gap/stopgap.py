@@ -29,25 +29,25 @@ SCALES = (0.5, 1.0, 1.5)
 
 @dataclass(frozen=True)
 class Stopgap:
-    """A residual force in the simulator.
+    """Residual forces in the simulator.
 
     Attributes
     ----------
-    suspect : Suspect
-        Where it acts.
+    suspects : tuple of Suspect
+        Where they act, the best first: one place, or several of a kind.
     scale : float
-        What its regressed coefficients are multiplied by, from all episodes.
-    setting : EffectSetting or None
-        Of `learned_residual`; None for a fault of a reading, which no force mends.
+        What their regressed coefficients are multiplied by, from all episodes.
+    settings : tuple of EffectSetting
+        Of `learned_residual`; empty for a fault of a reading, which no force mends.
     loss, size : (E,) float64
         Held-out loss and discrepancy of each episode, in floors.
     before : (E,) float64
         Discrepancy without it.
     """
 
-    suspect: Suspect
+    suspects: tuple[Suspect, ...]
     scale: float
-    setting: EffectSetting | None
+    settings: EffectSet
     loss: Array
     size: Array
     before: Array
@@ -59,8 +59,8 @@ class Stopgap:
         return float(np.clip(1 - (after - 1) / max(before - 1, 1e-6), -1, 1))
 
 
-def stopgap(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
-    """Return a suspect's force as a stop-gap, with what it closes on held-out episodes.
+def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stopgap:
+    """Return the forces of suspects as a stop-gap, with what it closes on held-out episodes.
 
     Which terms there are was chosen on all episodes; their coefficients and their size come from the other folds.
 
@@ -70,26 +70,32 @@ def stopgap(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
         Episodes, folds and score.
     world : tuple of EffectSetting
         What the simulator holds already.
-    suspect : Suspect
+    some : sequence of Suspect
+        One, or several that are no fingertips.
     """
-    if suspect.place == "fingertip":
-        return _reading(problem, world, suspect)
-    scene, whole = problem.replayer.scene, suspect.found.coefficients
-    variants = [(*world, _setting(scene, suspect, s * whole)) for s in SCALES]
+    if some[0].place == "fingertip":
+        return _reading(problem, world, some[0])
+    scene = problem.replayer.scene
+
+    def settings(scale: float, train: Index | None = None) -> EffectSet:
+        """Return the suspects' forces, fitted to some episodes, times a scale."""
+        fits = [s.found.coefficients if train is None else fitted(s.sample, s.found.terms, train) for s in some]
+        return tuple(_setting(scene, s, scale * fit) for s, fit in zip(some, fits, strict=True))
+
+    variants = [(*world, *settings(scale)) for scale in SCALES]
     readings = replay_all(problem.replayer, problem.recs, problem.begin, [world, *variants])
     losses = np.stack([_judged(problem, r)[0] for r in readings])
     before = _judged(problem, readings[0])[1]
     after = {name: values.copy() for name, values in readings[0].items()}
     for fold, test in enumerate(problem.parts):
         train = rest(problem.parts, fold)
-        own = _best_scale(losses[:, train].mean(1)) * fitted(suspect.sample, suspect.found.terms, train)
-        some = (*world, _setting(scene, suspect, own))
-        played = replay_all(problem.replayer, problem.recs.take(test), problem.begin.take(test), [some])[0]
+        own = settings(_best_scale(losses[:, train].mean(1)), train)
+        played = replay_all(problem.replayer, problem.recs.take(test), problem.begin.take(test), [(*world, *own)])[0]
         for name, values in played.items():
             after[name][test] = values
     scale = _best_scale(losses.mean(1))
     loss, size = _judged(problem, after)
-    return Stopgap(suspect, scale, _setting(scene, suspect, scale * whole), loss, size, before)
+    return Stopgap(tuple(some), scale, settings(scale), loss, size, before)
 
 
 def _reading(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
@@ -111,7 +117,7 @@ def _reading(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
     trains = [rest(problem.parts, fold) for fold in range(folds)]
     fits = [fitted(suspect.sample, suspect.found.terms, train) for train in trains]
     loss, size = corrected([_best_scale(losses[:, train].mean(1)) for train in trains], fits)
-    return Stopgap(suspect, _best_scale(losses.mean(1)), None, loss, size, _judged(problem, before)[1])
+    return Stopgap((suspect,), _best_scale(losses.mean(1)), (), loss, size, _judged(problem, before)[1])
 
 
 def _judged(problem: Problem, readings: dict[str, Array]) -> tuple[Array, Array]:

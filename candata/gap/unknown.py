@@ -16,7 +16,6 @@ from candata.gap.search import Problem
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect, suspects
-from candata.schema.effect import EffectSetting
 from candata.schema.report import Symptom, Unknown
 
 Array = NDArray[np.float64]
@@ -26,6 +25,8 @@ LOOKED_AT = 24
 REPLICAS = 2
 #: Suspects that are played in the simulator, and the share of the best one's gain that they must have.
 PLAYED, NEAR = 3, 0.2
+#: Share of the gap that a choice must close more than the plainer one.
+MENDS = 0.05
 #: Share of its largest size above which a force counts as acting.
 ACTS = 0.25
 #: Share of what was seen from which a circumstance is said to hold whenever the force acts.
@@ -39,12 +40,12 @@ class Described:
     Attributes
     ----------
     unknown : Unknown
-    stopgap : EffectSetting or None
-        None where no force mends it.
+    stopgap : tuple of EffectSetting
+        Empty where no force mends it.
     """
 
     unknown: Unknown
-    stopgap: EffectSetting | None
+    stopgap: EffectSet
 
 
 def describe(
@@ -69,9 +70,27 @@ def describe(
     found = _standing_out(some, world, rng)
     if not found:
         return None
-    near = [s for s in found[:PLAYED] if s.gain >= NEAR * found[0].gain]
-    best = min((stopgap(some, world, s) for s in near), key=lambda s: float(s.loss.mean()))
-    return Described(_unknown(some, best, where, nearest), best.setting if best.closed > 0 else None)
+    best = _best(some, world, found)
+    return Described(_unknown(some, best, where, nearest), best.settings if best.closed > 0 else ())
+
+
+def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopgap:
+    """Return the suspect whose force mends most, or it and all of its kind.
+
+    The first one is taken unless another closes more by `MENDS`: how much a force mends also depends on how chaotic
+    what it acts on is.
+    """
+    near = [s for s in found if s.gain >= NEAR * found[0].gain]
+    played = [stopgap(problem, world, [s]) for s in near[:PLAYED]]
+    best = max(played, key=lambda s: s.closed)
+    if best.closed < played[0].closed + MENDS:
+        best = played[0]
+    first = best.suspects[0]
+    kin = [s for s in near if s.place == first.place and s is not first]
+    if first.place == "fingertip" or not kin:
+        return best
+    together = stopgap(problem, world, [first, *kin])
+    return together if together.closed >= best.closed + MENDS else best
 
 
 def _some(problem: Problem) -> Problem:
@@ -106,7 +125,7 @@ def _gain(found: Sequence[Suspect]) -> float:
 
 def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest: str | None) -> Unknown:
     """Return the record of what was found."""
-    suspect = best.suspect
+    suspect = best.suspects[0]
     force, size = _typical(best)
     closed = round(best.closed, 4)
     text = _words(problem, best, force, size, where)
@@ -116,7 +135,7 @@ def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest:
         text += f"; the nearest effect of the library is {nearest}, which does not explain it"
     return Unknown(
         acts_on=suspect.place,
-        element=None if suspect.place == "object" else suspect.element,
+        element=suspect.element if suspect.place != "object" and len(best.suspects) == 1 else None,
         size=float(f"{size:.3g}"),
         unit=_unit(suspect),
         depends_on=_depends_on(problem, best),
@@ -138,7 +157,7 @@ def _unit(suspect: Suspect) -> str:
 
 def _typical(best: Stopgap) -> tuple[Array, float]:
     """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
-    suspect = best.suspect
+    suspect = best.suspects[0]
     scale = best.scale if best.closed > 0 else 1.0
     terms = suspect.by_row[..., list(suspect.found.terms)]
     force = scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
@@ -150,8 +169,8 @@ def _typical(best: Stopgap) -> tuple[Array, float]:
 
 def _depends_on(problem: Problem, best: Stopgap) -> tuple[str, ...]:
     """Return the names of what the force depends on; a constant force that only shows off the support says so."""
-    names = best.suspect.depends_on
-    if best.suspect.place == "object" and names[0] == "constant" and _mostly_off(problem, best):
+    names = best.suspects[0].depends_on
+    if best.suspects[0].place == "object" and names[0] == "constant" and _mostly_off(problem, best):
         names = ("off the support", *names[1:])
     return names
 
@@ -160,14 +179,14 @@ def _mostly_off(problem: Problem, best: Stopgap) -> bool:
     """Tell whether the object was off its support nearly whenever a force on it could show."""
     if problem.replayer.scene.file.support is None:
         return False
-    sample = best.suspect.sample
+    sample = best.suspects[0].sample
     seen = np.isfinite(sample.force).all(2)
     return float(sample.terms[seen][:, 0, 1].mean()) >= MOSTLY
 
 
 def _words(problem: Problem, best: Stopgap, force: Array, size: float, where: Sequence[Symptom]) -> str:
     """Return one clause: how large, on what, which way, when."""
-    suspect, unit = best.suspect, _unit(best.suspect)
+    suspect, unit = best.suspects[0], _unit(best.suspects[0])
     amount = f"about {size:.2g} {unit}"
     if suspect.place == "object":
         kind = "A pull" if unit == "N" else "A torque"
@@ -177,7 +196,8 @@ def _words(problem: Problem, best: Stopgap, force: Array, size: float, where: Se
         kind = "A contact force" if moved else "An error of the reading, nothing in the motion,"
         return f"{kind} of {amount} at fingertip {suspect.element}{_on(suspect.depends_on)}"
     kind = "A torque" if suspect.place == "joint" else "A force"
-    return f"{kind} of {amount} on joint {suspect.element}{_how(best)}"
+    others = ", ".join(s.element for s in best.suspects[1:])
+    return f"{kind} of {amount} on joint {suspect.element}{f' (and others on {others})' * bool(others)}{_how(best)}"
 
 
 def _towards(force: Array) -> str:
@@ -208,7 +228,7 @@ def _on(names: Sequence[str]) -> str:
 
 def _how(best: Stopgap) -> str:
     """Return how a force on a joint goes with its motion and effort."""
-    suspect = best.suspect
+    suspect = best.suspects[0]
     name = suspect.names[suspect.found.terms[0]]
     against = float(suspect.found.coefficients[0, 0]) < 0
     repeat = 2 * np.pi / suspect.wave

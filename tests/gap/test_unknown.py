@@ -92,7 +92,7 @@ def test_a_cogging_torque_is_found_in_its_joint(cogging):
 def test_the_stop_gap_of_a_cogging_torque_closes_the_gap(cogging):
     # The dictionary holds this very law.
     assert cogging.unknown.closable > 0.9
-    assert (cogging.stopgap.name, cogging.stopgap.element) == ("learned_residual", "elbow")
+    assert [(s.name, s.element) for s in cogging.stopgap] == [("learned_residual", "elbow")]
 
 
 def test_with_the_cause_switched_off_nothing_stands_out(arm, arm_episodes):
@@ -124,6 +124,15 @@ def test_friction_that_grows_with_the_load_is_found(arm, arm_episodes, hiding):
     assert found.depends_on[0] == "sign of velocity"
 
 
+def test_a_cause_in_every_joint_is_no_single_joint_s(arm, arm_episodes, hiding):
+    def sticky(scene, memory, x):
+        return -0.4 * np.abs(x.effort) * np.tanh(x.qvel / 0.3)
+
+    found = described(arm, recordings(arm, arm_episodes(hiding(hidden.force(sticky)))))
+    assert (found.unknown.acts_on, found.unknown.element) == ("joint", None)
+    assert {s.element for s in found.stopgap} == {"shoulder", "elbow"}
+
+
 def test_a_spring_on_a_slide_is_the_wrist_s(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.on_joint("lift", lambda q, u, memory: -300 * q)))).unknown
     assert (found.acts_on, found.element, found.unit) == ("wrist", "lift", "N")
@@ -140,7 +149,7 @@ def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.hysteresis("left", 0.4))))
     assert (found.unknown.acts_on, found.unknown.element, found.unknown.unit) == ("fingertip", "left", "N")
     assert found.unknown.words.startswith("An error of the reading, nothing in the motion")
-    assert found.stopgap is None
+    assert found.stopgap == ()
 
 
 def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
