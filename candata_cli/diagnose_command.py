@@ -37,6 +37,9 @@ def diagnose(
         Path | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
     ] = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
+    only: Annotated[
+        str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
+    ] = "",
     keep: Annotated[
         bool,
         typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of the same commands."),
@@ -71,6 +74,7 @@ def diagnose(
             jobs=jobs,
             seed=seed,
             cache=user_cache() if keep else None,
+            only=tuple(word.strip() for word in only.split(",") if word.strip()),
             progress=stage,
         )
         stage("writing the report")

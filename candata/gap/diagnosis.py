@@ -12,22 +12,22 @@ from numpy.typing import NDArray
 
 from candata import __version__
 from candata.datasets import Dataset
+from candata.effects import effect_names
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
-from candata.gap.candidates import candidate
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import sensor_noise, spread
 from candata.gap.folds import FOLDS, folds
+from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
-from candata.gap.rest_scale import length_scale, ruled_out
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import (
@@ -42,6 +42,7 @@ from candata.gap.shrink import (
 from candata.gap.signatures import library
 from candata.gap.starts import is_toss, starts
 from candata.gap.unknown import Described, describe
+from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -93,6 +94,7 @@ def diagnose(
     jobs: int = 1,
     seed: int = 0,
     cache: Path | None = None,
+    only: tuple[str, ...] = (),
     progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
@@ -109,11 +111,15 @@ def diagnose(
         Seed of folds, null replays and resamples.
     cache : Path, optional
         Folder in which signatures are kept for the next diagnosis of the same commands; none are kept by default.
+    only : tuple of str
+        Effects to search among; all that can act and show by default.
     progress : callable
         Called with the name of each stage.
 
     Raises
     ------
+    UnknownNameError, UsageError
+        When `only` names an effect that is not there, or that cannot act or show here.
     DataError
         When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
         says they are.
@@ -128,7 +134,9 @@ def diagnose(
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
+    left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress)
+    problem = replace(problem, ruled_out=problem.ruled_out | left_out)
     progress("searching effects")
     found = attribute(problem)
     progress("measuring on held-out episodes")
@@ -154,23 +162,7 @@ def _problem(
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
-    return _with_lengths(problem) if is_toss(replayer.scene) else problem
-
-
-def _with_lengths(problem: Problem) -> Problem:
-    """Return the problem with what free fall and rest say of the tracker's lengths, before anything is fitted."""
-    scene, recs = problem.replayer.scene, problem.recs
-    found = length_scale(scene, recs, problem.begin, problem.rng)
-    if found.scale is None:
-        return replace(problem, ruled_out=ruled_out(found))
-    c, s = candidate("pose_scale", scene), found.scale
-    note = (
-        f"the tracker's lengths are {s.value:.4f} of true ({s.low:.4f} to {s.high:.4f}), read off free fall and the "
-        f"height at rest of {s.episodes} tosses, without a fit of contact"
-    )
-    measured = ((c, np.log([s.value]) if c.logarithmic[0] else np.array([s.value])),)
-    noted = replace(recs, notes=(*recs.notes, note))
-    return replace(problem, recs=noted, ruled_out=ruled_out(found), measured=measured)
+    return with_lengths(problem) if is_toss(replayer.scene) else problem
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.errors import DataError
+from candata.errors import DataError, UnknownNameError, UsageError
 from candata.gap import diagnose, diagnosis
 from candata.schema.episode import Episode
 
@@ -208,3 +208,17 @@ def test_broken_episodes_are_named_and_too_few_are_left(arm, arm_episodes, plant
     assert (report.verdict, report.effects) == ("too_little_data", ())
     assert report.data.notes[0] == "6 episodes; at least 8 are needed to hold any out"
     assert report.data.notes[1].startswith("6 of 12 episodes left out (arm-000: stamps do not keep the rate")
+
+
+def test_only_what_was_asked_for_is_searched(arm, arm_episodes, planted, judge):
+    episodes = arm_episodes(planted("joint_damping", damping_Nms_rad=0.3))
+    report = judge(arm, episodes, only=("joint_damping", "armature")).report
+    assert {r.name for r in report.ranking} == {"joint_damping", "armature"}
+    assert report.effects[0].name == "joint_damping"
+
+
+def test_an_effect_that_cannot_act_here_is_refused_before_the_search(arm, arm_episodes, judge):
+    with pytest.raises(UsageError, match="effect object_mass cannot act in scene"):
+        judge(arm, arm_episodes(), only=("object_mass",))
+    with pytest.raises(UnknownNameError, match="joint_dampng"):
+        judge(arm, arm_episodes(), only=("joint_dampng",))

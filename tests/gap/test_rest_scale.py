@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from candata.gap.diagnosis import _problem
 from candata.gap.recordings import Recordings, recordings
+from candata.gap.replay import Replayer
 from candata.gap.rest_scale import SYSTEMATIC, Scale, _causes, length_scale, scale_from_flight, scale_from_rest
 from candata.gap.starts import starts
 from candata.policies import policy
@@ -109,3 +111,18 @@ def _at(value: float) -> Scale:
 )
 def test_what_explains_both_readings(flight, rest, causes):
     assert _causes(flight, rest) == causes
+
+
+def test_measured_lengths_enter_the_search_before_any_fit(cube, tossed, planted):
+    recs = tossed(planted("pose_scale", scale=0.97))
+    problem = _problem(Replayer(cube), recs, np.random.default_rng(0), None, lambda stage: None)
+    ((c, u),) = problem.measured
+    assert c.name == "pose_scale"
+    assert float(c.values(u)[0]) == pytest.approx(0.97, abs=0.003)
+    assert problem.ruled_out == {"object_size", "support_height", "pose_bias", "clock_drift"}
+    assert "the tracker's lengths are 0.9" in problem.recs.notes[-1]
+
+
+def test_right_lengths_rule_nothing_out(cube, tossed):
+    problem = _problem(Replayer(cube), tossed(), np.random.default_rng(0), None, lambda stage: None)
+    assert (problem.measured, problem.ruled_out) == ((), frozenset())
