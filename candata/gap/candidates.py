@@ -13,6 +13,8 @@ from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
 Array = NDArray[np.float64]
+#: How far the end of what is plausible must lie beyond the probes to be probed too, as a share of what is plausible.
+BEYOND = 0.1
 
 
 @dataclass(frozen=True)
@@ -112,12 +114,15 @@ def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
 def probes(c: Candidate, scene: Scene) -> list[Array]:
     """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each.
 
-    A single number of a vector takes both signs of its probes, where its bounds do.
+    A scalar is also probed at the ends of what is plausible, where those lie beyond its probes. A single number of a
+    vector takes both signs of its probes, where its bounds do.
     """
     numbers = [np.array(p.probes(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
     mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
     if c.size == 1 and len(c.own) > 1 and c.low[0] < 0 < c.high[0]:
         mine = [np.unique(np.concatenate([-n, n])) for n in mine]
+    if c.size == 1 and not c.choices:
+        mine = [np.unique(np.concatenate([mine[0], _plausible_ends(c, scene, mine[0])]))]
     out = []
     for column, values in enumerate(mine):
         for value in np.log(values) if c.logarithmic[column] else values:
@@ -127,11 +132,24 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
     return out
 
 
+def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
+    """Return the smallest and the largest value worth drawing, where they lie clearly beyond the known probes."""
+    (parameter,) = [p for p in effect(c.name).parameters if p.size(scene) == len(c.own)] or effect(c.name).parameters[
+        :1
+    ]
+    ends = np.array(parameter.draws(scene), float)
+    low, high = float(ends.min()), float(ends.max())
+    beyond = [v for v, far in ((low, known.min() - low), (high, high - known.max())) if far > BEYOND * (high - low)]
+    inside = np.exp([c.low[0], c.high[0]]) if c.logarithmic[0] else (c.low[0], c.high[0])
+    return np.clip(beyond, *inside)
+
+
 def first_probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the probes that screen a candidate: the middle one of each side of a scalar, all of a vector."""
+    """Return the probes that screen one element: of a scalar the middle and the farthest one of each side."""
     points = probes(c, scene)
-    if c.size > 1:
+    if c.size > 1 or c.choices:
         return points
     below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
     above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
-    return [side[len(side) // 2] for side in (below, above) if side]
+    found = [side[i] for side in (below, above) if side for i in {(len(side) - 1) // 2, len(side) - 1}]
+    return sorted(found, key=lambda p: float(p[0]))

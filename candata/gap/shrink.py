@@ -21,6 +21,10 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 #: Resamples of the episodes for gaps and support, and for parameters (each is a refit).
 RESAMPLES, REFITS = 2000, 100
+#: How much wider than the refits' spread an interval is, and its least half width as a share of the effect: episodes
+#: share commands and chaos, and slopes are no finer. Measured on 30 blind cases of one seed, where bare intervals
+#: covered 60 %.
+WIDER, FINEST = 1.8, 0.01
 #: Ends of a 90 % interval.
 ENDS = (0.05, 0.95)
 
@@ -101,8 +105,10 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     found = [refit(problem.rng.integers(count, size=count)) for _ in range(REFITS)]
     low, high = np.quantile(np.array(found), ENDS, axis=0)
     own = np.concatenate([u for _, u in fit.members])
-    slack = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
-    return np.minimum(low, own) - slack, np.maximum(high, own) + slack
+    neutral = np.concatenate([c.neutral for c, _ in fit.members])
+    grid = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
+    slack = np.maximum(grid, FINEST * np.abs(own - neutral))
+    return own - WIDER * np.maximum(own - low, 0) - slack, own + WIDER * np.maximum(high - own, 0) + slack
 
 
 def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Array:
