@@ -49,17 +49,14 @@ def diagnose(
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     from candata.datasets import open_dataset
     from candata.datasets.durable import user_cache
-    from candata.errors import UnknownNameError, UsageError
+    from candata.errors import UsageError
     from candata.gap import diagnose as run
     from candata.reports import summary, write_diagnosis
     from candata.scenes import load_scene
     from candata_cli import console
 
-    refused = [word.strip() for word in fail_on.split(",") if word.strip()]
-    for word in refused:
-        if word not in VERDICTS:
-            raise UnknownNameError("verdict", word, VERDICTS)
-    if out.exists() and not out.is_dir():
+    refused, names = _verdicts(fail_on), _words(only)
+    if out.is_file():
         raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
@@ -74,7 +71,7 @@ def diagnose(
             jobs=jobs,
             seed=seed,
             cache=user_cache() if keep else None,
-            only=tuple(word.strip() for word in only.split(",") if word.strip()),
+            only=names,
             progress=stage,
         )
         stage("writing the report")
@@ -82,12 +79,27 @@ def diagnose(
         if other is not None and found.effects.effects:
             found = _edited(found, *other, jobs, seed, stage)
             page = write_diagnosis(found, world, out)
-    if other is not None and not found.effects.effects:
-        console.note("no effect is named, so there is nothing to test on --edit")
+        elif other is not None:
+            console.note("no effect is named, so there is nothing to test on --edit")
     console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
     console.note(f"report: {page}")
     if found.report.verdict in refused:
         raise typer.Exit(1)
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Return the words of a comma-separated list."""
+    return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def _verdicts(text: str) -> tuple[str, ...]:
+    """Return the verdicts of a comma-separated list, each a known one."""
+    from candata.errors import UnknownNameError
+
+    for word in _words(text):
+        if word not in VERDICTS:
+            raise UnknownNameError("verdict", word, VERDICTS)
+    return _words(text)
 
 
 def _check_edit(dataset: Dataset, scene: Scene) -> None:

@@ -136,8 +136,8 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     taken = {c.name for c, _ in held}
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
     base, luck = _base(problem, here, held)
-    responses, dead = respond(problem, here, found)
-    responses += respond(problem, here, promising(problem, here, responses, base))[0]
+    responses, dead = respond(problem, here, found, held)
+    responses += respond(problem, here, promising(problem, here, responses, base), held)[0]
     threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
     found_fits = refined(problem, _fits(problem, responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]

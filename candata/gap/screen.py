@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate, first_probes, probes
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
-from candata.gap.search import Problem
+from candata.gap.search import Members, Problem
+from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
 #: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
@@ -20,21 +21,32 @@ WIDTH, NARROWEST, WIDEST = 0.1, 0.002, 0.02
 
 
 def respond(
-    problem: Problem, here: Compact, found: Sequence[Candidate]
+    problem: Problem, here: Compact, found: Sequence[Candidate], held: Members = ()
 ) -> tuple[list[tuple[Candidate, Curve | Plane]], list[str]]:
-    """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones."""
+    """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones.
+
+    Tosses are simulated on the recording itself, beside the effects `held`: where a toss lands decides how it goes on,
+    so that a signature of another landing says little, and a toss is short.
+    """
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
-    probed = [(c, u) for c in found for u in screening(c, problem)]
-    moved = iter(problem.signatures(probed))
+    probed = tuple((c, u) for c in found for u in screening(c, problem))
+    own = is_toss(problem.replayer.scene)
+    moved = iter(_moves(problem, here, probed, held) if own else problem.signatures(probed))
     for c in found:
         points = screening(c, problem)
         moves = [next(moved) for _ in points]
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
         else:
-            out.append((c, _response(c, here, points, moves)))
+            out.append((c, _response(c, here, points, moves, own)))
     return out, dead
+
+
+def _moves(problem: Problem, here: Compact, points: Members, held: Members) -> list[Compact]:
+    """Return what candidates take off the residuals `here`, by simulations on the recording."""
+    zs = problem.residuals([problem.setting((*held, point)) for point in points])
+    return [here - z for z in zs]
 
 
 def screening(c: Candidate, problem: Problem) -> list[Array]:
@@ -43,11 +55,13 @@ def screening(c: Candidate, problem: Problem) -> list[Array]:
     return probes(c, scene) if c.element is None else first_probes(c, scene)
 
 
-def _response(c: Candidate, here: Compact, points: Sequence[Array], moves: Sequence[Compact]) -> Curve | Plane:
-    """Return what signatures promise: a curve for a scalar, a plane of secants for a vector."""
+def _response(
+    c: Candidate, here: Compact, points: Sequence[Array], moves: Sequence[Compact], sure: bool
+) -> Curve | Plane:
+    """Return what is promised: a curve for a scalar, a plane of secants for a vector."""
     if c.size == 1:
         start = Curve(c, c.neutral, here[None], np.ones(1, bool))
-        return start.with_probes(np.concatenate(points), np.stack([here - move for move in moves]), sure=False)
+        return start.with_probes(np.concatenate(points), np.stack([here - move for move in moves]), sure)
     return Plane(c.low, c.high, c.neutral, here, np.stack([_secant(c, i, points, moves) for i in range(c.size)]))
 
 
@@ -62,7 +76,7 @@ def slopes(problem: Problem, c: Candidate, u: Array) -> Compact:
     """Return `(d, E, K)` how residuals change with a candidate's coordinates around `u (d,)`; zero for a choice."""
     points = screening(c, problem)
     moves = problem.signatures([(c, p) for p in points])
-    response = _response(c, np.zeros_like(moves[0]), points, moves)
+    response = _response(c, np.zeros_like(moves[0]), points, moves, False)
     if isinstance(response, Plane):
         return response.slope
     if c.choices:

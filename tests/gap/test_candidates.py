@@ -67,15 +67,31 @@ def test_half_and_double_are_equally_far(hand):
 
 
 @pytest.mark.parametrize("name", effect_names())
-def test_a_scalar_is_screened_on_each_side_that_it_has(hand, name):
+def test_a_scalar_on_one_element_is_screened_near_and_far_on_each_side_that_it_has(hand, name):
     c = candidate(name, hand)
-    if c.size > 1:
-        assert len(first_probes(c, hand)) == len(probes(c, hand))
+    everywhere, first = (np.array([u for u in f(c, hand)]) for f in (probes, first_probes))
+    if c.size > 1 or c.choices:
+        assert np.array_equal(everywhere, first)
         return
-    sides = {np.sign(u[0] - c.neutral[0]) for u in probes(c, hand)}
-    first = first_probes(c, hand)
-    assert len(first) == len(sides)
-    assert {np.sign(u[0] - c.neutral[0]) for u in first} == sides
+    away = everywhere[:, 0] - c.neutral[0]
+    for side in {*np.sign(away)}:
+        mine = np.sort(np.abs(away[np.sign(away) == side]))
+        seen = np.sort(np.abs((first[:, 0] - c.neutral[0])[np.sign(first[:, 0] - c.neutral[0]) == side]))
+        assert len(seen) == min(2, len(mine))
+        assert seen[-1] == mine[-1]
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_probes_reach_what_is_plausible(hand, name):
+    c = candidate(name, hand)
+    if c.size > 1 or c.choices:
+        return
+    (parameter,) = effect(name).parameters
+    drawn = np.array(parameter.draws(hand))
+    values = np.array([c.values(u)[0] for u in probes(c, hand)])
+    room = 0.11 * (drawn.max() - drawn.min())
+    assert values.max() >= min(drawn.max(), float(c.values(c.high)[0])) - room
+    assert values.min() <= max(drawn.min(), float(c.values(c.low)[0])) + room
 
 
 def test_a_label_names_the_element(hand):
