@@ -76,11 +76,9 @@ def diagnose(
         )
         stage("writing the report")
         page = write_diagnosis(found, world, out)
-        if other is not None and found.effects.effects:
+        if other is not None:
             found = _edited(found, *other, jobs, seed, stage)
             page = write_diagnosis(found, world, out)
-        elif other is not None:
-            console.note("no effect is named, so there is nothing to test on --edit")
     console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
     console.note(f"report: {page}")
     if found.report.verdict in refused:
@@ -112,11 +110,15 @@ def _check_edit(dataset: Dataset, scene: Scene) -> None:
 def _edited(
     found: Diagnosis, dataset: Dataset, scene: Scene, jobs: int, seed: int, stage: Callable[[str], None]
 ) -> Diagnosis:
-    """Return the diagnosis with its edit test; its report stands already, should this fail."""
+    """Return the diagnosis with its edit test, where it names effects; its report stands already, should this fail."""
     from dataclasses import replace
 
     from candata.gap.edit import edit_test
+    from candata_cli import console
 
+    if not found.effects.effects:
+        console.note("no effect is named, so there is nothing to test on --edit")
+        return found
     size = found.report.gap
     reference = size.closed if size is not None and size.closed is not None else 1.0
     some = found.effects.effects
