@@ -48,8 +48,10 @@ class Curve:
         What a simulation on the recording says against the signatures is taken to grow evenly from one such point to
         the next, and to stay beyond the last.
         """
+        first = np.unique(np.round(at, 9), return_index=True)[1]
+        at, z = at[first], z[first]
         mine = self._corrected(at, z) if sure and not self.who.choices else self.z
-        keep = ~np.isin(np.round(self.at, 12), np.round(at, 12))
+        keep = ~np.isin(np.round(self.at, 9), np.round(at, 9))
         points = np.concatenate([self.at[keep], at])
         order = np.argsort(points)
         joined = np.concatenate([mine[keep], z])[order]

@@ -141,3 +141,21 @@ def test_graduated_weights_find_a_far_optimum(white_score, rng, monkeypatch):
     assert found > 35
     monkeypatch.setattr(module, "SCALES", (1.0,) * len(module.SCALES))
     assert plane.best(np.arange(E))[0] < 30, "without them, far values count as outliers and stay where they are"
+
+
+def test_points_that_are_the_same_count_once(curve):
+    at = curve.at[1] + np.array([0.0, 1e-13, 0.3])
+    z = np.stack([curve.z[1]] * 3)
+    more = curve.with_probes(at, z)
+    assert len(more.at) == len(curve.at) + 1
+    assert np.all(np.diff(more.at) > 0)
+
+
+def test_what_a_simulation_says_against_signatures_is_spread_between_sure_points():
+    at = np.array([0.0, 1.0, 2.0, 4.0])
+    z = np.zeros((4, E, K), np.float32)
+    curve = Curve(candidate(low=0, high=4), at, z, np.array([True, False, False, False]))
+    found = curve.with_probes(np.array([2.0]), np.full((1, E, K), 6.0, np.float32))
+    assert list(found.sure) == [True, False, True, False]
+    # Half the error half way, all of it at the point and beyond.
+    assert found.z[:, 0, 0] == pytest.approx([0, 3, 6, 6])
