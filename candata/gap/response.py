@@ -50,7 +50,7 @@ class Curve:
         """
         first = np.unique(np.round(at, 9), return_index=True)[1]
         at, z = at[first], z[first]
-        mine = self._corrected(at, z) if sure and not self.who.choices else self.z
+        mine = self._corrected(at, z) if sure and not self.who.choices and not self.sure.all() else self.z
         keep = ~np.isin(np.round(self.at, 9), np.round(at, 9))
         points = np.concatenate([self.at[keep], at])
         order = np.argsort(points)
