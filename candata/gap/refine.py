@@ -108,21 +108,13 @@ def _stepped(problem: Problem, fit: Fit, base: Array, held: Members) -> Fit:
 
 def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plane:
     """Return the plane moved to the largest share of a step that lowers the simulated loss; itself where none does."""
+    before = float(problem.score.loss(plane.z).mean())
     for share in SHARES:
-        moved = best_of(problem, plane, [plane.at + share * (target - plane.at)], world)
-        if moved is not plane:
-            return moved
+        u = plane.at + share * (target - plane.at)
+        z = problem.residuals([problem.setting(world(u))])[0]
+        if float(problem.score.loss(z).mean()) < before:
+            return replace(plane, at=u, z=z)
     return plane
-
-
-def best_of(problem: Problem, plane: Plane, trials: Sequence[Array], world: World) -> Plane:
-    """Return the plane moved to the simulated trial of least loss, if that is less than at the plane's own point."""
-    zs = problem.residuals([problem.setting(world(u)) for u in trials])
-    losses = [float(problem.score.loss(z).mean()) for z in zs]
-    if min(losses) >= float(problem.score.loss(plane.z).mean()):
-        return plane
-    at = int(np.argmin(losses))
-    return replace(plane, at=trials[at], z=zs[at])
 
 
 def joint(problem: Problem, members: Members, base: Array) -> Fit:

@@ -15,8 +15,8 @@ import os
 import shutil
 import uuid
 import zipfile
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -66,6 +66,8 @@ class Library:
         Residual of a recording of the nominal scene.
     folder : Path, optional
         Where signatures are kept; None keeps none.
+    memo : dict
+        What this diagnosis has simulated or read so far.
     """
 
     replayer: Replayer
@@ -74,6 +76,7 @@ class Library:
     plan: Layout
     nominal: Compact
     folder: Path | None
+    memo: dict[str, Compact] = field(default_factory=dict)
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
@@ -85,25 +88,32 @@ class Library:
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
-        file = self._file(json.dumps([s.model_dump(mode="json") for s in some], sort_keys=True))
-        kept = _read(file)
-        if kept is not None:
-            return kept["residual"]
-        made = _recorded(self.replayer, self.recs, self.begin, self.plan, some) - self.nominal
-        _keep(file, residual=made)
-        return made
+        text = json.dumps([s.model_dump(mode="json") for s in some], sort_keys=True)
+        return self._kept(text, lambda: self._residual(some) - self.nominal)
+
+    def _residual(self, some: EffectSet) -> Compact:
+        """Return the residual of noise-free recordings of a world under the nominal replay."""
+        return _recorded(self.replayer, self.recs, self.begin, self.plan, some)
 
     def nulls(self, noise: Noise) -> Array:
         """Return the residuals `(R, E, B, D)` of null recordings under their replay, with a noise of their own."""
-        file = self._file(noise.model_dump_json())
-        kept = _read(file)
-        if kept is not None:
-            return kept["residual"].astype(float)
-        whole = {n: np.zeros_like(v) for n, v in self.recs.readings.items()}
-        rng = np.random.default_rng(NULL_SEED)
-        made = null_residuals(self.replayer, replace(self.recs, readings=whole), self.begin, self.plan, noise, rng)
-        _keep(file, residual=made.astype(np.float32))
-        return made.astype(np.float32).astype(float)
+
+        def made() -> Compact:
+            whole = replace(self.recs, readings={n: np.zeros_like(v) for n, v in self.recs.readings.items()})
+            rng = np.random.default_rng(NULL_SEED)
+            return null_residuals(self.replayer, whole, self.begin, self.plan, noise, rng).astype(np.float32)
+
+        return self._kept(noise.model_dump_json(), made).astype(float)
+
+    def _kept(self, text: str, make: Callable[[], Compact]) -> Compact:
+        """Return what `text` names: from memory, from the cache, or made and kept in both."""
+        if text not in self.memo:
+            file = self._file(text)
+            kept = _read(file)
+            self.memo[text] = make() if kept is None else kept["residual"]
+            if kept is None:
+                _keep(file, residual=self.memo[text])
+        return self.memo[text]
 
     def _file(self, text: str) -> Path | None:
         """Return where what `text` names is kept."""
@@ -117,7 +127,7 @@ def library(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, r
     if root is not None:
         folder, begin = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
     blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder)
-    return replace(blank, nominal=blank.signatures([()])[0])
+    return replace(blank, nominal=blank._kept("nominal", lambda: blank._residual(())))
 
 
 def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, world: EffectSet) -> Compact:

@@ -96,3 +96,16 @@ def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, tmp_path, 
     second = library(still.replayer, recs, still.begin, still.plan, tmp_path)
     assert not first.folder.exists()
     assert second.folder.exists()
+
+
+def test_without_a_cache_nothing_is_simulated_twice(still, planted):
+    steps = []
+    counted = replace(still, replayer=replace(still.replayer, count=steps.append))
+    found = shelf(counted, None)
+    some = planted("armature", armature_kgm2=0.01)
+    (first,) = found.signatures([some])
+    done = len(steps)
+    (again,) = found.signatures([some])
+    assert done > 0
+    assert len(steps) == done
+    assert again is first

@@ -68,7 +68,9 @@ def run_cases(
     """
     log = out / RESULTS
     standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
-    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, not standing, judge, str(out / CACHE)) for p in cases
+    # Processes share the work of filling the cache: what a diagnosis costs without it, one alone can tell.
+    fresh = not standing and jobs == 1 and not (out / CACHE).exists()
+    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, fresh, judge, str(out / CACHE)) for p in cases
              if p.sealed not in standing]  # fmt: skip
     processes: set[int] = set()
 

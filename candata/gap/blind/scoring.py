@@ -148,7 +148,7 @@ def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
 
 
 def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return CPU time with what is cached, and without: the first case of each process."""
+    """Return CPU time with what is cached, and without: the first case of a run of one process in a fresh folder."""
     spent = {cold: [o.result.cpu_s for o in outcomes if o.result.cold == cold] for cold in (False, True)}
     names = {False: ("CPU s a case, cached signatures: median", 20.0), True: ("CPU s of a first case: median", 120.0)}
     return [
