@@ -23,6 +23,11 @@ def group(app: typer.Typer, name: str, about: str) -> typer.Typer:
     return made
 
 
+def version(text: str | None) -> int | str | None:
+    """Return a short number as a number, the start of a digest as it is."""
+    return int(text) if text and text.isdigit() and len(text) < 6 else text
+
+
 def out(text: str) -> None:
     """Print a line of data to stdout."""
     typer.echo(text)

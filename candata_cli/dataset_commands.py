@@ -31,7 +31,7 @@ def validate(dataset: DatasetPath, version: Version = None, json: Json = False) 
     from candata.checks import check
     from candata.datasets import open_dataset
 
-    data = open_dataset(dataset, _version(version), partial=True)
+    data = open_dataset(dataset, console.version(version), partial=True)
     with console.progress("checking parts", len(data.file.parts)) as advance:
         findings = check(data, lambda: advance(1))
     if json:
@@ -50,18 +50,13 @@ def inspect(dataset: DatasetPath, version: Version = None, json: Json = False) -
     from candata.datasets import open_dataset
     from candata.datasets.summary import summarise
 
-    data = open_dataset(dataset, _version(version))
+    data = open_dataset(dataset, console.version(version))
     with console.progress("reading episodes", len(data)) as advance:
         summary = summarise(data, lambda: advance(1))
     if json:
         console.out_json(summary.model_dump(mode="json"))
     else:
         _print_summary(summary)
-
-
-def _version(text: str | None) -> int | str | None:
-    """Return a short number as a number, anything else as it is."""
-    return int(text) if text and text.isdigit() and len(text) < 6 else text
 
 
 def _print_findings(findings: tuple[Finding, ...]) -> None:

@@ -17,7 +17,52 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write.")]
 Append = Annotated[bool, typer.Option("--append", help="Add to a dataset that stands.")]
-LOG = "log"
+#: Options of `import`. Those marked `log:` are for `import log` alone.
+FormatName = Annotated[
+    str, typer.Argument(metavar="FORMAT", help="Kind of source: `log`, or a format; an unknown one lists them.")
+]
+Sources = Annotated[
+    list[Path],
+    typer.Argument(metavar="SOURCE...", help="For `table`: a map.yaml; for `log`: logs; else a file or folder."),
+]
+AllowGaps = Annotated[bool, typer.Option("--allow-gaps", help="Not log: mark values that are not finite as invalid.")]
+MapFile = Annotated[
+    Path | None, typer.Option("--map", metavar="FILE", help="What becomes which channel; not for table and log.")
+]
+Origin = Annotated[
+    str | None, typer.Option("--source", metavar="sim|real", help="Not table or log: what the file holds [real].")
+]
+Companions = Annotated[
+    list[Path] | None,
+    typer.Option("--with", metavar="FILE", help="log: map.yaml, table or MCAP with poses, joints, commands; repeat."),
+]
+SceneName = Annotated[
+    str | None,
+    typer.Option(
+        "--scene", metavar="SCENE", help="The scene; for log its name or scene.yaml: rate and order of joints."
+    ),
+]
+RateHz = Annotated[float | None, typer.Option("--rate", metavar="HZ", help="log: rate without --scene [the device's].")]
+NewtonPerCount = Annotated[
+    float | None, typer.Option("--newton-per-count", metavar="N", help="log: scale of the forces [the log's].")
+]
+Threshold = Annotated[
+    float | None, typer.Option("--threshold", metavar="N", help="log: contact above |Fx|+|Fy|+|Fz| [0.3].")
+]
+MaxGap = Annotated[
+    float | None, typer.Option("--max-gap", metavar="PERIODS", help="log: readings further apart end a gap [1.5].")
+]
+Uncalibrated = Annotated[
+    bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")
+]
+ObjectName = Annotated[str | None, typer.Option("--object", metavar="NAME", help="The object.")]
+TaskName = Annotated[str | None, typer.Option("--task", metavar="NAME", help="What is done.")]
+EpisodeId = Annotated[
+    str | None, typer.Option("--episode", metavar="ID", help="log: id of the episode [the file's name].")
+]
+LOG, TABLE = "log", "table"
+#: What a foreign file may not say of its episodes.
+_LABELS = ("scene", "object", "task")
 #: Options of `import log` that are not called as the recipe calls them.
 _OPTIONS = {
     "rate_hz": "--rate",
@@ -28,6 +73,8 @@ _OPTIONS = {
 _EXAMPLES = """\b
 Examples:
   candata import table map.yaml --out recordings
+  candata import lerobot downloads/my_set --out recordings
+  candata import mcap flight_bag --map topics.yaml --out recordings
   candata import log run.mcap --with table/map.yaml --scene xhand_tabletop --out recordings
 """
 
@@ -39,42 +86,23 @@ def register(app: typer.Typer) -> None:
 
 
 def import_(
-    format_name: Annotated[str, typer.Argument(metavar="FORMAT", help="Kind of source: `table` or `log`.")],
-    sources: Annotated[
-        list[Path], typer.Argument(metavar="SOURCE...", help="For `table`: a map.yaml; for `log`: recorded logs.")
-    ],
+    format_name: FormatName,
+    sources: Sources,
     out: Out,
     append: Append = False,
-    allow_gaps: Annotated[
-        bool, typer.Option("--allow-gaps", help="table: mark values that are not finite as invalid.")
-    ] = False,
-    companions: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--with", metavar="FILE", help="log: map.yaml, table or MCAP with poses, joints, commands; repeat."
-        ),
-    ] = None,
-    scene: Annotated[
-        str | None, typer.Option(metavar="SCENE", help="log: rate and order of joints; a name or scene.yaml.")
-    ] = None,
-    rate_hz: Annotated[
-        float | None, typer.Option("--rate", metavar="HZ", help="log: rate without --scene [the device's].")
-    ] = None,
-    newton_per_count: Annotated[
-        float | None, typer.Option(metavar="N", help="log: scale of the forces [the log's].")
-    ] = None,
-    threshold_n: Annotated[
-        float | None, typer.Option("--threshold", metavar="N", help="log: contact above |Fx|+|Fy|+|Fz| [0.3].")
-    ] = None,
-    max_gap: Annotated[
-        float | None, typer.Option(metavar="PERIODS", help="log: readings further apart end a gap [1.5].")
-    ] = None,
-    uncalibrated: Annotated[
-        bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")
-    ] = False,
-    object_name: Annotated[str | None, typer.Option("--object", metavar="NAME", help="log: the object.")] = None,
-    task: Annotated[str | None, typer.Option(metavar="NAME", help="log: what is done.")] = None,
-    episode: Annotated[str | None, typer.Option(metavar="ID", help="log: id of the episode [the file's name].")] = None,
+    allow_gaps: AllowGaps = False,
+    mapping: MapFile = None,
+    origin: Origin = None,
+    companions: Companions = None,
+    scene: SceneName = None,
+    rate_hz: RateHz = None,
+    newton_per_count: NewtonPerCount = None,
+    threshold_n: Threshold = None,
+    max_gap: MaxGap = None,
+    uncalibrated: Uncalibrated = False,
+    object_name: ObjectName = None,
+    task: TaskName = None,
+    episode: EpisodeId = None,
 ) -> None:
     """Import recordings into a dataset: all of a source or nothing; the same source twice adds nothing."""
     settings = {
@@ -89,33 +117,42 @@ def import_(
         "episode": episode,
     }
     stated = {name: value for name, value in settings.items() if value is not None}
+    labels = {name: stated.pop(name) for name in _LABELS if name in stated} if format_name != LOG else {}
     only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated} | {"--with": companions}
     if format_name == LOG:
-        _refuse_options({"--allow-gaps": allow_gaps}, "table")
+        given: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
+        _refuse_options(given, "`import log` takes no")
         _import_logs(sources, companions or [], stated, out, append)
-    else:
-        _refuse_options(only_log, LOG)
-        _import_format(format_name, sources, out, append, allow_gaps)
+        return
+    _refuse_options(only_log, "only `import log` takes")
+    if format_name == TABLE:
+        given = {"--map": mapping, "--source": origin} | {f"--{name}": True for name in labels}
+        _refuse_options(given, "`import table` reads it from its map and takes no")
+    reading = {"allow_gaps": allow_gaps, "mapping": mapping, **labels} | ({"source": origin} if origin else {})
+    _import_format(format_name, sources, out, append, reading)
 
 
-def _refuse_options(given: Mapping[str, object], belongs_to: str) -> None:
+def _refuse_options(given: Mapping[str, object], why: str) -> None:
     """Refuse options of another kind of source."""
     from candata.errors import UsageError
 
     for name, value in given.items():
         if value:
-            raise UsageError(f"{name} is for `import {belongs_to}` only", fix="leave it out")
+            raise UsageError(f"{why} {name}", fix="leave it out")
 
 
-def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, allow_gaps: bool) -> None:
+def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, options: dict) -> None:
     """Import one source of a format of the folder."""
     from candata import __version__
     from candata.errors import UnknownNameError, UsageError
+    from candata.formats import Reading
     from candata.plugins import load, names
     from candata.schema.manifest import Lineage
 
     if format_name not in names("candata.formats"):
         raise UnknownNameError("format", format_name, [*names("candata.formats"), LOG])
+    if options.get("source", "real") not in ("sim", "real"):
+        raise UsageError("--source is neither sim nor real", found=options["source"])
     if len(sources) > 1:
         raise UsageError(
             f"`import {format_name}` takes one source",
@@ -124,14 +161,19 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
         )
     (source,) = sources
     reader = load("candata.formats", "FORMAT", format_name)
+    if reader.read is None:
+        raise UsageError(f"{format_name} can be exported, not imported")
+    if options["mapping"] is not None and not reader.takes_map:
+        raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
     _refuse_standing(out, append)
+    reading = Reading(**options, note=console.note)
     lineage = Lineage(
         operation=f"import {format_name}",
-        config_digest=reader.digest(source),
+        config_digest=reader.digest(source, reading),
         tools={"candata": __version__},
-        details={"source": source.name, "allow_gaps": allow_gaps},
+        details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps},
     )
-    _publish(out, reader.read(source, allow_gaps), lineage.operation, lambda: lineage)
+    _publish(out, reader.read(source, reading), lineage.operation, lambda: lineage)
 
 
 def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: Path, append: bool) -> None:

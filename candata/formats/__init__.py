@@ -2,11 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage
+
+
+def _silent(line: str) -> None:
+    """Say nothing."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What an import was told beside its source.
+
+    Attributes
+    ----------
+    allow_gaps : bool
+        Mark values that are not finite as invalid instead of refusing them.
+    mapping : Path, optional
+        File that says what becomes which channel, where the format takes one.
+    source : str
+        Whether the episodes are `sim` or `real`, where the file does not say.
+    scene, object, task : str, optional
+        What the file does not say of its episodes.
+    note : callable
+        Takes a line for people: what was left out, what was assumed.
+    """
+
+    allow_gaps: bool = False
+    mapping: Path | None = None
+    source: Literal["sim", "real"] = "real"
+    scene: str | None = None
+    object: str | None = None
+    task: str | None = None
+    note: Callable[[str], None] = field(default=_silent, compare=False)
+
+
+@dataclass(frozen=True)
+class Writing:
+    """What an export is told beside the episodes.
+
+    Attributes
+    ----------
+    name, digest : str
+        The version that is exported; both go into the file, so that it can be traced.
+    lineage : tuple of Lineage
+        How its episodes came to be.
+    variant : str, optional
+        Older layout of the format, where it has one.
+    note : callable
+        Takes a line for people: what the format cannot hold.
+    """
+
+    name: str
+    digest: str
+    lineage: tuple[Lineage, ...] = ()
+    variant: str | None = None
+    note: Callable[[str], None] = field(default=_silent, compare=False)
 
 
 @dataclass(frozen=True)
@@ -19,13 +75,22 @@ class Format:
         Registered name, equal to the file's.
     summary : str
         One line for people.
-    read : callable
-        `(source, allow_gaps) -> iterator of Episode`; opens nothing but the source.
-    digest : callable
-        `(source) -> str`, sha256 over what determines the episodes: equal for the same source.
+    read : callable, optional
+        `(source, reading) -> iterator of Episode`; opens nothing but the source and the mapping.
+    digest : callable, optional
+        `(source, reading) -> str`, sha256 over what determines the episodes: equal for the same source.
+    takes_map : bool
+        Whether `read` looks at `reading.mapping`.
+    write : callable, optional
+        `(episodes, folder, writing)`: writes the layout into an empty folder that stands.
+    variants : tuple of str
+        Values of `writing.variant` that `write` knows.
     """
 
     name: str
     summary: str
-    read: Callable[[Path, bool], Iterator[Episode]]
-    digest: Callable[[Path], str]
+    read: Callable[[Path, Reading], Iterator[Episode]] | None = None
+    digest: Callable[[Path, Reading], str] | None = None
+    takes_map: bool = False
+    write: Callable[[Iterable[Episode], Path, Writing], None] | None = None
+    variants: tuple[str, ...] = ()

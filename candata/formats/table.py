@@ -312,6 +312,6 @@ def _check_rate(episode: Episode, table: _Table) -> None:
 FORMAT = Format(
     name="table",
     summary="Parquet, CSV or npz columns, mapped by a map.yaml",
-    read=read,
-    digest=digest,
+    read=lambda source, reading: read(source, reading.allow_gaps),
+    digest=lambda source, reading: digest(source),
 )

@@ -277,7 +277,7 @@ def empty(folder: Path) -> Path:
         (lambda sent, folder: [sent.log, "--scene", "xhand_tabletopp"], "unknown scene"),
         (lambda sent, folder: [sent.log, "--rate", "0"], "rate_hz"),
         (lambda sent, folder: [sent.log, "--newton-per-count", "-1"], "newton_per_count"),
-        (lambda sent, folder: [sent.log, "--allow-gaps"], "--allow-gaps is for `import table` only"),
+        (lambda sent, folder: [sent.log, "--allow-gaps"], "`import log` takes no --allow-gaps"),
         (lambda sent, folder: [sent.log, sent.log, "--episode", "x"], "--episode names one episode"),
     ],
 )
@@ -303,7 +303,10 @@ def test_what_belongs_to_logs_is_refused_elsewhere(sent, out_of_table, capsys):
     source, out = out_of_table
     for option in (("--with", sent.table), ("--scene", SCENE), ("--threshold", "1"), ("--uncalibrated",)):
         assert run("import", "table", source, *option, "--out", out) == 2
-        assert capsys.readouterr().err.startswith(f"{option[0]} is for `import log` only")
+        why = (
+            "`import table` reads it from its map and takes no" if option[0] == "--scene" else "only `import log` takes"
+        )
+        assert capsys.readouterr().err.startswith(f"{why} {option[0]}")
     assert run("import", "table", source, source, "--out", out) == 2
     assert "takes one source" in capsys.readouterr().err
     assert run("import", "logs", source, "--out", out) == 2

@@ -1,0 +1,68 @@
+"""The command that writes a dataset in a foreign format."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.datasets import Dataset
+    from candata.schema.episode import Episode
+
+_EXAMPLES = """\b
+Examples:
+  candata export lerobot recordings --out for_lerobot
+  candata export lerobot recordings --out for_lerobot --v21
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add `export`."""
+    app.command("export", epilog=_EXAMPLES)(export)
+
+
+def export(
+    format_name: Annotated[str, typer.Argument(metavar="FORMAT", help="Format; an unknown one lists them.")],
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder to write; appears whole or not at all.")],
+    version: Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")] = None,
+    v21: Annotated[bool, typer.Option("--v21", help="lerobot: the layout of v2.1 instead of v3.0.")] = False,
+) -> None:
+    """Write a version of a dataset in a foreign format; what the format cannot hold is said."""
+    import tempfile
+
+    from candata.datasets import open_dataset
+    from candata.errors import UnknownNameError, UsageError, Where
+    from candata.formats import Writing
+    from candata.plugins import load, names
+
+    known = {name: load("candata.formats", "FORMAT", name) for name in names("candata.formats")}
+    able = [name for name, one in known.items() if one.write]
+    if format_name not in able:
+        raise UnknownNameError("format to export to", format_name, able)
+    if v21 and "v21" not in known[format_name].variants:
+        raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
+    if out.exists():
+        raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
+    data = open_dataset(dataset, console.version(version))
+    writing = Writing(data.name, data.digest, data.lineage, "v21" if v21 else None, console.note)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
+        staged = Path(folder) / "export"
+        staged.mkdir()
+        known[format_name].write(_counted(data), staged, writing)
+        staged.rename(out)
+    console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")
+
+
+def _counted(data: Dataset) -> Iterator[Episode]:
+    """Yield the episodes under a progress bar."""
+    with console.progress("writing episodes", len(data)) as advance:
+        for episode in data.episodes():
+            yield episode
+            advance(1)
