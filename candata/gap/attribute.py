@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate, candidates, local_candidates
 from candata.gap.floor import floor, perturbed
 from candata.gap.folds import cross_fit, null_threshold
-from candata.gap.local import promising
+from candata.gap.local import LOCAL, promises
 from candata.gap.refine import joint, polished, refined
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.shortlist import rivals, screened
 from candata.gap.sparse import sparse
 
 Array = NDArray[np.float64]
@@ -52,6 +53,8 @@ class Stage:
         Candidates that this data cannot show.
     idle : tuple of str
         Candidates whose best value is their absence.
+    faint : tuple of str
+        Candidates that gained too little on a few episodes to be looked at further.
     reachable : float
         Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
     """
@@ -61,6 +64,7 @@ class Stage:
     threshold: float
     dead: tuple[str, ...]
     idle: tuple[str, ...]
+    faint: tuple[str, ...]
     reachable: float
 
     def passing(self) -> Fit | None:
@@ -136,23 +140,27 @@ def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
     taken = {c.name for c, _ in held}
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
     base, luck = _base(problem, here, held)
-    responses, dead = respond(problem, here, found, held)
-    responses += respond(problem, here, promising(problem, here, responses, base), held)[0]
-    threshold = null_threshold([r for _, r in responses], problem.score, problem.parts, luck, problem.rng)
-    found_fits = refined(problem, _fits(problem, responses, base), base, held)
+    seen = screened(problem, here, found, held, base)
+    responses = [r for _, r in seen.responses]
+    threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
+    found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
     fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
     absent = [f.members[0][0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1])]
     idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
-    return Stage(base, tuple(fits), threshold, tuple(dead), idle, reachable)
+    return Stage(base, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
 
 
 def _narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
     """Return the stage with the best fit's effect tried on each of its elements alone: the fault may be one joint's."""
     known = {f.labels[0] for f in stage.fits}
-    variants = local_candidates(stage.fits[0].members[0][0], problem.replayer.scene)
-    responses, _ = respond(problem, here, [v for v in variants if v.label not in known])
+    best, c = stage.fits[0], stage.fits[0].members[0][0]
+    variants = local_candidates(c, problem.replayer.scene)
+    promised = promises(problem, c, variants, best.response, stage.base)[:LOCAL] if variants else []
+    unknown = [v for _, v in promised if v.label not in known]
+    near = rivals(problem, here, unknown, stage.base, best.evidence.gain) if unknown else []
+    responses = respond(problem, here, near)[0] if near else []
     found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
     fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
     return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))

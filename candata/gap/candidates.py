@@ -145,10 +145,12 @@ def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
 
 
 def first_probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the probes that screen one element: of a scalar the middle and the farthest one of each side."""
+    """Return the probes of a first look: of a scalar the middle and the farthest of each side, of a vector one each."""
     points = probes(c, scene)
-    if c.size > 1 or c.choices:
+    if c.choices:
         return points
+    if c.size > 1:
+        return list({int(np.flatnonzero(p != c.neutral)[0]): p for p in points}.values())
     below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
     above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
     found = [side[i] for side in (below, above) if side for i in {(len(side) - 1) // 2, len(side) - 1}]

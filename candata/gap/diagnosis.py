@@ -330,7 +330,11 @@ def _ranking(f: _Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
             )
         )
     first = f.found.first
-    reasons = [(d, "best left out") for d in first.idle] + [(d, "moves nothing in these motions") for d in first.dead]
+    reasons = [
+        *((d, "gains little on the episodes looked at first") for d in first.faint),
+        *((d, "best left out") for d in first.idle),
+        *((d, "moves nothing in these motions") for d in first.dead),
+    ]
     dead = [Ranked(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
     return (*out, *dead)
 

@@ -65,7 +65,12 @@ def cross_fit(response: Curve | Plane, score: Score, parts: list[Index], base: A
 
 
 def null_threshold(
-    responses: list[Curve | Plane], score: Score, parts: list[Index], luck: Array, rng: np.random.Generator
+    responses: list[Curve | Plane],
+    score: Score,
+    parts: list[Index],
+    luck: Array,
+    rng: np.random.Generator,
+    tried: int | None = None,
 ) -> float:
     """Return the 99 % quantile of the best mean held-out gain over null sets.
 
@@ -78,7 +83,11 @@ def null_threshold(
     ----------
     luck : (J, E) float64
         Gain of nominal replays from other starts over the typical one, in floors.
+    tried : int, optional
+        How many candidates the responses were chosen among: the share of nulls that may lie above falls accordingly
+        (Bonferroni).
     """
+    above = (1 - NULL_QUANTILE) * min(1.0, len(responses) / (tried or max(len(responses), 1)))
     score = replace(score, null=score.null[:NULLS_READ], null_loss=score.null_loss[:NULLS_READ])
     tables = [_null_tables(r, score) if isinstance(r, Curve) else null_quadratic(r, score) for r in responses]
     best = np.zeros(NULL_SETS)
@@ -89,7 +98,7 @@ def null_threshold(
         lucky = luck[draws, episodes].mean(2)
         lucky = np.where([isinstance(t, NullQuadratic) for t in tables], lucky.max(1), lucky[:, 0])
         best[i] = max((_null_gain(t, chosen, parts) + c for t, c in zip(tables, lucky, strict=True)), default=0.0)
-    return float(np.quantile(best, NULL_QUANTILE))
+    return float(np.quantile(best, 1 - above))
 
 
 def _null_gain(table: Array | NullQuadratic, chosen: Index, parts: list[Index]) -> float:

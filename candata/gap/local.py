@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 #: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
 #: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
+#: Most variants that are simulated because they act on an element whose readings stand out.
+ALSO = 8
 #: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
 #: what is simulated, never what is named.
 STANDS_OUT = 1.5
@@ -41,24 +43,32 @@ def promising(
     -----
     What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
     fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
-    along with its effect where that effect as a whole gains. All effects on the elements whose readings stand out most
-    come along too, as a strong fault spreads beyond what it sits on.
+    along with its effect where that effect as a whole gains. All effects that gain anything there on the
+    elements whose readings stand out most come along too, as a strong fault spreads beyond what it sits on.
     """
     found: list[tuple[float, Candidate]] = []
     worst = _standing_out(problem, here)
-    also: list[Candidate] = []
+    also: list[tuple[float, Candidate]] = []
     for c, response in responses:
         variants = local_candidates(c, problem.replayer.scene)
         if not variants:
             continue
-        whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
-        gains = [_screened(problem, v, response, base, whole) for v in variants]
-        best = sorted(zip(gains, variants, strict=True), key=lambda pair: -pair[0])[:LOCAL_EACH]
-        found += [pair for pair in best if pair[0] > 0]
-        also += [v for v in variants if v.element in worst]
+        gains = [pair for pair in promises(problem, c, variants, response, base) if pair[0] > 0]
+        found += gains[:LOCAL_EACH]
+        also += [(gain, v) for gain, v in gains if v.element in worst]
     chosen = [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
-    return chosen + [c for c in also if c.label not in taken]
+    others = [c for _, c in sorted(also, key=lambda pair: -pair[0]) if c.label not in taken]
+    return chosen + others[:ALSO]
+
+
+def promises(
+    problem: Problem, c: Candidate, variants: Sequence[Candidate], response: Curve | Plane, base: Array
+) -> list[tuple[float, Candidate]]:
+    """Return the held-out gain that each variant of `c` on one element promises, the best first; see `promising`."""
+    whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
+    gains = [(_screened(problem, v, response, base, whole), v) for v in variants]
+    return sorted(gains, key=lambda pair: -pair[0])
 
 
 def _standing_out(problem: Problem, here: Compact) -> set[str]:

@@ -37,6 +37,8 @@ Array = NDArray[np.float64]
 LOOKED_AT = 12
 #: Rows by which joints may react earlier than the scene's before it is asked why.
 EARLY_ROWS = 0.6
+#: Episodes on which that is asked: every rival is a replay of them.
+EARLY_LOOK = 4
 #: Longest delay that effects explain [s] (the bound of `actuation_delay`).
 LATEST_S = 0.15
 #: What makes joints react earlier than modelled: lighter damping, a stiffer servo, another clock.
@@ -82,7 +84,7 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
         E recorded episodes.
     """
     scene = replayer.scene
-    some = recs.take(np.unique(np.linspace(0, len(recs) - 1, min(LOOKED_AT, len(recs))).astype(int)))
+    some = recs.take(_evenly(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
     found = pose_findings(scene, some)
     if pairs is not None:
@@ -91,6 +93,11 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
         found += _by_replay(_Look(replayer, some, pairs))
     found += _tasks(recs)
     return tuple(sorted(found, key=lambda f: not f.definite))
+
+
+def _evenly(count: int, most: int) -> NDArray[np.int64]:
+    """Return the numbers of at most `most` of `count` episodes, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
 
 
 def _by_replay(look: _Look) -> list[Finding]:
@@ -149,7 +156,9 @@ def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         return [_lateness(rows, rate, "a delay, or one step counted wrong: `action: next` in map.yaml")]
     if rows > -EARLY_ROWS:
         return []
-    return _early(look, pairs, own, rows)
+    some = _evenly(len(look.recs), EARLY_LOOK)
+    recs = look.recs.take(some)
+    return _early(_Look(look.replayer, recs, None), paired(look.replayer.scene, recs) or pairs, own[some], rows)
 
 
 def _lateness(rows: float, rate: float, words: str) -> Finding:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +45,10 @@ class Layout:
     phases: tuple[str, ...]
     phase: NDArray[np.int64]
     rows: int
+
+    def take(self, index: NDArray[np.int64]) -> Layout:
+        """Return the layout of some episodes."""
+        return replace(self, phase=self.phase[index])
 
 
 def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Array]) -> Layout:

@@ -50,9 +50,9 @@ def _moves(problem: Problem, here: Compact, points: Members, held: Members) -> l
 
 
 def screening(c: Candidate, problem: Problem) -> list[Array]:
-    """Return the coordinates at which a candidate's signatures are read; fewer for one of many elements."""
+    """Return the coordinates at which a candidate's signatures are read; fewer of one element, or in brief."""
     scene = problem.replayer.scene
-    return probes(c, scene) if c.element is None else first_probes(c, scene)
+    return first_probes(c, scene) if c.element or problem.brief else probes(c, scene)
 
 
 def _response(

@@ -29,7 +29,8 @@ Members = tuple[tuple[Candidate, Array], ...]
 class Problem:
     """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
 
-    `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit.
+    `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
+    set where only a few of the episodes are looked at, and fewer signatures do.
     """
 
     replayer: Replayer
@@ -46,6 +47,7 @@ class Problem:
     raw: Array
     ruled_out: frozenset[str] = frozenset()
     measured: Members = ()
+    brief: bool = False
 
     @property
     def nominal(self) -> Compact:

@@ -68,6 +68,8 @@ class Library:
         Where signatures are kept; None keeps none.
     memo : dict
         What this diagnosis has simulated or read so far.
+    parts : dict
+        Libraries of some of the episodes that this diagnosis has asked for.
     """
 
     replayer: Replayer
@@ -77,6 +79,16 @@ class Library:
     nominal: Compact
     folder: Path | None
     memo: dict[str, Compact] = field(default_factory=dict)
+    parts: dict[tuple[int, ...], Library] = field(default_factory=dict)
+
+    def take(self, index: NDArray[np.int64]) -> Library:
+        """Return the library of some episodes."""
+        key = tuple(index.tolist())
+        if key not in self.parts:
+            root = self.folder.parents[2] if self.folder else None
+            begin, plan = self.begin.take(index), self.plan.take(index)
+            self.parts[key] = library(self.replayer, self.recs.take(index), begin, plan, root)
+        return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
