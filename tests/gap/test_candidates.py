@@ -67,11 +67,16 @@ def test_half_and_double_are_equally_far(hand):
 
 
 @pytest.mark.parametrize("name", effect_names())
-def test_a_scalar_on_one_element_is_screened_near_and_far_on_each_side_that_it_has(hand, name):
+def test_a_first_look_is_near_and_far_on_each_side_that_a_scalar_has(hand, name):
     c = candidate(name, hand)
     everywhere, first = (np.array([u for u in f(c, hand)]) for f in (probes, first_probes))
-    if c.size > 1 or c.choices:
+    if c.choices:
         assert np.array_equal(everywhere, first)
+        return
+    if c.size > 1:
+        # one each: every number of a vector moves once
+        assert sorted(np.argmax(first != c.neutral, axis=1)) == list(range(c.size))
+        assert ((first != c.neutral).sum(1) == 1).all()
         return
     away = everywhere[:, 0] - c.neutral[0]
     for side in {*np.sign(away)}:
