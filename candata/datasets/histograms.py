@@ -15,6 +15,8 @@ BINS = 2048
 FIRST_BINS = BINS // 4
 #: Least width of a bin, as a share of the values' size: finer, and floats could not tell its edges apart.
 FINEST = 2.0**-40
+#: Rows taken in at a time.
+ROWS = 8192
 #: Bars drawn, and the share of the values that the drawn range may leave out on each side.
 BARS, TAIL = 40, 0.001
 
@@ -62,10 +64,12 @@ class Histogram:
         self.high = np.full(size, -np.inf)
 
     def add(self, values: NDArray) -> None:
-        """Take in finite values, `(N, E)`."""
-        if not len(values):
-            return
-        found = np.asarray(values, float)
+        """Take in finite values, `(N, E)`, a few thousand rows at a time: a long episode needs no more memory."""
+        for start in range(0, len(values), ROWS):
+            self._add(np.asarray(values[start : start + ROWS], float))
+
+    def _add(self, found: Array) -> None:
+        """Take in some rows."""
         self.zeros += (found == 0).sum(axis=0)
         low, high = found.min(axis=0), found.max(axis=0)
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)

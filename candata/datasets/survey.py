@@ -151,5 +151,7 @@ class _Chosen:
 
 
 def _light(episode: Episode) -> Episode:
-    """Return an episode without its dense channels."""
+    """Return an episode without its dense channels, which are large and not drawn."""
+    if not any(name.removesuffix(VALID_SUFFIX) in DENSE for name in episode.arrays):
+        return episode
     return Episode(episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE})

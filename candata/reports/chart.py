@@ -82,14 +82,18 @@ def plane(marks: str) -> str:
 
 
 def line(x: Axis, y: Axis, xs: Sequence[float], ys: Sequence[float], kind: str) -> str:
-    """Return a line through the finite points, broken where one is missing; `kind` is its class."""
-    steps, pen = [], None
+    """Return a line through the finite points, broken where one is missing; `kind` is its class.
+
+    A point between two breaks is a stroke of no length, which a round cap shows.
+    """
+    steps: list[str] = []
+    pen: tuple[int, int] | None = None
     for a, b in zip(xs, ys, strict=True):
         if not (math.isfinite(a) and math.isfinite(b)):
             pen = None
             continue
         here = (_along(x, a), _down(y, b))
-        steps.append(f"M{here[0]} {here[1]}" if pen is None else f"l{here[0] - pen[0]} {here[1] - pen[1]}")
+        steps.append(f"M{here[0]} {here[1]}h0" if pen is None else f"l{here[0] - pen[0]} {here[1] - pen[1]}")
         pen = here
     return f'<path class="line {kind}" d="{"".join(steps)}"/>' if steps else ""
 

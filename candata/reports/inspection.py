@@ -134,10 +134,10 @@ def _answers(summary: Summary) -> str:
         f"of {worst.name}, the most of any; {len(lost)} of {len(summary.channels)} channels have gaps."
     )  # fmt: skip
     touch = summary.contact_share
-    several = f"episodes, {digits(summary.duration_s / max(summary.episodes, 1))} s long in the mean."
+    several = f"{_noun(summary.episodes, 'episode')}, {digits(summary.duration_s / summary.episodes)} s in the mean."
     entries = [
         ("How much?", f"{summary.episodes:,}", several),
-        ("How long?", _duration(summary.duration_s), f"{summary.rows:,} rows, {_rate(summary)} a second."),
+        ("How long?", _duration(summary.duration_s), f"{summary.rows:,} {_noun(summary.rows, 'row')}{_rate(summary)}."),
         ("In contact?", DASH if touch is None else percent(touch),
          "No channel says." if touch is None else "of the rows: at least one fingertip touches."),
         ("Invalid?", percent(worst.invalid_share) if worst and lost else "nothing", gaps),
@@ -150,9 +150,14 @@ def _answers(summary: Summary) -> str:
 
 
 def _rate(summary: Summary) -> str:
-    """Return rows a second, from steps over time."""
+    """Return rows a second, from steps over time; empty where no episode has two rows."""
     steps = summary.rows - summary.episodes
-    return digits(steps / summary.duration_s) if summary.duration_s > 0 else "?"
+    return f", {digits(steps / summary.duration_s)} a second" if summary.duration_s > 0 else ""
+
+
+def _noun(count: int, name: str) -> str:
+    """Return a noun in the number that goes with a count."""
+    return name if count == 1 else f"{name}s"
 
 
 def _duration(seconds: float) -> str:
@@ -164,7 +169,7 @@ def _duration(seconds: float) -> str:
 
 def _of(summary: Summary, episode: str | None) -> str:
     """Return what a figure is over."""
-    return "this episode" if episode else f"all {summary.episodes:,} episodes"
+    return "this episode" if episode or summary.episodes == 1 else f"all {summary.episodes:,} episodes"
 
 
 def _channels(channels: tuple[ChannelSummary, ...], units: Mapping[str, str]) -> str:
@@ -231,7 +236,7 @@ def _facts(one: Shown) -> str:
     """Return what an episode is, in one line."""
     meta = one.episode.meta
     said = [meta.source, meta.task, meta.object, f"seed {meta.seed}" if meta.seed is not None else None, meta.outcome]
-    length = f"{len(one.episode):,} rows in {digits(float(one.episode.time_s[-1]))} s"
+    length = f"{len(one.episode):,} {_noun(len(one.episode), 'row')} in {digits(float(one.episode.time_s[-1]))} s"
     return f"{one.reason[0].upper()}{one.reason[1:]}; {length}; {', '.join(filter(None, said))}."
 
 

@@ -19,7 +19,6 @@ from candata.plugins import names
 from candata.reports.posed import Posed, Poser, poser, shown_geoms
 from candata.reports.rerun_shapes import shape, xyzw
 from candata.reports.traces import command_joints, masked
-from candata.rotation import rotate
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import LIBRARY
 from candata.schema.episode import Episode

@@ -31,6 +31,7 @@ svg path.histo { fill:var(--accent); stroke:none; opacity:.85; }
 svg path.histo.this { fill:none; stroke:var(--before); stroke-width:1.8px; opacity:1; }
 svg path.histo.against { fill:var(--band); stroke:var(--recorded); stroke-width:1px; opacity:1; }
 svg path.touch { fill:var(--touch); } .key-touch { color:var(--touching); }
+.line { stroke-linecap:round; }
 .line.axis-x,.space .axis-x { stroke:var(--ax); } .key-axis-x { color:var(--ax); }
 .line.axis-y,.space .axis-y { stroke:var(--ay); } .key-axis-y { color:var(--ay); }
 .line.axis-z,.space .axis-z { stroke:var(--az); } .key-axis-z { color:var(--az); }

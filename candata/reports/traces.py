@@ -19,6 +19,8 @@ from candata.schema.phases import CONTACT_PHASES, contact_phases
 Array = NDArray[np.float64]
 #: Traces drawn of one kind; a hand has fewer.
 MOST_TRACES = 40
+#: Phases in the order drawn: where a column of a long timeline holds several, the short ones stay in sight.
+DRAWN_PHASES = ("free", "sustained", "release", "onset")
 #: Columns of a timeline: a touch shorter than one is drawn as wide as one.
 TIMELINE_COLUMNS = 600
 
@@ -40,7 +42,7 @@ def joints(episode: Episode, units: Mapping[str, str]) -> str:
     if "action" in episode:
         action = masked(episode, "action")
         for i, name in enumerate(command_joints(episode, list(lines), action.shape[1])):
-            lines.setdefault(name, {})["before"] = action[:, i]
+            lines[name] = {"before": action[:, i], **lines.get(name, {})}
     cells = [_cell(episode, name, lines[name], readable("joint", name, units)) for name in list(lines)[:MOST_TRACES]]
     return _grid(cells, len(lines), [("after", "position"), ("before", "command")])
 
@@ -73,10 +75,10 @@ def timeline(episode: Episode) -> str:
         return ""
     time_s, tips = episode.time_s, [name for name in found if name != ANY]
     rows = ["phase", *(tips or ["any"])]
-    x = linear([0.0, float(time_s[-1])], 8)
+    x = linear([0.0, _length_s(episode)], 8)
     y = Axis(-0.5, len(rows) - 0.5, tuple((float(len(rows) - 1 - k), name) for k, name in enumerate(rows)))
     phases = contact_phases(found[ANY], episode.meta.rate_hz)
-    marks = "".join(_strokes(x, y, time_s, phases == p, len(rows) - 1, f"phase {p}") for p in CONTACT_PHASES[::-1])
+    marks = "".join(_strokes(x, y, time_s, phases == p, len(rows) - 1, f"phase {p}") for p in DRAWN_PHASES)
     for k, name in enumerate(rows[1:]):
         marks += _strokes(x, y, time_s, found[name if tips else ANY], len(rows) - 2 - k, "touching")
     drawn = chart(x, y, marks, "contact of each fingertip over time", 20 * len(rows), "time [s]")
@@ -104,13 +106,18 @@ def _strokes(x: Axis, y: Axis, time_s: Array, flags: NDArray[np.bool_], at: floa
     return f'<path class="stroke {kind}" d="{d}"/>' if d else ""
 
 
+def _length_s(episode: Episode) -> float:
+    """Return the time that an axis spans: one period for an episode of one row."""
+    return float(episode.time_s[-1]) or 1 / episode.meta.rate_hz
+
+
 def _cell(
     episode: Episode, name: str, lines: Mapping[str, Array], unit: str, touch: NDArray[np.bool_] | None = None
 ) -> str:
     """Return one chart under its name: lines by class, stretches of contact behind them."""
     time_s = episode.time_s
     drawn = {kind: envelope(time_s, values) for kind, values in lines.items()}
-    x, y = linear([0.0, float(time_s[-1])], 4, " s"), linear([v for _, ys in drawn.values() for v in ys], 4)
+    x, y = linear([0.0, _length_s(episode)], 4, " s"), linear([v for _, ys in drawn.values() for v in ys], 4)
     marks = "" if touch is None else _areas(x, time_s, touch)
     marks += "".join(line(x, y, xs, ys, kind) for kind, (xs, ys) in drawn.items())
     if not any(np.isfinite(values).any() for values in lines.values()):
