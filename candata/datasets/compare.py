@@ -165,7 +165,7 @@ class _Reader:
         self.rows, self.episodes, self.duration_s = 0, 0, 0.0
 
     def read(self, ids: list[str], progress: Callable[[], None]) -> None:
-        """Take in the episodes; each statistic of each keeps a few quantiles."""
+        """Take in the episodes; each statistic of each keeps a few numbers."""
         for number, episode in enumerate(self.dataset.episodes(ids)):
             meta = episode.meta
             self.channels |= {n for n in episode.arrays if not n.endswith(VALID_SUFFIX) and n not in DENSE}

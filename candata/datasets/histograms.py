@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 #: some hundred times the usual range leaves the rest its shape.
 BINS = 2048
 #: Bins of the first values: the rest is room to grow before the width doubles.
-FIRST_BINS = BINS // 4
+FIRST_BINS = BINS // 2
 #: Least width of a bin, as a share of the values' size: finer, and floats could not tell its edges apart.
 FINEST = 2.0**-40
 #: Rows taken in at a time.
@@ -88,7 +88,7 @@ class Histogram:
         if self.width[element] == 0:
             least = max(FINEST * max(abs(low), abs(high)), 1e-12)
             self.width[element] = 2.0 ** np.ceil(np.log2(max((high - low) / FIRST_BINS, least)))
-            self.start[element] = np.floor(low / self.width[element] - BINS // 2) * self.width[element]
+            self.start[element] = np.floor(low / self.width[element] - BINS // 4) * self.width[element]
         while not (self.start[element] <= low and high < self.start[element] + BINS * self.width[element]):
             self._double(element, down=low < self.start[element])
 
