@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 
@@ -43,7 +44,8 @@ def write_page(path: Path, text: str) -> None:
         staged.write_text(text, encoding="utf-8")
         os.replace(staged, path)
     except OSError as error:
-        staged.unlink(missing_ok=True)
+        with suppress(OSError):
+            staged.unlink()
         raise SetupError(
             "the page cannot be written", found=error.strerror, where=Where(path=str(path)),
             fix="free space, or choose another --html",

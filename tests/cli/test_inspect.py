@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from candata.datasets import append, create_dataset
-from candata.errors import DataError, UsageError
+from candata.errors import DataError, SetupError, UnknownNameError, UsageError
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata_cli.inspect_command import register
@@ -96,3 +96,59 @@ def test_inspect_of_a_damaged_dataset_is_an_error(root):
 def test_no_dataset_and_an_empty_one_are_errors(tmp_path):
     assert isinstance(run("inspect", tmp_path / "none").exception, UsageError)
     assert isinstance(run("inspect", create_dataset(tmp_path / "ds")).exception, DataError)
+
+
+def test_inspect_of_one_episode(root):
+    found = json.loads(run("inspect", root, "--episode", "e1", "--json").stdout)
+    assert (found["episode"]["id"], found["episodes"], found["rows"]) == ("e1", 1, 40)
+    lines = run("inspect", root, "--episode", "r").stdout.splitlines()
+    assert lines[1:3] == ["episode r: real, s, 80 Hz", "1 episodes, 20 rows, 0.2 s"]
+
+
+def test_an_unknown_episode_names_the_nearest(root, tmp_path):
+    error = run("inspect", root, "--episode", "e11", "--html", tmp_path / "p.html").exception
+    assert isinstance(error, UnknownNameError)
+    assert "one of e0, e1, e2, r" in str(error)
+    assert "did you mean 'e1'?" in str(error)
+    assert not (tmp_path / "p.html").exists()
+
+
+def test_of_many_episodes_only_the_nearest_are_named():
+    error = UnknownNameError("episode", "e77x", [f"e{i}" for i in range(1000)])
+    assert "1,000, the nearest e77" in str(error)
+    assert len(str(error)) < 300
+
+
+def test_inspect_writes_a_page_beside_what_it_prints(root, tmp_path):
+    result = run("inspect", root, "--html", tmp_path / "new" / "p.html")
+    assert result.stdout == run("inspect", root).stdout
+    assert "p.html" in result.stderr
+    assert (tmp_path / "new" / "p.html").read_text("utf-8").startswith("<!DOCTYPE html>")
+    run("inspect", root, "--episode", "e1", "--html", tmp_path / "one.html")
+    assert "One episode of" in (tmp_path / "one.html").read_text("utf-8")
+
+
+def test_two_datasets_side_by_side(root, tmp_path, episode):
+    other = create_dataset(tmp_path / "other")
+    append(other, [episode(f"o{i}", seed=10 + i, rows=40) for i in range(4)], Lineage(operation="test"))
+    result = run("inspect", root, "--against", other, "--html", tmp_path / "p.html")
+    assert result.exit_code == 0
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith("ds@")
+    assert lines[1].startswith("other@")
+    assert lines[2].startswith("No statistic differs")
+    assert lines[3].split()[:5] == ["statistic", "of", "unit", "ds", "other"]
+    assert "ds <small>beside</small> other" in (tmp_path / "p.html").read_text("utf-8")
+    record = json.loads(run("inspect", root, "--against", other, "--json").stdout)
+    assert {row["differs"] for row in record["rows"]} == {False}
+    assert record["this"]["compared"] == 4
+
+
+def test_an_episode_and_another_dataset_do_not_go_together(root):
+    assert isinstance(run("inspect", root, "--against", root, "--episode", "e1").exception, UsageError)
+
+
+def test_a_page_where_none_can_be_is_one_error(root, tmp_path):
+    (tmp_path / "file").write_text("x")
+    error = run("inspect", root, "--html", tmp_path / "file" / "p.html").exception
+    assert (type(error), error.exit_code) == (SetupError, 3)
