@@ -119,13 +119,20 @@ class Pool:
         ends = [self.quantile(side, at) for side in (deal, ~deal) for at in (0.01, 0.99)]
         samples = min(self.counts[deal].sum(), self.counts[~deal].sum())
         edges = np.linspace(min(ends), max(ends), int(np.clip(samples / SAMPLES_A_BAR, FEWEST_BARS, BARS)) + 1)
-        places = np.searchsorted(self.edges, edges, side="right")
-        places[0] = np.searchsorted(self.edges, edges[0], side="left")  # the first bar holds its own edge
-        sides = []
-        for side in (deal, ~deal):
-            held = np.concatenate([[0.0], self.shares(side[None])[0]])
-            sides.append(np.diff(held[places]))
+        sides = [np.diff(self._below(side, edges)) for side in (deal, ~deal)]
         return Drawn(edges, sides[0], sides[1])
+
+    def _below(self, deal: Flags, at: Array) -> Array:
+        """Return the share of one group up to each value, the first value left out.
+
+        Between edges at quantiles samples count as spread evenly, else those of a tail would pile up in one bar.
+        """
+        held = self.shares(deal[None])[0]
+        if len(self.edges) >= EDGES:
+            return np.asarray(np.interp(at, self.edges, held))
+        places = np.searchsorted(self.edges, at, side="right")
+        places[0] = np.searchsorted(self.edges, at[0], side="left")  # the first bar holds its own edge
+        return np.asarray(np.concatenate([[0.0], held])[places])
 
 
 def spread_of(pool: Pool, deal: Flags) -> Middle:

@@ -14,6 +14,8 @@ from candata.schema.channels import CHANNELS
 
 #: Elements drawn of one channel; a hand has fewer.
 MOST_ELEMENTS = 64
+#: Values that differ by no more than this share of themselves are one value to a reader.
+ALIKE = 1e-6
 #: From this share on, values that are exactly zero are said in words: their bar would dwarf all others.
 MANY_ZEROS = 0.1
 
@@ -48,8 +50,9 @@ def _element(one: ChannelDistribution, units: Mapping[str, str]) -> str:
 
 def histogram(found: Distribution, unit: str, label: str) -> str:
     """Return the bars of one distribution, with its range and what the bars leave out in words."""
-    if found.low == found.high:
-        return _words(f"always {digits(found.low)} {unit}".strip())
+    if found.high - found.low <= ALIKE * max(abs(found.low), abs(found.high)):
+        about = "" if found.low == found.high else ", to one part in a million"
+        return _words(f"always {digits(found.low)} {unit}".strip() + about)
     shares, zeros = found.shares.copy(), found.zero_share >= MANY_ZEROS
     if zeros:
         inside = (found.edges[:-1] <= 0) & (found.edges[1:] > 0)
