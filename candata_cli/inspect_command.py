@@ -153,7 +153,7 @@ def _print_comparison(found: Comparison) -> None:
     from candata.reports.inspection import units_of
 
     for side in (found.this, found.against):
-        console.out(f"{side.name}@{side.digest[:12]}  {side.compared} of {side.episodes} episodes, {side.rows} rows")
+        console.out(f"{side.label}@{side.digest[:12]}  {side.compared} of {side.episodes} episodes, {side.rows} rows")
     console.out(verdict(found))
     units = units_of({*found.this.scenes, *found.against.scenes})
     rows = [
@@ -161,7 +161,7 @@ def _print_comparison(found: Comparison) -> None:
          _number(r.distance), _number(r.luck), _number(r.spreads), {True: "yes", False: "no", None: "?"}[r.differs])
         for r in found.rows[:SHOWN_ROWS]
     ]  # fmt: skip
-    head = ("statistic", "of", "unit", found.this.name, found.against.name, "distance", "luck", "spreads", "differs")
+    head = ("statistic", "of", "unit", found.this.label, found.against.label, "distance", "luck", "spreads", "differs")
     console.out_table(head, rows)
     if len(found.rows) > SHOWN_ROWS:
         console.out(f"{len(found.rows) - SHOWN_ROWS} more rows: --json, --html")

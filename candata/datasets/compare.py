@@ -26,8 +26,9 @@ LEVEL = 0.05
 
 
 class Side(Record):
-    """One of the two datasets; `compared` of its `episodes` were read."""
+    """One of the two datasets, called `label`; `compared` of its `episodes` were read."""
 
+    label: str
     name: str
     digest: str
     version: int
@@ -118,13 +119,14 @@ def compare(this: Dataset, against: Dataset, progress: Callable[[], None] = lamb
     """
     sides = (_chosen(this), _chosen(against))
     step_s = max(1 / _least_rate(d, ids) for d, ids in zip((this, against), sides, strict=True))
-    readers = [_Reader(d, step_s) for d in (this, against)]
+    readers = [_Reader(d, step_s, label) for d, label in zip((this, against), _labels(this, against), strict=True)]
     for reader, ids in zip(readers, sides, strict=True):
         reader.read(ids, progress)
     both = sorted(set(readers[0].found) & set(readers[1].found))
     if not both:
         raise DataError(
-            "the two datasets have nothing in common to compare", expected="joints, an object or fingertips in both",
+            "the two datasets have nothing in common to compare",
+            expected="an object, or joints or fingertips of the same names, in both",
             found=f"{_channels(readers[0])} beside {_channels(readers[1])}",
         )  # fmt: skip
     sizes = (len(sides[0]), len(sides[1]))
@@ -136,6 +138,13 @@ def compare(this: Dataset, against: Dataset, progress: Callable[[], None] = lamb
         unmatched=tuple(_unmatched(*readers)), notes=tuple(_notes(readers)),
     )  # fmt: skip
     return Compared(comparison, tuple(drawn[i] for i in order))
+
+
+def _labels(this: Dataset, against: Dataset) -> tuple[str, str]:
+    """Return what to call the two: their names, told apart where they have the same."""
+    if this.name != against.name:
+        return this.name, against.name
+    return f"{this.name} (this)", f"{against.name} (against)"
 
 
 def _chosen(dataset: Dataset) -> list[str]:
@@ -154,13 +163,12 @@ def _least_rate(dataset: Dataset, ids: Iterable[str]) -> float:
 class _Reader:
     """Gathers one side."""
 
-    def __init__(self, dataset: Dataset, step_s: float) -> None:
+    def __init__(self, dataset: Dataset, step_s: float, label: str) -> None:
         """Start without episodes."""
-        self.dataset, self.step_s = dataset, step_s
+        self.dataset, self.step_s, self.label = dataset, step_s, label
         self.found: dict[Statistic, list[tuple[int, int, NDArray[np.float32]]]] = defaultdict(list)
         self.channels: set[str] = set()
         self.rates: set[float] = set()
-        self.names: dict[str, set[str]] = defaultdict(set)
         self.counts: dict[str, dict[str, int]] = {"sources": {}, "scenes": {}}
         self.rows, self.episodes, self.duration_s = 0, 0, 0.0
 
@@ -183,9 +191,9 @@ class _Reader:
         """Return what was read."""
         d = self.dataset
         return Side(
-            name=d.name, digest=d.digest, version=d.version, episodes=len(d), compared=self.episodes, rows=self.rows,
-            duration_s=self.duration_s, sources=self.counts["sources"], scenes=self.counts["scenes"],
-            rates_hz=tuple(sorted(self.rates)),
+            label=self.label, name=d.name, digest=d.digest, version=d.version, episodes=len(d),
+            compared=self.episodes, rows=self.rows, duration_s=self.duration_s,
+            sources=self.counts["sources"], scenes=self.counts["scenes"], rates_hz=tuple(sorted(self.rates)),
         )  # fmt: skip
 
 
@@ -238,7 +246,7 @@ def _unmatched(first: _Reader, second: _Reader) -> Iterable[str]:
     for one, other in ((first, second), (second, first)):
         only = sorted(one.channels - other.channels)
         if only:
-            yield f"channels only in {one.dataset.name}: {', '.join(only)}"
+            yield f"channels only in {one.label}: {', '.join(only)}"
         lacking: dict[tuple[str, ...], list[str]] = defaultdict(list)
         names: dict[str, set[str]] = defaultdict(set)
         for key in set(one.found) - set(other.found):
@@ -247,16 +255,16 @@ def _unmatched(first: _Reader, second: _Reader) -> Iterable[str]:
             lacking[tuple(sorted(elements - {""}))].append(name)
         for listed, statistics in sorted(lacking.items()):
             of = f" of {', '.join(listed)}" if listed else ""
-            yield f"only in {one.dataset.name}: {', '.join(statistics)}{of}"
+            yield f"only in {one.label}: {', '.join(statistics)}{of}"
 
 
 def _notes(readers: list[_Reader]) -> Iterable[str]:
     """Yield in words how things were measured where the two sides are not alike."""
     for one in readers:
         if one.episodes < len(one.dataset):
-            yield f"{one.episodes} of {len(one.dataset)} episodes of {one.dataset.name} were read, evenly by id"
+            yield f"{one.episodes} of {len(one.dataset)} episodes of {one.label} were read, evenly by id"
         if "fingertip_force" in one.channels and "fingertip_contact" not in one.channels:
-            yield f"contact of fingertips in {one.dataset.name} is derived: |Fx| + |Fy| + |Fz| above 0.3 N"
+            yield f"contact of fingertips in {one.label} is derived: |Fx| + |Fy| + |Fz| above 0.3 N"
     if readers[0].rates != readers[1].rates:
         yield (
             f"rates differ: {_rates(readers[0])} beside {_rates(readers[1])}; speeds and accelerations are taken over "

@@ -39,11 +39,11 @@ def page(found: Compared) -> str:
     """Return the page as text."""
     one = found.comparison
     units = units_of({*one.this.scenes, *one.against.scenes})
-    title = f"{one.this.name} beside {one.against.name}"
+    title = f"{one.this.label} beside {one.against.label}"
     body = "".join(
         (
-            f'<header><p class="kicker">Two datasets, the same statistics</p><h1>{escape(one.this.name)} '
-            f"<small>beside</small> {escape(one.against.name)}</h1>"
+            f'<header><p class="kicker">Two datasets, the same statistics</p><h1>{escape(one.this.label)} '
+            f"<small>beside</small> {escape(one.against.label)}</h1>"
             f'<p class="meaning">{escape(verdict(one))}</p></header>',
             _answers(one, units),
             "<h2>What differs most</h2>",
@@ -100,7 +100,7 @@ def _drawn(found: Compared, units: Mapping[str, str]) -> str:
     count = max(6, sum(bool(row.differs) for row in found.comparison.rows))
     chosen = list(zip(found.comparison.rows, found.drawn, strict=True))[: min(count, MOST_DRAWN)]
     cells = "".join(_cell(row, drawn, row_unit(row, units)) for row, drawn in chosen)
-    names = [("this", found.comparison.this.name), ("against", found.comparison.against.name)]
+    names = [("this", found.comparison.this.label), ("against", found.comparison.against.label)]
     key = "".join(f'<span class="key-{kind}">{escape(name)}</span>' for kind, name in names)
     return f'<p class="sub key">{key}</p><div class="multiples wide">{cells}</div>'
 
@@ -123,7 +123,7 @@ def _cell(row: Row, drawn: Drawn, unit: str) -> str:
 
 def _table(found: Comparison, units: Mapping[str, str]) -> str:
     """Return all rows; those beyond luck stand out."""
-    head = ("statistic", "of", "unit", found.this.name, found.against.name, "distance", "luck", "spreads", "")
+    head = ("statistic", "of", "unit", found.this.label, found.against.label, "distance", "luck", "spreads", "")
     top = "".join(f"<th{_n(i)}>{escape(text)}</th>" for i, text in enumerate(head))
     longest = max((row.spreads or 0.0 for row in found.rows), default=0.0) or 1.0
     body = "".join(_row(row, units, longest) for row in found.rows[:MOST_ROWS])
@@ -174,7 +174,7 @@ def _unmatched(found: Comparison) -> str:
 
 def _short(side: Side) -> str:
     """Return `name@digest`."""
-    return f"{side.name}@{side.digest[:12]}"
+    return f"{side.label}@{side.digest[:12]}"
 
 
 def _side(side: Side) -> str:

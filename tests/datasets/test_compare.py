@@ -130,3 +130,11 @@ def test_bars_of_many_samples_have_no_heap_at_their_end(rng):
     drawn = Pool.of([(k, n, v) for k, (_, n, v) in enumerate(sides[0])],
                     [(k, n, v) for k, (_, n, v) in enumerate(sides[1])], 60, 60).drawn(np.arange(120) < 60)  # fmt: skip
     assert drawn.this[-1] < drawn.this[len(drawn.this) // 2]
+
+
+def test_two_sets_of_one_name_are_told_apart(tmp_path):
+    for side in "xy":
+        (tmp_path / side).mkdir()
+    found = compare(make(tmp_path / "x" / "ds", 2, 1), make(tmp_path / "y" / "ds", 2, 2, force=True)).comparison
+    assert (found.this.label, found.against.label, found.this.name) == ("ds (this)", "ds (against)", "ds")
+    assert found.unmatched[0] == "channels only in ds (against): fingertip_force"
