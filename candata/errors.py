@@ -92,16 +92,24 @@ class SetupError(CandataError):
     exit_code = 3
 
 
+#: Names listed where one is not known; of more, those nearest to it.
+MOST_NAMES = 60
+
+
 class UnknownNameError(UsageError):
-    """A name that is not known; lists the known ones and the nearest."""
+    """A name that is not known; lists the known ones, or the nearest of many, and proposes one."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: Where | None = None):
         """Write the message from the kind of thing, the name given and the names known."""
         known = sorted(known)
         near = difflib.get_close_matches(name, known, n=1)
+        listed = ", ".join(known) or "(none)"
+        if len(known) > MOST_NAMES:
+            some = difflib.get_close_matches(name, known, n=5, cutoff=0.0)
+            listed = f"{len(known):,}, the nearest {', '.join(some)}"
         super().__init__(
             f"unknown {kind} {name!r}",
-            expected=f"one of {', '.join(known) or '(none)'}",
+            expected=f"one of {listed}",
             found=repr(name),
             where=where,
             fix=f"did you mean {near[0]!r}?" if near else None,

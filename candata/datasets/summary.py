@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets.dataset import Dataset
+from candata.datasets.elements import fingertip_labels
 from candata.datasets.versions import numbers
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
@@ -91,8 +92,39 @@ class _Range:
         )
 
 
-def summarise(dataset: Dataset, progress: Callable[[], None] = lambda: None) -> Summary:
-    """Return what is in a version, read once from beginning to end.
+@dataclass
+class _Touch:
+    """Running counts of contact: rows in touch and rows in all by label, rows by phase."""
+
+    rows: Counter[str] = field(default_factory=Counter)
+    touched: Counter[str] = field(default_factory=Counter)
+    phases: Counter[str] = field(default_factory=Counter)
+
+    def add(self, episode: Episode) -> None:
+        """Take in one episode."""
+        for label, flags in touches(episode).items():
+            self.rows[label] += len(flags)
+            self.touched[label] += int(flags.sum())
+            if label == ANY:
+                self.phases.update(contact_phases(flags, episode.meta.rate_hz).tolist())
+
+    def shares(self) -> dict[str, float]:
+        """Return the share of rows in touch by label."""
+        return {label: self.touched[label] / rows for label, rows in self.rows.items()}
+
+    def phase_shares(self) -> dict[str, float] | None:
+        """Return the share of rows by phase; None where contact is not known."""
+        known = sum(self.phases.values())
+        return {name: self.phases[name] / known for name in CONTACT_PHASES} if known else None
+
+
+def summarise(
+    dataset: Dataset,
+    progress: Callable[[], None] = lambda: None,
+    ids: Sequence[str] | None = None,
+    watch: Callable[[Episode], None] = lambda episode: None,
+) -> Summary:
+    """Return what is in a version, read once from beginning to end; memory does not grow with its length.
 
     Parameters
     ----------
@@ -100,36 +132,38 @@ def summarise(dataset: Dataset, progress: Callable[[], None] = lambda: None) -> 
         Version to read.
     progress : callable
         Called after each episode.
+    ids : sequence of str, optional
+        Only these episodes.
+    watch : callable
+        Called with each episode, for what else is gathered in the same pass.
 
     Raises
     ------
+    UnknownNameError
+        When an id is not in the version.
     DataError
         When a part is damaged; names the file.
     """
     ranges: dict[str, _Range] = defaultdict(_Range)
     counts: dict[str, Counter[str]] = defaultdict(Counter)
-    touch: dict[str, list[NDArray[np.bool_]]] = defaultdict(list)
-    phases: Counter[str] = Counter()
-    rows, duration_s = 0, 0.0
-    for episode in dataset.episodes():
-        rows, duration_s = rows + len(episode), duration_s + float(episode.time_s[-1])
+    touch = _Touch()
+    episodes, rows, duration_s = 0, 0, 0.0
+    for episode in dataset.episodes(ids):
+        episodes, rows, duration_s = episodes + 1, rows + len(episode), duration_s + float(episode.time_s[-1])
         for name in (n for n in episode.arrays if not n.endswith(VALID_SUFFIX)):
             ranges[name].add(episode[name], episode.valid(name))
         for key in ("source", "scene", "object", "task"):
             counts[key].update([v for v in [getattr(episode.meta, key)] if v is not None])
-        for label, flags in touches(episode).items():
-            touch[label].append(flags)
-            if label == ANY:
-                phases.update(contact_phases(flags, episode.meta.rate_hz).tolist())
+        touch.add(episode)
+        watch(episode)
         progress()
-    shares = {label: float(np.concatenate(flags).mean()) for label, flags in touch.items()}
-    known = sum(phases.values())
+    shares = touch.shares()
     return Summary(
         name=dataset.name,
         digest=dataset.digest,
         version=dataset.version,
         versions=len(numbers(dataset.path)),
-        episodes=len(dataset),
+        episodes=episodes,
         rows=rows,
         duration_s=duration_s,
         sources=dict(counts["source"]),
@@ -139,7 +173,7 @@ def summarise(dataset: Dataset, progress: Callable[[], None] = lambda: None) -> 
         channels=tuple(ranges[name].summary(name) for name in CHANNELS if name in ranges),
         contact_share=shares.pop(ANY, None),
         fingertip_contact_shares=shares,
-        phases={name: phases[name] / known for name in CONTACT_PHASES} if known else None,
+        phases=touch.phase_shares(),
         lineage=dataset.lineage,
     )
 
@@ -156,8 +190,7 @@ def touches(episode: Episode) -> dict[str, NDArray[np.bool_]]:
     found: dict[str, NDArray[np.bool_]] = {}
     if "fingertip_contact" in episode:
         flags = episode["fingertip_contact"] & episode.valid("fingertip_contact")[:, None]
-        names = episode.meta.fingertip_names or [f"fingertip {i}" for i in range(flags.shape[1])]
-        found = dict(zip(names, flags.T, strict=True))
+        found = dict(zip(fingertip_labels(episode.meta, flags.shape[1]), flags.T, strict=True))
         found[ANY] = np.asarray(flags.any(axis=1))
     if "contact" in episode:
         found[ANY] = episode["contact"] & episode.valid("contact")

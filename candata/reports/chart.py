@@ -82,15 +82,23 @@ def plane(marks: str) -> str:
 
 
 def line(x: Axis, y: Axis, xs: Sequence[float], ys: Sequence[float], kind: str) -> str:
-    """Return a line through the finite points, broken where one is missing; `kind` is its class."""
-    steps, pen = [], None
+    """Return a line through the finite points, broken where one is missing; `kind` is its class.
+
+    A point between two breaks is a stroke of no length, which a round cap shows.
+    """
+    strokes: list[list[str]] = []
+    pen: tuple[int, int] | None = None
     for a, b in zip(xs, ys, strict=True):
         if not (math.isfinite(a) and math.isfinite(b)):
             pen = None
             continue
         here = (_along(x, a), _down(y, b))
-        steps.append(f"M{here[0]} {here[1]}" if pen is None else f"l{here[0] - pen[0]} {here[1] - pen[1]}")
+        if pen is None:
+            strokes.append([f"M{here[0]} {here[1]}"])
+        else:
+            strokes[-1].append(f"l{here[0] - pen[0]} {here[1] - pen[1]}")
         pen = here
+    steps = ["".join(stroke) if len(stroke) > 1 else f"{stroke[0]}h0" for stroke in strokes]
     return f'<path class="line {kind}" d="{"".join(steps)}"/>' if steps else ""
 
 

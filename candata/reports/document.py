@@ -9,7 +9,7 @@ from typing import Any
 from candata.reports.style import PLOTLY_SCRIPT, SCRIPT, STYLE
 
 
-def document(title: str, tone: str, body: str, scripts: str = f"<script>{SCRIPT}</script>") -> str:
+def document(title: str, tone: str, body: str, scripts: str = f"<script>{SCRIPT}</script>", style: str = STYLE) -> str:
     """Return the whole page; it asks for nothing from elsewhere.
 
     Parameters
@@ -22,11 +22,13 @@ def document(title: str, tone: str, body: str, scripts: str = f"<script>{SCRIPT}
         HTML.
     scripts : str
         Script elements that end the page.
+    style : str
+        Style sheet.
     """
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f'<link rel="icon" href="data:,"><title>{escape(title)}</title><style>{STYLE}</style></head>'
+        f'<link rel="icon" href="data:,"><title>{escape(title)}</title><style>{style}</style></head>'
         f'<body style="--tone:var(--{tone})"><main>{body}</main>{scripts}</body></html>\n'
     )
 

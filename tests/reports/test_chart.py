@@ -38,7 +38,7 @@ def test_ticks_are_round_numbers():
 def test_a_line_breaks_where_a_value_is_missing():
     unit = Axis(0.0, 1.0, ())
     drawn = line(unit, unit, [0.0, 0.5, 0.6, 1.0], [0.0, 1.0, math.nan, 0.5], "x")
-    assert re.search(r'd="([^"]*)"', drawn).group(1) == "M0 1000l500 -1000M1000 500"
+    assert re.search(r'd="([^"]*)"', drawn).group(1) == "M0 1000l500 -1000M1000 500h0"
     assert line(unit, unit, [0.0], [math.nan], "x") == ""
 
 

@@ -1,0 +1,169 @@
+"""The command that shows what is in a dataset: inspect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.datasets import Dataset
+    from candata.datasets.compare import Comparison
+    from candata.datasets.summary import Summary
+    from candata.schema.episode import EpisodeMeta
+
+_EXAMPLE = """\b
+Examples:
+  candata inspect recordings
+  candata inspect recordings --html out/recordings.html
+  candata inspect recordings --episode grasp-003 --html out/grasp.html
+  candata inspect sim --against recordings --html out/both.html
+"""
+#: Rows of a comparison that the terminal shows; the page and --json have all.
+SHOWN_ROWS = 15
+
+Version = Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command("inspect", epilog=_EXAMPLE)(inspect)
+
+
+def inspect(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    episode: Annotated[str | None, typer.Option("--episode", metavar="ID", help="Only this episode.")] = None,
+    against: Annotated[
+        Path | None, typer.Option("--against", metavar="DATASET", help="Compare motion, force and contact with it.")
+    ] = None,
+    html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Page to write as well.")] = None,
+    version: Version = None,
+    json: Json = False,
+) -> None:
+    """Print what is in a dataset: episodes, channels and ranges, contact, phases, lineage; draw it with --html.
+
+    With --against, the same statistics of two datasets side by side, what differs most first.
+    """
+    from candata.datasets import open_dataset
+    from candata.errors import UsageError
+
+    data = open_dataset(dataset, console.version(version))
+    if against is None:
+        _inspect_one(data, episode, html, json)
+    elif episode is not None:
+        raise UsageError("--episode and --against do not go together", fix="leave one of them out")
+    else:
+        _inspect_two(data, open_dataset(against), html, json)
+
+
+def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bool) -> None:
+    """Print and draw one dataset, or one episode of it."""
+    from candata.datasets.summary import summarise
+    from candata.datasets.survey import survey
+
+    ids = None if episode is None else [episode]
+    meta = None if episode is None else data.episode(episode).meta
+    with console.progress("reading episodes", len(data) if ids is None else 1) as advance:
+        if html is None:
+            summary = summarise(data, lambda: advance(1), ids)
+        else:
+            found = survey(data, lambda: advance(1), ids)
+            summary = found.summary
+    if html is not None:
+        from candata.reports.inspection import page, write_page
+
+        write_page(html, page(found, episode))
+        console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
+    if json:
+        record = summary.model_dump(mode="json")
+        console.out_json(record if meta is None else {"episode": meta.model_dump(mode="json")} | record)
+    else:
+        _print_summary(summary, meta)
+
+
+def _inspect_two(data: Dataset, other: Dataset, html: Path | None, json: bool) -> None:
+    """Print and draw two datasets side by side."""
+    from candata.datasets.compare import compare, episodes_compared
+
+    with console.progress("reading episodes", episodes_compared(data) + episodes_compared(other)) as advance:
+        found = compare(data, other, lambda: advance(1))
+    if html is not None:
+        from candata.reports.comparison import page
+        from candata.reports.inspection import write_page
+
+        write_page(html, page(found))
+        console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
+    if json:
+        console.out_json(found.comparison.model_dump(mode="json"))
+    else:
+        _print_comparison(found.comparison)
+
+
+def _print_summary(summary: Summary, meta: EpisodeMeta | None) -> None:
+    """Print the summary for people."""
+    console.out(f"{summary.name}@{summary.digest[:12]}  version {summary.version} of {summary.versions}")
+    if meta is not None:
+        said = (meta.source, meta.scene, meta.object, meta.task, meta.outcome)
+        console.out(f"episode {meta.id}: {', '.join(filter(None, said))}, {meta.rate_hz:g} Hz")
+    console.out(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
+    for label in ("sources", "scenes", "objects", "tasks"):
+        counts = sorted(getattr(summary, label).items())
+        console.out(f"{label}: {', '.join(f'{name} {count}' for name, count in counts) or 'not stated'}")
+    rows = [
+        (c.name, c.unit, " ".join(_shape(s) for s in c.shapes), _number(c.low), _number(c.high),
+         f"{c.invalid_share:.1%}", c.episodes)
+        for c in summary.channels
+    ]  # fmt: skip
+    console.out_table(("channel", "unit", "shape", "min", "max", "invalid", "episodes"), rows)
+    _print_contact(summary)
+    for step in summary.lineage:
+        parents = f" from {', '.join(step.parents)}" if step.parents else ""
+        tools = ", ".join(f"{name} {version}" for name, version in sorted(step.tools.items()))
+        console.out(f"lineage: {step.operation}{parents}{f' ({tools})' if tools else ''}")
+
+
+def _print_contact(summary: Summary) -> None:
+    """Print shares of contact and phases, as far as they are known."""
+    if summary.contact_share is None:
+        console.out("contact: not known")
+        return
+    tips = "".join(f", {name} {share:.1%}" for name, share in summary.fingertip_contact_shares.items())
+    console.out(f"contact: any {summary.contact_share:.1%}{tips}")
+    shares = (summary.phases or {}).items()
+    console.out("phases: " + ", ".join(f"{name} {share:.1%}" for name, share in shares))
+
+
+def _shape(shape: tuple[int, ...]) -> str:
+    """Return `(T, 5, 3)`."""
+    return f"({', '.join(map(str, ('T', *shape)))})"
+
+
+def _number(value: float | None) -> str:
+    """Return four digits, or a dash."""
+    return "-" if value is None else f"{value:.4g}"
+
+
+def _print_comparison(found: Comparison) -> None:
+    """Print the rows that differ most for people."""
+    from candata.reports.comparison import row_unit, verdict
+    from candata.reports.inspection import units_of
+
+    for side in (found.this, found.against):
+        console.out(f"{side.label}@{side.digest[:12]}  {side.compared} of {side.episodes} episodes, {side.rows} rows")
+    console.out(verdict(found))
+    units = units_of({*found.this.scenes, *found.against.scenes})
+    rows = [
+        (r.statistic, r.element or "-", row_unit(r, units) or "-", _number(r.this.median), _number(r.against.median),
+         _number(r.distance), _number(r.luck), _number(r.spreads), {True: "yes", False: "no", None: "?"}[r.differs])
+        for r in found.rows[:SHOWN_ROWS]
+    ]  # fmt: skip
+    head = ("statistic", "of", "unit", found.this.label, found.against.label, "distance", "luck", "spreads", "differs")
+    console.out_table(head, rows)
+    if len(found.rows) > SHOWN_ROWS:
+        console.out(f"{len(found.rows) - SHOWN_ROWS} more rows: --json, --html")
+    for text in (*found.unmatched, *found.notes):
+        console.out(f"note: {text}")

@@ -1,0 +1,48 @@
+"""The command that shows an episode in motion: view."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_EXAMPLE = """\b
+Examples:
+  candata view sim --episode xhand_tabletop-s1-000000
+  candata view recordings --episode grasp-003 --scene scene.yaml --out out/grasp.rrd
+"""
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the application."""
+    app.command("view", epilog=_EXAMPLE)(view)
+
+
+def view(
+    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    episode: Annotated[
+        str | None, typer.Option("--episode", metavar="ID", help="Episode; the first by id by default.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE.rrd", help="File to write instead of opening a window.")
+    ] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; by default the episode's, if built in."),
+    ] = None,
+    version: Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")] = None,
+) -> None:
+    """Show an episode in Rerun: hand, object, contacts and forces in space, and traces over time.
+
+    Needs the extra `view`. Without --out the viewer opens; it asks its own question about usage data.
+    """
+    from candata.datasets import open_dataset
+    from candata.reports.rerun_view import view as show
+    from candata_cli import console
+
+    data = open_dataset(dataset, console.version(version))
+    chosen = episode or data.ids[0]
+    for line in show(data, chosen, scene, out):
+        console.note(line)
+    console.note(f"{chosen}: {out}, {out.stat().st_size / 1e6:.2f} MB" if out else f"{chosen}: shown in Rerun")

@@ -1,0 +1,158 @@
+"""The pages on datasets: everything in its place, nothing from outside, no name trusted, never large."""
+
+from __future__ import annotations
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets.compare import compare
+from candata.datasets.survey import survey
+from candata.errors import SetupError
+from candata.reports import comparison, inspection
+from candata.reports.joint_units import readable
+from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.manifest import Lineage
+
+EVIL = "<script>alert(1)</script>&\"'"
+
+
+class Tags(HTMLParser):
+    """Balance of the tags, and how many scripts and marks of each class there are."""
+
+    VOID = frozenset({"meta", "link", "path", "img", "br"})
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.scripts, self.classes = [], 0, []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.scripts += tag == "script"
+        self.classes += (dict(attrs).get("class") or "").split()
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.classes += (dict(attrs).get("class") or "").split()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def made(name="e", rows=60, source="sim", **arrays):
+    rng = np.random.default_rng(3)
+    meta = {k: arrays.pop(k) for k in ("joint_names", "fingertip_names", "task", "scene") if k in arrays}
+    if not arrays:
+        arrays = {
+            "object_pose": np.c_[
+                np.cumsum(rng.normal(size=(rows, 3)), axis=0) * 0.01, np.tile([1, 0, 0, 0], (rows, 1))
+            ],
+            "joint_position": rng.normal(size=(rows, 2)),
+            "action": rng.normal(size=(rows, 2)),
+            "fingertip_force": rng.normal(size=(rows, 2, 3)),
+            "fingertip_contact": rng.random((rows, 2)) > 0.5,
+        }
+    fields = {"id": name, "source": source, "rate_hz": 80.0} | meta
+    return Episode(EpisodeMeta.model_validate(fields), {"time_ns": np.arange(rows) * 12_500_000} | arrays)
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    def make(*episodes, name="ds"):
+        root = create_dataset(tmp_path / name)
+        append(root, list(episodes), Lineage(operation="test", details={"from": EVIL}))
+        return open_dataset(root)
+
+    return make
+
+
+def test_a_page_has_every_part_and_asks_for_nothing(dataset):
+    text = inspection.page(survey(dataset(made("a"), made("b", rows=90))))
+    found = Tags(text)
+    assert found.open == []
+    for heading in ("Channels", "Contact", "Episodes", "Distributions", "Where it comes from", "Object in space",
+                    "Forces", "Joints and commands"):  # fmt: skip
+        assert f">{heading}</h" in text, heading
+    assert not re.search(r"(src|href)=\"(?!data:)", text)
+    assert found.classes.count("space") == 2
+    assert found.classes.count("histo") == 7 - 4 + 2 + 2 + 6  # a quaternion that stands is said in words
+
+
+def test_names_are_text(dataset):
+    names = {"joint_names": (EVIL, "b"), "fingertip_names": (EVIL, "t"), "task": EVIL, "scene": EVIL}
+    data = dataset(made(EVIL, **names))
+    for text in (inspection.page(survey(data)), inspection.page(survey(data, ids=[EVIL]), EVIL),
+                 comparison.page(compare(data, data))):  # fmt: skip
+        assert "<script>alert" not in text
+        assert Tags(text).scripts <= 1
+        assert "&lt;script&gt;alert" in text
+
+
+@pytest.mark.parametrize(
+    ("arrays", "absent"),
+    [
+        ({"object_pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (60, 1))}, "no contact, no forces, no joints."),
+        ({"joint_position": np.zeros((60, 2))}, "no valid pose of an object, no contact, no forces."),
+        (
+            {"object_pose": np.full((60, 7), np.nan), "object_pose_valid": np.zeros(60, bool),
+             "joint_position": np.zeros((60, 1)), "contact": np.zeros(60, bool)},
+            "no valid pose of an object, no forces.",
+        ),
+    ],
+)  # fmt: skip
+def test_what_an_episode_lacks_is_said(dataset, arrays, absent):
+    text = inspection.page(survey(dataset(made(**arrays))))
+    assert f"This episode has {absent}" in text
+    assert Tags(text).open == []
+
+
+def test_one_row_is_drawn(dataset):
+    one = made(rows=1)
+    text = inspection.page(survey(dataset(one)))
+    assert "1 row.<" in text.replace("</dd>", "<")
+    assert "nan" not in text.lower().replace("nano", "")
+
+
+def test_a_long_episode_of_many_joints_stays_small(dataset):
+    rng, rows = np.random.default_rng(0), 12_000
+    one = made(
+        rows=rows,
+        joint_position=rng.normal(size=(rows, 80)),
+        action=rng.normal(size=(rows, 80)),
+        fingertip_force=rng.normal(size=(rows, 10, 3)),
+        fingertip_contact=rng.random((rows, 10)) > 0.5,
+    )
+    text = inspection.page(survey(dataset(one)))
+    assert len(text) < 2e6
+    assert "40 more are not drawn" in text
+    assert "16 more elements are not drawn" in text
+
+
+def test_units_come_from_a_built_in_scene(dataset):
+    names = ("wrist_x", "index1")
+    text = inspection.page(survey(dataset(made(scene="xhand_tabletop", joint_names=names))))
+    assert readable("joint/s", "index1", inspection.units_of(["xhand_tabletop"])) == "rad/s"
+    assert '<p>wrist_x</p><div class="chart"' in text
+    assert re.search(r'<p>wrist_x</p><div class="chart"[^>]*><span class="yl">m<', text)
+    assert re.search(r'<p>index1</p><div class="chart"[^>]*><span class="yl">rad<', text)
+    assert "rad or m" in inspection.page(survey(dataset(made(), name="other")))
+
+
+def test_two_datasets_on_one_page(dataset):
+    found = compare(dataset(made("a"), name="one"), dataset(made("b", source="real"), name="two"))
+    text = comparison.page(found)
+    assert Tags(text).open == []
+    assert "one <small>beside</small> two" in text
+    assert "Too few episodes to tell a difference from luck (1 beside 1)" in text
+    assert text.count("<tr") >= len(found.comparison.rows)
+
+
+def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):
+    (tmp_path / "page.html").mkdir()
+    with pytest.raises(SetupError, match="cannot be written"):
+        inspection.write_page(tmp_path / "page.html", "x")
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
