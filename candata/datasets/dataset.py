@@ -21,7 +21,7 @@ from candata.errors import DataError, UnknownNameError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
-#: Decoded row groups that an iteration keeps, for ids whose order is not that of the parts.
+#: Decoded row groups (without dense channels) that an iteration keeps, for ids whose order is not that of the parts.
 _GROUPS_HELD = 8
 
 
@@ -101,7 +101,8 @@ class Dataset:
         """
         wanted = self.ids if ids is None else tuple(ids)
         places = [self._place(name) for name in wanted]
-        read = lru_cache(maxsize=_GROUPS_HELD)(_read_group)
+        rows = lru_cache(maxsize=_GROUPS_HELD)(RawPart.rows)
+        read = lru_cache(maxsize=_GROUPS_HELD)(lambda part, number: part.group(number, rows(part)))
         return (
             _episode(read(place.part, place.group), place, name) for name, place in zip(wanted, places, strict=True)
         )
@@ -169,7 +170,7 @@ class Dataset:
 
     def _build_catalog(self) -> pa.Table:
         """Return the catalog from the tables of the parts."""
-        tables = []
+        tables = [_NO_ROWS]
         for part in self.raw_parts():
             rows = part.table()
             tables.append(rows.append_column("part", pa.array([part.entry.id] * len(rows), pa.string())))
@@ -179,6 +180,8 @@ class Dataset:
         table = table.filter(pa.array(own, pa.bool_()))
         return table.take(pc.sort_indices(table, [("id", "ascending")])).combine_chunks()
 
+
+_NO_ROWS = encode.EPISODE_COLUMNS.append(pa.field("part", pa.string())).empty_table()
 
 #: Key of the catalog's schema metadata that tells what it was made from.
 _MADE_FROM = b"candata.made_from"
@@ -198,11 +201,6 @@ def _keep(root: Path, path: Path, table: pa.Table) -> None:
             (folder / path.name).replace(path)
     except OSError:
         return
-
-
-def _read_group(part: RawPart, number: int) -> list[RawEpisode]:
-    """Return the stored episodes of one row group, without dense channels: those are too large to keep."""
-    return part.group(number)
 
 
 def _episode(group: list[RawEpisode], place: Place, name: str) -> Episode:

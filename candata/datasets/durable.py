@@ -9,7 +9,7 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
@@ -40,6 +40,18 @@ def ensure_folder(path: Path) -> Path:
     return path
 
 
+def touch(path: Path) -> None:
+    """Let the age of what stands count from now, so that gc leaves it alone; that of other users stays as it is.
+
+    Raises
+    ------
+    FileNotFoundError
+        When it does not stand.
+    """
+    with suppress(PermissionError):
+        os.utime(path)
+
+
 @contextmanager
 def staged(root: Path) -> Iterator[Path]:
     """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed."""
@@ -49,6 +61,26 @@ def staged(root: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def writing(root: Path) -> Iterator[None]:
+    """Turn what the system says against writing below `root` into an error that a user can act on.
+
+    Raises
+    ------
+    SetupError
+        When the folder cannot be written, or the disk is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise SetupError(
+            "the dataset cannot be written",
+            found=reason(error),
+            where=Where(path=str(error.filename or root)),
+            fix="free space, or ask for the right to write; candata doctor FOLDER looks for the cause",
+        ) from None
 
 
 def create_once(root: Path, target: Path, data: bytes) -> bool:

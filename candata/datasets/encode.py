@@ -207,8 +207,7 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_ro
     counts = [int(str(row["rows"])) for row in rows]
     if sum(counts) != steps.num_rows:
         raise ValueError(f"{steps.num_rows} rows where the episodes claim {sum(counts)}")
-    layout = {name: _stored_shape(steps.schema.field(name).type) for name in steps.column_names[1:]}
-    layout |= {n: tuple(s) for n, s in json.loads((steps.schema.metadata or {}).get(LAYOUT_KEY, b"{}")).items()}
+    layout = stored_layout(steps.schema)
     dense = dense_layout(layout)
     columns = {name: _decode_column(steps, name, shape) for name, shape in layout.items() if name not in dense}
     ends = np.cumsum(counts)
@@ -224,6 +223,18 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_ro
         )
         for row, count, end in zip(rows, counts, ends, strict=True)
     ]
+
+
+def stored_layout(schema: pa.Schema) -> Layout:
+    """Return each column's shape without the time axis, as the schema of `steps.parquet` tells it.
+
+    Raises
+    ------
+    ValueError, TypeError, AttributeError
+        When what the schema tells is damaged.
+    """
+    layout = {field.name: _stored_shape(field.type) for field in list(schema)[1:]}
+    return layout | {n: tuple(s) for n, s in json.loads((schema.metadata or {}).get(LAYOUT_KEY, b"{}")).items()}
 
 
 def _stored_shape(kind: pa.DataType) -> tuple[int, ...]:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from candata.datasets import durable
-from candata.datasets.parts import RawPart, entry_of
+from candata.datasets.parts import RawPart, entry_of, hold
 from candata.datasets.tags import read_tags, tag_path
 from candata.errors import DataError, UsageError, Where
 from candata.schema.channels import CHANNELS
@@ -253,6 +253,8 @@ def advance(root: Path, change: Callable[[VersionFile | None], VersionFile]) -> 
         if version is base:
             return version
         target = version_path(root, version.number)
+        for part_id in {entry.id for entry in version.parts} - {entry.id for entry in (base.parts if base else ())}:
+            hold(root, part_id)
         if durable.create_once(root, target, durable.encode_record(version)):
             return version
 
