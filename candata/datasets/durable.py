@@ -20,6 +20,9 @@ from candata.schema.record import Record
 
 STAGING = "staging"
 
+#: What file systems without hard links answer.
+NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS)
+
 SomeRecord = TypeVar("SomeRecord", bound=Record)
 
 
@@ -103,13 +106,13 @@ def create_once(root: Path, target: Path, data: bytes) -> bool:
         except FileExistsError:
             return False
         except OSError as error:
-            if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS):
+            if error.errno not in NO_HARD_LINKS:
                 raise
             raise SetupError(
                 "the file system cannot make hard links, which publishing a version needs",
                 found=error.strerror,
                 where=Where(path=str(target.parent)),
-                fix="keep the dataset on a local disk",
+                fix="keep the dataset on a local disk; candata doctor FOLDER tells what a folder can do",
             ) from None
         sync(target.parent)
     return True

@@ -218,8 +218,9 @@ def _own_folder(path: Path) -> bool:
 
 def _tree(path: Path) -> list[os.stat_result]:
     """Return the state of a file or folder and of all in it; what goes meanwhile is left out."""
+    below = [Path(home, name) for home, folders, files in os.walk(path) for name in folders + files]
     found = []
-    for one in [path, *(path.rglob("*") if _own_folder(path) else ())]:
+    for one in [path, *below]:
         try:
             found.append(one.lstat())
         except FileNotFoundError:
