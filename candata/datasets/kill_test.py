@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import random
 import subprocess
 import sys
@@ -188,11 +189,14 @@ def _verdict(root: Path, kills: int, acknowledged: dict[str, str]) -> KillResult
 
 
 def main(root: str, role: str, name: str, grace_s: str = "5") -> None:
-    """Play a role for ever; write `id hash` once each piece of work is done."""
+    """Play a role until the parent is gone; write `id hash` once each piece of work is done."""
+    parent = os.getppid()
     work = {"append": _appending, "compact": _compacting, "collect": _collecting}[role]
     for line in work(Path(root), name, float(grace_s)):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()
+        if os.getppid() != parent:
+            return
 
 
 def _appending(root: Path, name: str, _grace_s: float) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import re
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -79,7 +79,30 @@ def read_dataset_file(root: Path) -> DatasetFile:
     UsageError
         When `root` is no dataset.
     DataError
-        When the file is damaged or of a newer format.
+        When the file is damaged, or of a newer or older format.
+    """
+    found = format_of(root)
+    if found != FORMAT_VERSION:
+        newer = found > FORMAT_VERSION
+        raise DataError(
+            f"the dataset has {'a newer' if newer else 'an older'} format",
+            expected=f"format {FORMAT_VERSION}",
+            found=f"format {found}",
+            where=Where(path=str(root / DATASET)),
+            fix="install a newer candata" if newer else f"candata migrate {root} --out NEW",
+        )
+    return durable.read_record(DatasetFile, root / DATASET)
+
+
+def format_of(root: Path) -> int:
+    """Return the format version that a dataset says it has, whether this code knows it or not.
+
+    Raises
+    ------
+    UsageError
+        When `root` is no dataset.
+    DataError
+        When `dataset.json` does not say.
     """
     path = root / DATASET
     if not path.is_file():
@@ -89,17 +112,13 @@ def read_dataset_file(root: Path) -> DatasetFile:
             where=Where(path=str(root)),
             fix="check the path",
         )
-    data = durable.read_bytes(path)
-    version = re.search(rb'"format_version"\s*:\s*(\d+)', data)
-    if version and int(version[1]) > FORMAT_VERSION:
-        raise DataError(
-            "the dataset has a newer format",
-            expected=f"format {FORMAT_VERSION} or older",
-            found=f"format {int(version[1])}",
-            where=Where(path=str(path)),
-            fix="install a newer candata",
-        )
-    return durable.read_record(DatasetFile, path, data)
+    try:
+        found = json.loads(durable.read_bytes(path))["format_version"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise durable.damaged(path, f"no format version: {durable.reason(error)}") from None
+    if not isinstance(found, int) or isinstance(found, bool):
+        raise durable.damaged(path, f"format version {found!r}", "a whole number")
+    return found
 
 
 def numbers(root: Path) -> list[int]:
