@@ -31,7 +31,8 @@ def compact(dataset: DatasetPath, json: Json = False) -> None:
     """
     from candata.datasets import compact_dataset, open_dataset
 
-    with console.progress("rewriting episodes", len(open_dataset(dataset))) as advance:
+    total = len(open_dataset(dataset))
+    with console.progress("episodes looked at", total) as advance:
         told = 0
 
         def progress(done: int, _total: int) -> None:
@@ -40,6 +41,7 @@ def compact(dataset: DatasetPath, json: Json = False) -> None:
             told = done
 
         found = compact_dataset(dataset, progress=progress)
+        advance(total - told)
     version = found.version
     if json:
         console.out_json(

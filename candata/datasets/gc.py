@@ -31,7 +31,17 @@ _HASHED_TABLE = re.compile(r"[0-9a-f]{64}\.parquet")
 
 @dataclass(frozen=True)
 class Garbage:
-    """One thing that is, or would be, removed; `path` as seen from the dataset."""
+    """One thing that is, or would be, removed.
+
+    Attributes
+    ----------
+    kind : str
+        What it is.
+    path : str
+        Where it lies, as seen from the dataset.
+    bytes : int
+        What removing it frees; files that another dataset shares free nothing.
+    """
 
     kind: Kind
     path: str
@@ -235,7 +245,7 @@ def _changed(path: Path) -> float:
 
 def _garbage(root: Path, kind: Kind, path: Path) -> Garbage:
     """Return a file or folder as garbage."""
-    files = [state for state in _tree(path) if not stat.S_ISDIR(state.st_mode)]
+    files = [state for state in _tree(path) if not stat.S_ISDIR(state.st_mode) and state.st_nlink == 1]
     return Garbage(kind, path.relative_to(root).as_posix(), sum(state.st_size for state in files))
 
 

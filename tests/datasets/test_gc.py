@@ -88,6 +88,15 @@ def test_what_the_kept_versions_do_not_reach_goes(root):
     assert collect_garbage(root, keep=1, grace_s=3600).removed == ()  # 3 was the newest a moment ago
 
 
+def test_files_that_another_dataset_shares_free_nothing(root, tmp_path):
+    part = write_part(root, [make_episode("pending", seed=8)], {})
+    shutil.copytree(root / "parts" / part.id, tmp_path / "shared", copy_function=os.link)
+    age(root)
+    done = collect_garbage(root)
+    assert (kinds(done.removed), done.bytes) == (["part"], 0)
+    assert (tmp_path / "shared" / "steps.parquet").stat().st_size > 0
+
+
 def test_a_tag_keeps_its_version(root):
     first = open_dataset(root, 1)
     durable.ensure_folder(root / "tags")
