@@ -51,6 +51,8 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
             durable.sync(folder / target.name)
             (folder / target.name).replace(target)
         durable.sync(target.parent)
+    else:
+        durable.touch(target)
     return name
 
 

@@ -9,14 +9,19 @@ import os
 import shutil
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
+
+from pydantic import ValidationError
 
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.record import Record
 
 STAGING = "staging"
+
+#: What file systems without hard links answer.
+NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS)
 
 SomeRecord = TypeVar("SomeRecord", bound=Record)
 
@@ -38,6 +43,18 @@ def ensure_folder(path: Path) -> Path:
     return path
 
 
+def touch(path: Path) -> None:
+    """Let the age of what stands count from now, so that gc leaves it alone; that of other users stays as it is.
+
+    Raises
+    ------
+    FileNotFoundError
+        When it does not stand.
+    """
+    with suppress(PermissionError):
+        os.utime(path)
+
+
 @contextmanager
 def staged(root: Path) -> Iterator[Path]:
     """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed."""
@@ -47,6 +64,26 @@ def staged(root: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def writing(root: Path) -> Iterator[None]:
+    """Turn what the system says against writing below `root` into an error that a user can act on.
+
+    Raises
+    ------
+    SetupError
+        When the folder cannot be written, or the disk is full.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise SetupError(
+            "the dataset cannot be written",
+            found=reason(error),
+            where=Where(path=str(error.filename or root)),
+            fix="free space, or ask for the right to write; candata doctor FOLDER looks for the cause",
+        ) from None
 
 
 def create_once(root: Path, target: Path, data: bytes) -> bool:
@@ -69,13 +106,13 @@ def create_once(root: Path, target: Path, data: bytes) -> bool:
         except FileExistsError:
             return False
         except OSError as error:
-            if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS):
+            if error.errno not in NO_HARD_LINKS:
                 raise
             raise SetupError(
                 "the file system cannot make hard links, which publishing a version needs",
                 found=error.strerror,
                 where=Where(path=str(target.parent)),
-                fix="keep the dataset on a local disk",
+                fix="keep the dataset on a local disk; candata doctor FOLDER tells what a folder can do",
             ) from None
         sync(target.parent)
     return True
@@ -121,6 +158,10 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
         When the file is missing or does not hold such a record; names it.
     """
     raw = read_bytes(path) if data is None else data
+    try:
+        return kind.model_validate_json(raw)
+    except ValidationError:
+        pass  # asked again for words that name the field
     try:
         return kind.parse(json.loads(raw), path)
     except ValueError as error:

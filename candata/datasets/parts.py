@@ -50,7 +50,7 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
         pairs, rows = _write_tables(folder, episodes)
         tables = [folder / STEPS, folder / EPISODES]
         manifest = PartFile(
-            id=_part_id(pairs),
+            id=part_id_of(pairs),
             files=tuple(_file_entry(folder, path) for path in [*tables, *dense.files(folder)]),
             rows=rows,
             episodes=tuple(pairs),
@@ -86,7 +86,7 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
     schema = encode.steps_schema(layout)
     table: list[dict[str, object]] = []
     stores = [dense.Writer(folder, name, shape) for name, shape in encode.dense_layout(layout).items()]
-    with pq.ParquetWriter(folder / STEPS, schema, compression="zstd", compression_level=3) as writer:
+    with pq.ParquetWriter(folder / STEPS, schema, **encode.parquet_options(schema)) as writer:
         for number, group in enumerate(_groups(itertools.chain([first], stream))):
             _check_group(group, layout, {str(row["id"]) for row in table})
             batches = [encode.steps_batch(episode, schema) for episode in group]
@@ -131,8 +131,8 @@ def _layout_text(layout: encode.Layout) -> str:
     return ", ".join(f"{name} {('T', *shape)}" for name, shape in layout.items())
 
 
-def _part_id(pairs: list[tuple[str, str]]) -> str:
-    """Return the id that follows from the part's episodes: equal parts are one part."""
+def part_id_of(pairs: list[tuple[str, str]]) -> str:
+    """Return the id that follows from a part's (episode id, content hash) pairs: equal parts are one part."""
     text = "\n".join(f"{name}\t{digest}" for name, digest in pairs)
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
@@ -147,6 +147,21 @@ def _file_entry(folder: Path, path: Path) -> FileEntry:
 def part_folder(root: Path, part_id: str) -> Path:
     """Return the folder of a part."""
     return root / "parts" / part_id
+
+
+def hold(root: Path, part_id: str) -> None:
+    """Mark a part as being published: its age counts from now, so that gc leaves it alone.
+
+    Raises
+    ------
+    DataError
+        When there is no such part.
+    """
+    folder = part_folder(root, part_id)
+    try:
+        durable.touch(folder)
+    except FileNotFoundError:
+        raise durable.damaged(folder / MANIFEST, "no such file") from None
 
 
 def entry_of(root: Path, part_id: str) -> PartEntry:
@@ -207,6 +222,20 @@ class RawPart:
         if found != self.entry.sha256:
             raise durable.damaged(path, f"sha256 {found[:12]}", f"sha256 {self.entry.sha256[:12]}")
         return durable.read_record(PartFile, path, data)
+
+    def layout(self) -> encode.Layout:
+        """Return each column's shape without the time axis, which all episodes of the part share.
+
+        Raises
+        ------
+        DataError
+            When `steps.parquet` is missing or unreadable; names it.
+        """
+        path = self.folder / STEPS
+        try:
+            return encode.stored_layout(pq.read_schema(path))
+        except UNREADABLE as error:
+            raise durable.damaged(path, durable.reason(error)) from None
 
     def table(self) -> pa.Table:
         """Return the rows of `episodes.parquet`.
@@ -286,6 +315,18 @@ class RawPart:
         rows = self.rows()
         for number in sorted({row["row_group"] for row in rows}):
             yield from map(self.whole, self.group(number, rows))
+
+    def changed_file(self, manifest: PartFile) -> DataError | None:
+        """Return what is wrong with the bytes of the part's files; reads all of them."""
+        for entry in manifest.files:
+            path = self.folder / entry.path
+            try:
+                found = durable.file_sha256(path)
+            except OSError as error:
+                return durable.damaged(path, durable.reason(error))
+            if found != entry.sha256:
+                return durable.damaged(path, f"sha256 {found[:12]}", f"sha256 {entry.sha256[:12]}")
+        return None
 
     def size_problem(self, manifest: PartFile) -> DataError | None:
         """Return what is wrong with the presence or size of the part's files, without reading them."""
