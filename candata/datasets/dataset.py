@@ -203,7 +203,7 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
     path : str or Path
         Folder of the dataset.
     version : int or str, optional
-        Number of the version, or the start of its digest (6 characters or more).
+        Number of the version, the start of its digest (6 characters or more), or a tag.
     partial : bool
         Leave out damaged parts instead of refusing; `raw_parts` still gives them. For the checks.
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.parts import RawPart, entry_of
+from candata.datasets.tags import read_tags, tag_path
 from candata.errors import DataError, UsageError, Where
 from candata.schema.channels import CHANNELS
-from candata.schema.manifest import FORMAT_VERSION, DatasetFile, Lineage, PartEntry, PartFile, VersionFile
+from candata.schema.manifest import FORMAT_VERSION, DatasetFile, Lineage, PartEntry, PartFile, TagFile, VersionFile
 
 DATASET = "dataset.json"
 
@@ -129,12 +130,12 @@ def newest(root: Path) -> VersionFile | None:
 
 
 def find_version(root: Path, version: int | str | None) -> VersionFile:
-    """Return the version with this number or digest (the first 6 characters do), by default the newest.
+    """Return the version with this number, digest (its first 6 characters do) or tag, by default the newest.
 
     Raises
     ------
     DataError
-        When the dataset has no version.
+        When the dataset has no version, or a tag is damaged.
     UsageError
         When there is no such version, or several.
     """
@@ -148,13 +149,24 @@ def find_version(root: Path, version: int | str | None) -> VersionFile:
         return read_version(root, found[-1] if version is None else int(version))
     digests = {n: read_version(root, n).digest for n in found} if isinstance(version, str) else {}
     matches = [n for n, d in digests.items() if len(str(version)) >= 6 and d.startswith(str(version))]
+    tag = None if matches else read_tags(root).get(str(version))
+    if tag:
+        return _tagged(root, tag)
     if len({digests[n] for n in matches}) != 1:
         raise UsageError(
             f"{'several versions' if matches else 'no version'} {version}",
-            expected=f"a number from {found[0]} to {found[-1]}, or the start of a digest",
+            expected=f"a number from {found[0]} to {found[-1]}, the start of a digest, or a tag",
             where=Where(path=str(root / "versions")),
         )
     return read_version(root, matches[-1])
+
+
+def _tagged(root: Path, tag: TagFile) -> VersionFile:
+    """Return the version that a tag names, which must still be the one it was given to."""
+    version = read_version(root, tag.version)
+    if version.digest != tag.digest:
+        raise durable.damaged(tag_path(root, tag.name), f"digest {tag.digest[:12]}", f"digest {version.digest[:12]}")
+    return version
 
 
 def index_of(root: Path, entries: Iterable[PartEntry]) -> dict[str, str]:
@@ -166,6 +178,18 @@ def index_of(root: Path, entries: Iterable[PartEntry]) -> dict[str, str]:
         When a part is damaged.
     """
     return {name: digest for entry in entries for name, digest in RawPart(root, entry).manifest().episodes}
+
+
+def members_of(root: Path, version: VersionFile) -> dict[str, str]:
+    """Return episode id to content hash of a version: what its parts hold, less what it excludes.
+
+    Raises
+    ------
+    DataError
+        When a part is damaged.
+    """
+    excluded = frozenset(version.exclusions)
+    return {name: digest for name, digest in index_of(root, version.parts).items() if name not in excluded}
 
 
 def digest_of(index: dict[str, str]) -> str:
@@ -199,9 +223,33 @@ def publish(path: str | Path, part_ids: Iterable[str], lineage: Lineage) -> Vers
     root = Path(path)
     read_dataset_file(root)
     new = [entry_of(root, part_id) for part_id in dict.fromkeys(part_ids)]
+    return advance(root, lambda base: _next(root, base, new, lineage))
+
+
+def advance(root: Path, change: Callable[[VersionFile | None], VersionFile]) -> VersionFile:
+    """Return the version that `change` makes of the newest one, published; what it returns unchanged stands.
+
+    Several processes may do so at once: each version file is created exclusively, and who comes late is asked
+    again with what is then the newest. Every part of the version must stand.
+
+    Parameters
+    ----------
+    root : Path
+        Dataset.
+    change : callable
+        Takes the newest version (None where there is none) and returns the one after it, or the same value
+        where nothing is to be published.
+
+    Raises
+    ------
+    DataError
+        When a version file is damaged.
+    SetupError
+        When the file system has no hard links.
+    """
     while True:
         base = newest(root)
-        version = _next(root, base, new, lineage)
+        version = change(base)
         if version is base:
             return version
         target = version_path(root, version.number)
@@ -223,11 +271,13 @@ def _next(root: Path, base: VersionFile | None, new: list[PartEntry], lineage: L
     if not added:
         raise UsageError("nothing to publish", expected="at least 1 part", where=Where(path=str(root)))
     earlier = base.lineage if base else ()
+    excluded = base.exclusions if base else ()
     return VersionFile(
         number=base.number + 1 if base else 1,
         parent=base.digest if base else None,
         parts=(*(base.parts if base else ()), *added),
-        digest=digest_of(index),
+        exclusions=excluded,
+        digest=digest_of({name: digest for name, digest in index.items() if name not in excluded}),
         lineage=earlier if lineage in earlier else (*earlier, lineage),
     )
 

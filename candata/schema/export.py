@@ -14,7 +14,7 @@ from candata.schema.bench import BenchFile, CaseFile, Label, LabelsFile
 from candata.schema.channels import CHANNELS, Channel
 from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
-from candata.schema.manifest import DatasetFile, PartFile, VersionFile
+from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
 from candata.schema.record import Record
 from candata.schema.report import Report
 from candata.schema.scene import SceneFile, TableMap
@@ -39,6 +39,7 @@ _WRITTEN: dict[str, type[Record]] = {
     "episode": EpisodeMeta,
     "part": PartFile,
     "report": Report,
+    "tag": TagFile,
     "version": VersionFile,
 }
 

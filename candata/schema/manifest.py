@@ -67,3 +67,11 @@ class VersionFile(Record):
     exclusions: tuple[str, ...] = ()
     digest: str
     lineage: tuple[Lineage, ...] = ()
+
+
+class TagFile(Record):
+    """`tags/NAME.json`: a name for one version; gc keeps what it names."""
+
+    name: str
+    version: int
+    digest: str

@@ -11,6 +11,7 @@ from candata.datasets import (
     publish,
     write_part,
 )
+from candata.datasets.versions import advance, digest_of, members_of
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.schema.manifest import Lineage
 
@@ -159,3 +160,43 @@ def test_an_unknown_episode_names_the_nearest(tmp_path, episode):
     append(root, [episode("toss-12")], LINEAGE)
     with pytest.raises(UnknownNameError, match="did you mean 'toss-12'"):
         open_dataset(root).episode("toss-21")
+
+
+def without(root, *ids):
+    """Publish the newest version without some episodes, as a filter does."""
+
+    def change(base):
+        kept = {k: v for k, v in members_of(root, base).items() if k not in ids}
+        fields = {"number": base.number + 1, "parent": base.digest, "exclusions": ids, "digest": digest_of(kept)}
+        return base.model_copy(update=fields)
+
+    return advance(root, change)
+
+
+def test_what_a_version_leaves_out_stays_out_of_the_next(tmp_path, episode):
+    root = create_dataset(tmp_path / "ds")
+    first = append(root, [episode("a"), episode("b", seed=1)], LINEAGE)
+    second = without(root, "b")
+    third = append(root, [episode("b", seed=1), episode("c", seed=2)], LINEAGE)
+    assert open_dataset(root, 2).ids == ("a",)
+    assert open_dataset(root).ids == ("a", "c")
+    assert open_dataset(root).catalog()["id"].to_pylist() == ["a", "c"]
+    assert len({first.digest, second.digest, third.digest}) == 3
+    alone = append(create_dataset(tmp_path / "alone"), [episode("a"), episode("c", seed=2)], LINEAGE)
+    assert third.digest == alone.digest
+
+
+def test_a_change_is_asked_again_when_another_came_first(tmp_path, episode):
+    root = create_dataset(tmp_path / "ds")
+    append(root, [episode("a"), episode("b", seed=1)], LINEAGE)
+    asked = []
+
+    def change(base):
+        asked.append(base.number)
+        if len(asked) == 1:
+            append(root, [episode("c", seed=2)], LINEAGE)
+        return base.model_copy(update={"number": base.number + 1, "parent": base.digest})
+
+    assert advance(root, change).number == 3
+    assert asked == [1, 2]
+    assert open_dataset(root).ids == ("a", "b", "c")
