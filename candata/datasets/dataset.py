@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from candata.datasets import durable
+from candata.datasets import durable, encode
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
 from candata.datasets.versions import find_version, read_dataset_file
@@ -23,8 +25,7 @@ from candata.schema.manifest import Lineage, VersionFile
 _GROUPS_HELD = 8
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where an episode lies: its part and its position in it."""
 
     part: RawPart
@@ -127,25 +128,44 @@ class Dataset:
         """Yield the parts as they lie on the disk, for what must look at data that may be damaged."""
         return (RawPart(self.path, entry) for entry in self.file.parts)
 
-    def catalog(self) -> pa.Table:
+    def catalog(self, columns: Sequence[str] | None = None) -> pa.Table:
         """Return one row an episode, in the order of `ids`: who, what, when, rows, content hash, part.
 
-        Read from `catalog/<digest>.parquet`, which is made on the first call where the folder can be written.
+        Read from `catalog/<digest>.parquet`, which is made on the first call where the folder can be written,
+        and made again where it is damaged or tells of other parts.
+
+        Parameters
+        ----------
+        columns : sequence of str, optional
+            Columns to read, by default all; of 100,000 episodes a few are read in a tenth of the time.
 
         Raises
         ------
+        UnknownNameError
+            When there is no such column.
         DataError
             When a part is damaged; names the file.
         """
-        path = self.path / "catalog" / f"{self.digest}.parquet"
-        if path.is_file():
-            try:
-                return pq.read_table(path, use_threads=False, partitioning=None)
-            except (pa.ArrowException, OSError):
-                pass  # made from the parts, so it can be made again
+        known = (*encode.EPISODE_COLUMNS.names, "part")
+        for name in columns or ():
+            if name not in known:
+                raise UnknownNameError("column of the catalog", name, known, Where(path=str(self.path)))
+        path = catalog_path(self.path, self.digest)
+        try:
+            with pq.ParquetFile(path) as file:
+                if (file.schema_arrow.metadata or {}).get(_MADE_FROM) == self._parts_key():
+                    table = file.read(None if columns is None else list(columns), use_threads=False)
+                    return table.replace_schema_metadata(None)
+        except (pa.ArrowException, OSError):
+            pass  # made from the parts, so it can be made again
         table = self._build_catalog()
-        _keep(self.path, path, table)
-        return table
+        _keep(self.path, path, table.replace_schema_metadata({_MADE_FROM: self._parts_key()}))
+        return table if columns is None else table.select(list(columns))
+
+    def _parts_key(self) -> bytes:
+        """Return what tells the parts and exclusions of this version: equal content may lie in other parts."""
+        told = [*(entry.sha256 for entry in self.file.parts), "", *sorted(self.file.exclusions)]
+        return hashlib.sha256("\n".join(told).encode()).hexdigest().encode()
 
     def _build_catalog(self) -> pa.Table:
         """Return the catalog from the tables of the parts."""
@@ -158,6 +178,15 @@ class Dataset:
                for i, p in zip(table["id"].to_pylist(), table["part"].to_pylist(), strict=True)]  # fmt: skip
         table = table.filter(pa.array(own, pa.bool_()))
         return table.take(pc.sort_indices(table, [("id", "ascending")])).combine_chunks()
+
+
+#: Key of the catalog's schema metadata that tells what it was made from.
+_MADE_FROM = b"candata.made_from"
+
+
+def catalog_path(root: Path, digest: str) -> Path:
+    """Return the file of the catalog of a version."""
+    return root / "catalog" / f"{digest}.parquet"
 
 
 def _keep(root: Path, path: Path, table: pa.Table) -> None:
@@ -226,8 +255,9 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
                 raise
             continue
         for position, (episode, digest) in enumerate(pairs):
-            if episode not in file.exclusions:
-                places.setdefault(episode, Place(part, position, digest))
+            places.setdefault(episode, Place(part, position, digest))
+    for episode in file.exclusions:
+        places.pop(episode, None)
     return Dataset(root, name, file, places)
 
 

@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
+from pydantic import ValidationError
+
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.record import Record
 
@@ -121,6 +123,10 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
         When the file is missing or does not hold such a record; names it.
     """
     raw = read_bytes(path) if data is None else data
+    try:
+        return kind.model_validate_json(raw)
+    except ValidationError:
+        pass  # asked again for words that name the field
     try:
         return kind.parse(json.loads(raw), path)
     except ValueError as error:

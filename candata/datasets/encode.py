@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -145,6 +146,26 @@ def _field_metadata(name: str, shape: tuple[int, ...]) -> dict[str, str]:
     channel = CHANNELS[name.removesuffix(VALID_SUFFIX)]
     unit = "1" if name.endswith(VALID_SUFFIX) else channel.unit
     return {"unit": unit, "shape": json.dumps(shape), "frame": channel.frame, "role": channel.role}
+
+
+def parquet_options(schema: pa.Schema) -> dict[str, Any]:
+    """Return how `steps.parquet` is encoded: numbers by their bytes, times by their differences, no dictionaries.
+
+    Source: measured on synthetic episodes of 300 steps, 56.6 against 96.4 kB and 2.7 times the episodes per
+    CPU-second of pyarrow's defaults, whose dictionaries never fit readings (`benchmarks/store.py` writes them).
+    """
+    split = {}
+    for field in schema:
+        nested = pa.types.is_fixed_size_list(field.type)
+        if pa.types.is_float32(field.type.value_type if nested else field.type):
+            split[f"{field.name}.list.element" if nested else field.name] = "BYTE_STREAM_SPLIT"
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": ["episode"],
+        "write_statistics": ["episode", "time_ns"],
+        "column_encoding": {"time_ns": "DELTA_BINARY_PACKED", **split},
+    }
 
 
 def steps_batch(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:

@@ -86,7 +86,7 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
     schema = encode.steps_schema(layout)
     table: list[dict[str, object]] = []
     stores = [dense.Writer(folder, name, shape) for name, shape in encode.dense_layout(layout).items()]
-    with pq.ParquetWriter(folder / STEPS, schema, compression="zstd", compression_level=3) as writer:
+    with pq.ParquetWriter(folder / STEPS, schema, **encode.parquet_options(schema)) as writer:
         for number, group in enumerate(_groups(itertools.chain([first], stream))):
             _check_group(group, layout, {str(row["id"]) for row in table})
             batches = [encode.steps_batch(episode, schema) for episode in group]
