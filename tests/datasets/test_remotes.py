@@ -11,8 +11,8 @@ import pytest
 
 from candata.checks import check
 from candata.datasets import open_dataset
-from candata.datasets.push import push
 from candata.datasets.pull import pull
+from candata.datasets.push import push
 from candata.datasets.remotes import object_key, open_remote, read_key
 from candata.datasets.tags import read_tags
 from candata.datasets.versions import numbers
