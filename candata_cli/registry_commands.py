@@ -88,9 +88,10 @@ def list_datasets(json: Json = False) -> None:
         console.out_json({"datasets": rows})
     elif rows:
         cells = [
-            [_dash(row[key]) for key in ("name", "version", "episodes", "digest", "state", "path")] for row in rows
+            (r["name"], _dash(r["version"]), _dash(r["episodes"]), _dash(r["digest"])[:12], r["state"], r["path"])
+            for r in rows
         ]
-        console.out_table(("name", "version", "episodes", "digest", "state", "folder"), [_short(row) for row in cells])
+        console.out_table(("name", "version", "episodes", "digest", "state", "folder"), cells)
     else:
         console.note("no names yet: candata registry add NAME FOLDER")
 
@@ -111,11 +112,6 @@ def _row(name: str, path: str) -> dict:
 def _dash(value: object) -> str:
     """Return the value, or a dash."""
     return "-" if value is None else str(value)
-
-
-def _short(row: list[str]) -> list[str]:
-    """Return a row with its digest shortened."""
-    return [*row[:3], row[3][:12], *row[4:]]
 
 
 def info(dataset: Data, json: Json = False) -> None:

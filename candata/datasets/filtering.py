@@ -84,9 +84,11 @@ def _wrong(where: str, said: str) -> UsageError:
     """Return what is wrong with an expression, from what the database said."""
     unknown = re.search(r'Referenced (?:column|table) "(.*?)" not found', said)
     if unknown:
-        return UnknownNameError(
-            "column (text stands in single quotes: 'cup')", unknown[1], COLUMNS, Where(path=f"filter {where}")
-        )
+        known = UnknownNameError("column", unknown[1], COLUMNS, Where(path=f"filter {where}"))
+        quotes = f"text stands in single quotes: '{unknown[1]}'"
+        return known if known.fix else UsageError(
+            known.problem, expected=known.expected, found=known.found, where=known.where, fix=quotes
+        )  # fmt: skip
     first = said.split("\n", 1)[0].partition(": ")
     return UsageError(
         "the filter is no expression over the catalog",

@@ -229,7 +229,9 @@ def resolve(text: str) -> tuple[Path, int | str | None]:
     name = head if at and head else text
     if Path(name).exists() or os.sep in name or not is_name(name):
         return Path(name), None  # opening it says what is wrong with it
-    raise UnknownNameError("dataset", name, read_registry().datasets, Where(path=str(registry_path())))
+    raise UnknownNameError(
+        "dataset (no such folder, no such name)", name, read_registry().datasets, Where(path=str(registry_path()))
+    )
 
 
 def _folder(text: str) -> Path | None:

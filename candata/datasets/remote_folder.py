@@ -43,19 +43,27 @@ class FolderStore:
 
     def read(self, key: str) -> Iterator[bytes]:
         """Yield the bytes of a file; raises FileNotFoundError where there is none."""
-        path = self._root / key
         try:
             # A pipe or a link under an object's name would stall the reader, or lead it elsewhere.
-            handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            handle = os.open(self._root / key, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
         except (FileNotFoundError, NotADirectoryError):
             raise FileNotFoundError(key) from None
         except OSError as error:
             raise self._failed(error, key) from None
-        with os.fdopen(handle, "rb", buffering=0) as file:
+        try:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise FileNotFoundError(key)
-            while chunk := file.read(CHUNK_BYTES):
+            while chunk := self._chunk(handle, key):
                 yield chunk
+        finally:
+            os.close(handle)
+
+    def _chunk(self, handle: int, key: str) -> bytes:
+        """Return the next bytes of a file."""
+        try:
+            return os.read(handle, CHUNK_BYTES)
+        except OSError as error:
+            raise self._failed(error, key) from None
 
     def write(self, key: str, chunks: Iterable[bytes], size: int) -> None:
         """Keep a file, whole or not at all; one that stands is replaced."""
