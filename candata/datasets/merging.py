@@ -11,7 +11,7 @@ from candata.datasets.dataset import Dataset
 from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
 from candata.datasets.history import derived
 from candata.datasets.parts import RawPart, entry_of, write_part
-from candata.datasets.versions import index_of, members_of, newest, publish, read_dataset_file
+from candata.datasets.versions import advance, digest_of, index_of, members_of, newest, publish, read_dataset_file
 from candata.errors import DataError, UsageError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, PartEntry, VersionFile
@@ -58,6 +58,8 @@ def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False) -> Versi
 def merge_into(datasets: Sequence[Dataset], out: Path) -> VersionFile:
     """Return a new version of the dataset `out` with the episodes of `datasets`; the newest if they add nothing.
 
+    An episode that `out` had left out and that one of `datasets` holds comes back.
+
     Raises
     ------
     DataError
@@ -69,11 +71,34 @@ def merge_into(datasets: Sequence[Dataset], out: Path) -> VersionFile:
     if not datasets:
         raise UsageError("nothing to merge", expected="a dataset or more", found="0")
     current = newest(out)
-    _members(datasets, members_of(out, current) if current else None)
-    entries = [entry.id for dataset in datasets for entry in _entries(dataset, None, out)]
+    _members(datasets, index_of(out, current.parts) if current else None)
+    entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, None, out)}
     for dataset in datasets:
         link_clouds(dataset, out)
-    return publish(out, entries, derived(_OPERATION, datasets, {}))
+    lineage = derived(_OPERATION, datasets, {})
+    return advance(out, lambda base: _joined(datasets, out, base, list(entries.values()), lineage))
+
+
+def _joined(
+    datasets: Sequence[Dataset], out: Path, base: VersionFile | None, entries: Sequence[PartEntry], lineage: Lineage
+) -> VersionFile:
+    """Return the version after `base` with what `datasets` add; `base` itself if they add nothing."""
+    standing = index_of(out, base.parts) if base else {}
+    excluded = frozenset(base.exclusions if base else ())
+    wanted = _members(datasets, standing)
+    added = [entry for entry in entries if index_of(out, [entry]).keys() - standing.keys()]
+    back = excluded & _members(datasets).keys()
+    if base and not added and not back:
+        return base
+    left_out = excluded - back
+    return VersionFile(
+        number=base.number + 1 if base else 1,
+        parent=base.digest if base else None,
+        parts=(*(base.parts if base else ()), *added),
+        exclusions=tuple(sorted(left_out)),
+        digest=digest_of({name: digest for name, digest in wanted.items() if name not in left_out}),
+        lineage=(*(base.lineage if base else ()), lineage),
+    )
 
 
 def _members(datasets: Sequence[Dataset], standing: dict[str, str] | None = None) -> dict[str, str]:

@@ -176,6 +176,19 @@ def test_merging_into_a_dataset_makes_its_next_version(dataset, tmp_path):
     assert [step.operation for step in version.lineage] == ["test", "merge"]
 
 
+def test_merging_brings_back_what_was_left_out(dataset, episode, tmp_path):
+    whole = open_dataset(dataset("whole", "abc", part_size=3))
+    filter_dataset(whole, "id = 'a'", tmp_path / "some")
+    version = merge_into([whole], tmp_path / "some")
+    assert (version.number, version.exclusions) == (2, ())
+    assert open_dataset(tmp_path / "some").digest == whole.digest
+    filter_dataset(whole, "id = 'a'", tmp_path / "other")
+    changed = dataset("changed", "x")
+    add(changed, [episode("b", seed=77)])
+    with pytest.raises(DataError, match="1 ids: b"):
+        merge_into([open_dataset(changed)], tmp_path / "other")
+
+
 def test_point_clouds_come_along(dataset, episode, tmp_path):
     root = dataset("ds")
     add(root, [episode("t", seed=1, point_cloud=put_cloud(root, np.eye(3)))])
