@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,9 +13,13 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset, put_cloud
 from candata.datasets.remotes import Store, open_remote
+from candata.datasets.tagging import set_tag
+from candata.loaders.splits import make_split, save_split
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata.schema.registry import RemoteEntry
+
+from ..conftest import make_episode
 
 BUCKET = "bucket"
 
@@ -36,24 +41,25 @@ def add(root: Path, episodes: list[Episode], part_size: int = 2) -> None:
     append(root, episodes, Lineage(operation="test", seeds=(7,), details={"scene": "table"}), part_size)
 
 
-@pytest.fixture
-def rich(dataset, episode) -> Path:
-    """A dataset with two versions, a point cloud, taxels, a split and a tag."""
-    from candata.datasets.durable import create_once, encode_record
-    from candata.datasets.tags import tag_path
-    from candata.loaders.splits import make_split, save_split
-    from candata.schema.manifest import TagFile
-
-    root = dataset("rich")
+@pytest.fixture(scope="session")
+def rich_once(tmp_path_factory) -> Path:
+    """What `rich` is a copy of."""
+    root = create_dataset(tmp_path_factory.mktemp("rich") / "rich")
+    add(root, [make_episode(i, seed=ord(i)) for i in "abcd"])
     cloud = put_cloud(root, np.eye(3))
-    base = episode("t", seed=1, point_cloud=cloud, newton_per_count=0.1)
+    base = make_episode("t", seed=1, point_cloud=cloud, newton_per_count=0.1)
     taxels = np.arange(len(base) * 2 * 120 * 3, dtype=np.int16).reshape(len(base), 2, 120, 3)
     add(root, [Episode(base.meta, {**base.arrays, "taxels": taxels})])
     opened = open_dataset(root)
     save_split(opened, make_split(opened, seed=3))
-    tag = TagFile(name="clean", version=2, digest=opened.digest)
-    create_once(root, tag_path(root, "clean"), encode_record(tag))
+    set_tag(root, "clean")
     return root
+
+
+@pytest.fixture
+def rich(rich_once, tmp_path) -> Path:
+    """A dataset with two versions, a point cloud, taxels, a split and a tag."""
+    return shutil.copytree(rich_once, tmp_path / "rich")
 
 
 @pytest.fixture(scope="session")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,17 +25,18 @@ from .conftest import s3_entry
 NAME = "rich"
 
 
-@pytest.fixture
-def entry(tmp_path) -> RemoteEntry:
-    """A folder: names are checked before a store is asked for anything, and one test below asks S3 too."""
-    (tmp_path / "share").mkdir()
-    return RemoteEntry(url=str(tmp_path / "share"))
+@pytest.fixture(scope="module")
+def share(rich_once, tmp_path_factory) -> Path:
+    """A folder that the dataset was pushed to."""
+    folder = tmp_path_factory.mktemp("pushed")
+    push(rich_once, open_remote(RemoteEntry(url=str(folder))), NAME)
+    return folder
 
 
 @pytest.fixture
-def pushed(rich, store):
-    push(rich, store, NAME)
-    return store
+def pushed(share, tmp_path):
+    """A copy of it: names are checked before a store is asked for anything, and one test below asks S3 too."""
+    return open_remote(RemoteEntry(url=str(shutil.copytree(share, tmp_path / "share"))))
 
 
 def snapshot(folder: Path) -> set[str]:
