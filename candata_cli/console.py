@@ -82,6 +82,22 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 @contextmanager
+def transfer(label: str, total: int) -> Iterator[Callable[[int], None]]:
+    """Show a bar in bytes on stderr and yield `advance(bytes)`; where stderr is no terminal, one line at the end."""
+    if not sys.stderr.isatty():
+        yield lambda _bytes: None
+        note(f"{label}: {total / 1e6:.1f} MB done")
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeRemainingColumn, TransferSpeedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TransferSpeedColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=total)
+        yield lambda count: bar.advance(task, count)
+
+
+@contextmanager
 def stages() -> Iterator[Callable[[str], None]]:
     """Yield `stage(name)`: a spinner with the time spent on a terminal, a line each elsewhere."""
     if not sys.stderr.isatty():

@@ -37,7 +37,7 @@ def create_dataset(path: str | Path, name: str | None = None, exist_ok: bool = F
         When the dataset that stands there cannot be read.
     """
     root = Path(path)
-    _refuse_foreign(root)
+    refuse_foreign(root)
     record = DatasetFile(
         name=name or root.resolve().name,
         schema_channels=tuple(row.model_dump(mode="json") for row in CHANNELS.values()),
@@ -54,8 +54,14 @@ def create_dataset(path: str | Path, name: str | None = None, exist_ok: bool = F
     return root
 
 
-def _refuse_foreign(root: Path) -> None:
-    """Refuse a path that is a file, or a folder with other things in it."""
+def refuse_foreign(root: Path) -> None:
+    """Refuse a path that is a file, or a folder with other things in it.
+
+    Raises
+    ------
+    UsageError
+        When it is one.
+    """
     if root.exists() and not root.is_dir():
         raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
     if not root.is_dir():

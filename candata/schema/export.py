@@ -16,6 +16,7 @@ from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
 from candata.schema.record import Record
+from candata.schema.registry import RegistryFile, RemoteVersion
 from candata.schema.report import Report
 from candata.schema.scene import SceneFile, TableMap
 
@@ -38,6 +39,8 @@ _WRITTEN: dict[str, type[Record]] = {
     "dataset": DatasetFile,
     "episode": EpisodeMeta,
     "part": PartFile,
+    "registry": RegistryFile,
+    "remote_version": RemoteVersion,
     "report": Report,
     "tag": TagFile,
     "version": VersionFile,

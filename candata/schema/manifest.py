@@ -37,7 +37,11 @@ class PartFile(Record):
 
 
 class Lineage(Record):
-    """Where a version came from; a withheld set keeps only `sealed`, sha256(label + salt)."""
+    """Where a version came from; a withheld set keeps only `sealed`, sha256(label + salt).
+
+    `parents` are `name@digest`; `ancestry` is the lineage of each, so that the tree outlives them. What was told
+    once in a tree is not told again.
+    """
 
     operation: str
     parents: tuple[str, ...] = ()
@@ -47,6 +51,7 @@ class Lineage(Record):
     tools: dict[str, str] = {}
     details: dict[str, Any] = {}
     sealed: str | None = None
+    ancestry: dict[str, tuple[Lineage, ...]] = {}
 
 
 class PartEntry(Record):

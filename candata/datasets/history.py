@@ -1,0 +1,162 @@
+"""Lineage as a tree: what a version was made from, and what that was made from."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from candata import __version__
+from candata.datasets.dataset import Dataset
+from candata.schema.manifest import Lineage
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A version in the tree.
+
+    Attributes
+    ----------
+    dataset : str
+        `name@digest`.
+    steps : tuple of Step
+        How it came to be, the first operation first.
+    known : bool
+        False where its lineage stands elsewhere in the tree, or was never recorded.
+    """
+
+    dataset: str
+    steps: tuple[Step, ...]
+    known: bool = True
+
+
+@dataclass(frozen=True)
+class Step:
+    """One operation and the versions it took; `record` is its lineage without them."""
+
+    record: Lineage
+    parents: tuple[Origin, ...]
+
+
+def label_of(dataset: Dataset) -> str:
+    """Return `name@digest`, by which a lineage names a version."""
+    return f"{dataset.name}@{dataset.digest}"
+
+
+def derived(operation: str, parents: Sequence[Dataset], details: Mapping[str, Any]) -> Lineage:
+    """Return the lineage of what an operation makes of versions, theirs included.
+
+    Parameters
+    ----------
+    operation : str
+        `filter`, `merge`, `relabel`.
+    parents : sequence of Dataset
+        What it takes; one given twice counts once.
+    details : mapping
+        What decides the result, as plain data.
+    """
+    told: set[str] = set()
+    ancestry: dict[str, tuple[Lineage, ...]] = {}
+    for parent in parents:
+        if label_of(parent) not in ancestry:
+            ancestry[label_of(parent)] = _untold(parent.lineage, told)
+    return Lineage(
+        operation=operation,
+        parents=tuple(ancestry),
+        tools={"candata": __version__},
+        details=dict(details),
+        ancestry=ancestry,
+    )
+
+
+def _untold(lineage: Sequence[Lineage], told: set[str]) -> tuple[Lineage, ...]:
+    """Return a lineage without what `told` holds; `told` grows. Else a tree would double with each merge."""
+    return tuple(step.model_copy(update={"ancestry": _fresh(step.ancestry, told)}) for step in lineage)
+
+
+def _fresh(ancestry: Mapping[str, tuple[Lineage, ...]], told: set[str]) -> dict[str, tuple[Lineage, ...]]:
+    """Return the ancestors that were not told."""
+    fresh = {}
+    for label, lineage in ancestry.items():
+        text = "\n".join([label, *(step.model_dump_json() for step in lineage)])
+        key = hashlib.sha256(text.encode()).hexdigest()
+        if key not in told:
+            told.add(key)
+            fresh[label] = _untold(lineage, told)
+    return fresh
+
+
+def tree(dataset: Dataset) -> Origin:
+    """Return where a version comes from, as a tree."""
+    return _origin(label_of(dataset), dataset.lineage)
+
+
+def _origin(label: str, lineage: Sequence[Lineage] | None) -> Origin:
+    """Return a version with its steps."""
+    if lineage is None:
+        return Origin(label, (), known=False)
+    steps = [
+        Step(step.model_copy(update={"ancestry": {}}), tuple(_origin(p, step.ancestry.get(p)) for p in step.parents))
+        for step in lineage
+    ]
+    return Origin(label, tuple(steps))
+
+
+def as_json(origin: Origin) -> dict[str, Any]:
+    """Return the tree as plain data: `dataset`, `known`, and `steps` with their `parents`."""
+    steps = [
+        {**step.record.model_dump(mode="json", exclude={"parents", "ancestry"}),
+         "parents": [as_json(parent) for parent in step.parents]}
+        for step in origin.steps
+    ]  # fmt: skip
+    return {"dataset": origin.dataset, "known": origin.known, "steps": steps}
+
+
+def lines(origin: Origin) -> Iterator[str]:
+    """Yield the tree as text, a version or an operation a line."""
+    name, _, digest = origin.dataset.rpartition("@")
+    yield f"{name}@{digest[:12]}" + ("" if origin.known else "  (told elsewhere in this tree, or not recorded)")
+    for number, step in enumerate(origin.steps):
+        last = number == len(origin.steps) - 1
+        yield f"{'└─' if last else '├─'} {_words(step.record)}"
+        stem = "   " if last else "│  "
+        for place, parent in enumerate(step.parents):
+            final = place == len(step.parents) - 1
+            inner = lines(parent)
+            yield f"{stem}{'└─' if final else '├─'} from {next(inner)}"
+            yield from (f"{stem}{'   ' if final else '│  '}{line}" for line in inner)
+
+
+#: Longest text of one fact in a line; `--json` has all of it.
+_LONGEST = 80
+
+
+def _words(step: Lineage) -> str:
+    """Return an operation and the facts of it that fit a line."""
+    logs = [entry.get("log") for entry in step.details.get("logs", [])]
+    facts = {name: value for name, value in step.details.items() if name != "logs"} | ({"log": logs[0]} if logs else {})
+    more = len(logs) - 1
+    told = [f"{name} {_short(value)}" for name, value in facts.items() if value not in (None, [], {}, "")]
+    told += [f"and {more} more"] if more > 0 else []
+    told += [f"seeds {', '.join(map(str, step.seeds))}"] if step.seeds else []
+    told += [f"config {step.config_digest[:12]}"] if step.config_digest else []
+    told += [f"revision {step.revision}"] if step.revision else []
+    told += [f"sealed {step.sealed[:12]}"] if step.sealed else []
+    told += [f"{tool} {version}" for tool, version in sorted(step.tools.items())]
+    return "; ".join([step.operation, *told])
+
+
+def _short(value: object) -> str:
+    """Return a value in a few words."""
+    if isinstance(value, list) and all(isinstance(one, dict) and "name" in one for one in value):
+        value = ", ".join(_effect(one) for one in value)
+    text = " ".join(str(value).split())
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def _effect(setting: Mapping[str, Any]) -> str:
+    """Return an effect as `name[element](parameter value)`."""
+    element = f"[{setting['element']}]" if setting.get("element") else ""
+    values = ", ".join(f"{name} {value}" for name, value in (setting.get("parameters") or {}).items())
+    return f"{setting['name']}{element}({values})"

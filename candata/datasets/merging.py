@@ -1,0 +1,166 @@
+"""One dataset from several: parts linked, equal episodes counted once."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from candata.datasets.adding import write_parts
+from candata.datasets.dataset import Dataset
+from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
+from candata.datasets.history import derived
+from candata.datasets.parts import RawPart, entry_of, write_part
+from candata.datasets.versions import advance, digest_of, index_of, members_of, newest, publish, read_dataset_file
+from candata.errors import DataError, UsageError, Where
+from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage, PartEntry, VersionFile
+
+_OPERATION = "merge"
+_LISTED = 10
+
+
+def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False) -> VersionFile:
+    """Return the version of a new dataset `out` that holds the episodes of all of `datasets`.
+
+    Parts are shared with them, not rewritten. The lineage names all of them and keeps theirs.
+
+    Parameters
+    ----------
+    datasets : sequence of Dataset
+        Two or more versions.
+    out : Path
+        Folder of the new dataset.
+    prefix : bool
+        Put the dataset's name before each id, `NAME-ID`: every episode is written anew.
+
+    Raises
+    ------
+    DataError
+        When an id stands for different content in two of them; lists them. When a part is damaged.
+    UsageError
+        When there are fewer than two, `out` stands, or `prefix` is given two datasets of one name.
+    """
+    if len(datasets) < 2:
+        raise UsageError("nothing to merge", expected="two datasets or more", found=str(len(datasets)))
+    lineage = derived(_OPERATION, datasets, {"prefix": True} if prefix else {})
+    if prefix:
+        return _merge_prefixed(datasets, out, lineage)
+    members = _members(datasets)
+    with new_dataset(out) as root:
+        entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, members, root)}
+        for dataset in datasets:
+            link_clouds(dataset, root)
+        hidden = index_of(root, entries.values()).keys() - members.keys()
+        return publish_first(root, entries.values(), hidden, lineage)
+
+
+def merge_into(datasets: Sequence[Dataset], out: Path) -> VersionFile:
+    """Return a new version of the dataset `out` with the episodes of `datasets`; the newest if they add nothing.
+
+    An episode that `out` had left out and that one of `datasets` holds comes back.
+
+    Raises
+    ------
+    DataError
+        When an id stands for different content; when a part is damaged.
+    UsageError
+        When `out` is no dataset, or there is nothing to add.
+    """
+    read_dataset_file(out)
+    if not datasets:
+        raise UsageError("nothing to merge", expected="a dataset or more", found="0")
+    current = newest(out)
+    _members(datasets, index_of(out, current.parts) if current else None)
+    entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, None, out)}
+    for dataset in datasets:
+        link_clouds(dataset, out)
+    lineage = derived(_OPERATION, datasets, {})
+    return advance(out, lambda base: _joined(datasets, out, base, list(entries.values()), lineage))
+
+
+def _joined(
+    datasets: Sequence[Dataset], out: Path, base: VersionFile | None, entries: Sequence[PartEntry], lineage: Lineage
+) -> VersionFile:
+    """Return the version after `base` with what `datasets` add; `base` itself if they add nothing."""
+    standing = index_of(out, base.parts) if base else {}
+    excluded = frozenset(base.exclusions if base else ())
+    wanted = _members(datasets, standing)
+    added = [entry for entry in entries if index_of(out, [entry]).keys() - standing.keys()]
+    back = excluded & _members(datasets).keys()
+    if base and not added and not back:
+        return base
+    left_out = excluded - back
+    return VersionFile(
+        number=base.number + 1 if base else 1,
+        parent=base.digest if base else None,
+        parts=(*(base.parts if base else ()), *added),
+        exclusions=tuple(sorted(left_out)),
+        digest=digest_of({name: digest for name, digest in wanted.items() if name not in left_out}),
+        lineage=(*(base.lineage if base else ()), lineage),
+    )
+
+
+def _members(datasets: Sequence[Dataset], standing: dict[str, str] | None = None) -> dict[str, str]:
+    """Return id to content hash of all; refuse ids that stand for different content."""
+    members: dict[str, str] = dict(standing or {})
+    clashes: dict[str, None] = {}
+    for dataset in datasets:
+        for name, digest in members_of(dataset.path, dataset.file).items():
+            if members.setdefault(name, digest) != digest:
+                clashes[name] = None
+    if clashes:
+        listed = ", ".join(list(clashes)[:_LISTED]) + (", ..." if len(clashes) > _LISTED else "")
+        raise DataError(
+            "one id stands for different episodes",
+            expected="different ids, or equal content",
+            found=f"{len(clashes)} ids: {listed}",
+            where=Where(path=", ".join(str(dataset.path) for dataset in datasets)),
+            fix="look at them with `candata registry diff`; --prefix puts the dataset's name before every id",
+        )
+    return members
+
+
+def _entries(dataset: Dataset, members: dict[str, str] | None, root: Path) -> Iterator[PartEntry]:
+    """Yield the parts of a version as they stand in `root`.
+
+    A part is written anew where it holds an episode that its version leaves out and the merged one cannot, as an
+    exclusion goes by id: another dataset has that id in `members`, or (None) the merged version takes no exclusions.
+    """
+    excluded = frozenset(dataset.file.exclusions)
+    for part in dataset.raw_parts():
+        held = dict(part.manifest().episodes)
+        hidden = held.keys() & excluded
+        if hidden and (members is None or any(members.get(name, held[name]) != held[name] for name in hidden)):
+            yield _rewritten(dataset, part, [name for name in held if name not in excluded], root)
+        else:
+            yield link_part(part, root)
+
+
+def _rewritten(dataset: Dataset, part: RawPart, names: list[str], root: Path) -> PartEntry:
+    """Return a new part with some episodes of an old one."""
+    producer = {**part.manifest().producer, "rewritten": _OPERATION}
+    return entry_of(root, write_part(root, dataset.episodes(names), producer).id)
+
+
+def _merge_prefixed(datasets: Sequence[Dataset], out: Path, lineage: Lineage) -> VersionFile:
+    """Return the merged version whose ids begin with the dataset's name."""
+    twice = [name for name, count in Counter(dataset.name for dataset in datasets).items() if count > 1]
+    if twice:
+        raise UsageError(
+            f"two datasets are called {twice[0]}",
+            expected="different names",
+            fix="merge without --prefix",
+        )
+    with new_dataset(out) as root:
+        for dataset in datasets:
+            link_clouds(dataset, root)
+        return publish(root, write_parts(root, _prefixed(datasets), _OPERATION), lineage)
+
+
+def _prefixed(datasets: Sequence[Dataset]) -> Iterator[Episode]:
+    """Yield all episodes, `NAME-` before their ids."""
+    for dataset in datasets:
+        for episode in dataset.episodes():
+            meta = episode.meta.model_copy(update={"id": f"{dataset.name}-{episode.meta.id}"})
+            yield Episode(meta, episode.arrays)

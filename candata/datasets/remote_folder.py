@@ -1,0 +1,99 @@
+"""A shared folder as a remote."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from candata.datasets import durable
+from candata.datasets.remotes import CHUNK_BYTES
+from candata.errors import SetupError, Where
+
+
+class FolderStore:
+    """A folder that stands; links in it are not followed."""
+
+    def __init__(self, root: Path) -> None:
+        if not root.is_dir():
+            raise SetupError(
+                "the folder of the remote is not there", where=Where(path=str(root)), fix="mount the share, or make it"
+            )
+        self._root = root
+
+    @property
+    def url(self) -> str:
+        """Where it is."""
+        return str(self._root)
+
+    def folders(self) -> list[str]:
+        """Return the names of the folders in it, sorted."""
+        return sorted(entry.name for entry in os.scandir(self._root) if entry.is_dir())
+
+    def sizes(self, prefix: str) -> dict[str, int]:
+        """Return the files in a folder by name, with their size in bytes."""
+        try:
+            with os.scandir(self._root / prefix) as entries:
+                return {e.name: e.stat().st_size for e in entries if e.is_file(follow_symlinks=False)}
+        except (FileNotFoundError, NotADirectoryError):
+            return {}
+        except OSError as error:
+            raise self._failed(error, prefix) from None
+
+    def read(self, key: str) -> Iterator[bytes]:
+        """Yield the bytes of a file; raises FileNotFoundError where there is none."""
+        try:
+            # A pipe or a link under an object's name would stall the reader, or lead it elsewhere.
+            handle = os.open(self._root / key, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except (FileNotFoundError, NotADirectoryError):
+            raise FileNotFoundError(key) from None
+        except OSError as error:
+            raise self._failed(error, key) from None
+        try:
+            if not stat.S_ISREG(os.fstat(handle).st_mode):
+                raise FileNotFoundError(key)
+            while chunk := self._chunk(handle, key):
+                yield chunk
+        finally:
+            os.close(handle)
+
+    def _chunk(self, handle: int, key: str) -> bytes:
+        """Return the next bytes of a file."""
+        try:
+            return os.read(handle, CHUNK_BYTES)
+        except OSError as error:
+            raise self._failed(error, key) from None
+
+    def write(self, key: str, chunks: Iterable[bytes], size: int) -> None:
+        """Keep a file, whole or not at all; one that stands is replaced."""
+        target = self._root / key
+        try:
+            durable.ensure_folder(target.parent)
+            with durable.staged(self._dataset(key)) as folder:
+                with (folder / target.name).open("wb") as draft:
+                    for chunk in chunks:
+                        draft.write(chunk)
+                durable.sync(folder / target.name)
+                (folder / target.name).replace(target)
+            durable.sync(target.parent)
+        except OSError as error:
+            raise self._failed(error, key) from None
+
+    def create(self, key: str, data: bytes) -> bool:
+        """Keep a file unless one stands; return whether this call made it."""
+        try:
+            return durable.create_once(self._dataset(key), self._root / key, data)
+        except OSError as error:
+            raise self._failed(error, key) from None
+
+    def _dataset(self, key: str) -> Path:
+        """Return the folder that holds everything of the key's dataset, and what is being written."""
+        return self._root / key.split("/", 1)[0]
+
+    def _failed(self, error: OSError, key: str) -> SetupError:
+        """Return the error for a folder that cannot be used."""
+        return SetupError(
+            "the folder of the remote cannot be used", found=durable.reason(error),
+            where=Where(path=f"{self.url}/{key}"), fix="check that it is mounted and may be written",
+        )  # fmt: skip

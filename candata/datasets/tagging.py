@@ -1,0 +1,83 @@
+"""Giving, moving and taking away tags."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from candata.datasets import durable
+from candata.datasets.names import require_name
+from candata.datasets.tags import read_tags, tag_path
+from candata.datasets.versions import find_version
+from candata.errors import UnknownNameError, UsageError, Where
+from candata.schema.manifest import TagFile
+
+
+def set_tag(path: str | Path, name: str, version: int | str | None = None, move: bool = False) -> TagFile:
+    """Return the tag, which now names a version; the same may be given twice.
+
+    Parameters
+    ----------
+    path : str or Path
+        Dataset.
+    name : str
+        Name of the tag.
+    version : int or str, optional
+        Number, digest or another tag; by default the newest.
+    move : bool
+        Let a tag that names another version name this one.
+
+    Raises
+    ------
+    UsageError
+        When the name cannot be one, there is no such version, or the tag names another and `move` is false.
+    DataError
+        When a version or tag is damaged.
+    """
+    root = Path(path)
+    require_name("tag", name)
+    if name.isdigit() or re.fullmatch(r"[0-9a-f]{6,}", name):
+        raise UsageError("a tag must not read as a version or a digest", found=name, fix="choose another name")
+    found = find_version(root, version)
+    tag = TagFile(name=name, version=found.number, digest=found.digest)
+    data = durable.encode_record(tag)
+    if durable.create_once(root, tag_path(root, name), data):
+        return tag
+    standing = read_tags(root)[name]
+    if standing != tag and not move:
+        raise UsageError(
+            f"the tag {name} names another version",
+            expected=f"version {tag.version}, digest {tag.digest[:12]}",
+            found=f"version {standing.version}, digest {standing.digest[:12]}",
+            where=Where(path=str(root)),
+            fix="move it with --move",
+        )
+    if standing != tag:
+        _replace(root, name, data)
+    return tag
+
+
+def _replace(root: Path, name: str, data: bytes) -> None:
+    """Put a new file in the place of a tag's, whole."""
+    with durable.staged(root) as folder:
+        draft = folder / f"{name}.json"
+        draft.write_bytes(data)
+        durable.sync(draft)
+        draft.replace(tag_path(root, name))
+    durable.sync(root / "tags")
+
+
+def delete_tag(path: str | Path, name: str) -> None:
+    """Take a tag away; the version stays.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such tag; lists those there are.
+    """
+    root = Path(path)
+    known = read_tags(root)
+    if name not in known:
+        raise UnknownNameError("tag", name, known, Where(path=str(root)))
+    tag_path(root, name).unlink(missing_ok=True)
+    durable.sync(root / "tags")

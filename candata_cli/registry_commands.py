@@ -1,0 +1,282 @@
+"""Commands on named datasets: add, list, info, tag, diff, filter, merge, relabel, log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.datasets import Dataset
+    from candata.schema.manifest import VersionFile
+
+ABOUT = "Names, versions and lineage of datasets; choosing, joining and sharing them."
+
+Data = Annotated[str, typer.Argument(metavar="DATASET", help="Name or folder; NAME@TAG, NAME@3, NAME@9f31c2.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="New dataset; appears whole or not at all.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add `registry` and its commands."""
+    group = console.group(app, "registry", ABOUT)
+    group.command("add", epilog="Example: candata registry add day1 recordings/day1")(add)
+    group.command("remove")(remove)
+    group.command("list")(list_datasets)
+    group.command("info", epilog="Example: candata registry info day1@clean")(info)
+    group.command("tag", epilog="Example: candata registry tag day1 clean --version 3")(tag)
+    group.command("diff", epilog="Example: candata registry diff day1@1 day1")(diff)
+    group.command("filter", epilog=_FILTER)(filter_episodes)
+    group.command("merge", epilog=_MERGE)(merge)
+    group.command("relabel", epilog=_RELABEL)(relabel)
+    group.command("log", epilog="Example: candata registry log day1")(log)
+
+
+_FILTER = """\b
+Examples:
+  candata registry filter day1 "object = 'cup' and rows > 200"
+  candata registry filter day1 "effects like '%joint_damping%'" --out damped
+Columns: id source scene object task seed effects outcome rate_hz rows duration_s
+joint_names actuator_names fingertip_names content_hash
+"""
+_MERGE = """\b
+Examples:
+  candata registry merge sim real --out both
+  candata registry merge day2 --out both --append
+"""
+_RELABEL = """\b
+Example:
+  candata registry relabel day1 --set task=pick --set outcome=success --where "rows > 200" --out named
+"""
+
+
+def opened(text: str) -> Dataset:
+    """Return the version of a dataset that a name or path means."""
+    from candata.datasets import open_dataset
+    from candata.datasets.registry import resolve
+
+    return open_dataset(*resolve(text))
+
+
+def add(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Short name.")],
+    path: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the dataset.")],
+) -> None:
+    """Give a dataset a short name, which every registry command takes in place of its folder."""
+    from candata.datasets.registry import add_dataset
+
+    console.out(f"{name}: {add_dataset(name, path).datasets[name]}")
+
+
+def remove(name: Annotated[str, typer.Argument(metavar="NAME", help="Name to forget.")]) -> None:
+    """Forget a name; the dataset stays where it is."""
+    from candata.datasets.registry import remove_dataset
+
+    remove_dataset(name)
+    console.out(f"{name} forgotten; the dataset was not touched")
+
+
+def list_datasets(json: Json = False) -> None:
+    """List the named datasets: folder, newest version, episodes, digest; or what is wrong with one."""
+    from candata.datasets.registry import read_registry
+
+    rows = [_row(name, path) for name, path in read_registry().datasets.items()]
+    if json:
+        console.out_json({"datasets": rows})
+    elif rows:
+        cells = [
+            (r["name"], _dash(r["version"]), _dash(r["episodes"]), _dash(r["digest"])[:12], r["state"], r["path"])
+            for r in rows
+        ]
+        console.out_table(("name", "version", "episodes", "digest", "state", "folder"), cells)
+    else:
+        console.note("no names yet: candata registry add NAME FOLDER")
+
+
+def _row(name: str, path: str) -> dict:
+    """Return what `list` says of a name."""
+    from candata.datasets import open_dataset
+    from candata.errors import CandataError
+
+    row = {"name": name, "path": path, "version": None, "episodes": None, "digest": None}
+    try:
+        data = open_dataset(path)
+    except CandataError as error:
+        return {**row, "state": error.problem}
+    return {**row, "version": data.version, "episodes": len(data), "digest": data.digest, "state": "ok"}
+
+
+def _dash(value: object) -> str:
+    """Return the value, or a dash."""
+    return "-" if value is None else str(value)
+
+
+def info(dataset: Data, json: Json = False) -> None:
+    """Print versions, tags, splits and lineage of a dataset."""
+    from candata.datasets import history
+    from candata.datasets.tags import read_tags
+    from candata.datasets.versions import numbers, read_version
+
+    data = opened(dataset)
+    tags = read_tags(data.path)
+    versions = [_version(read_version(data.path, n), [t for t, v in tags.items() if v.version == n])
+                for n in numbers(data.path)]  # fmt: skip
+    splits = sorted(path.stem for path in (data.path / "splits").glob("*.json"))
+    if json:
+        record = {"name": data.name, "path": str(data.path), "version": data.version, "digest": data.digest}
+        lineage = history.as_json(history.tree(data))
+        console.out_json(
+            record | {"episodes": len(data), "versions": versions, "splits": splits, "lineage": lineage["steps"]}
+        )
+        return
+    console.out(f"{data.name}@{data.digest[:12]}  version {data.version}, {len(data)} episodes, in {data.path}")
+    rows = [(v["number"], v["digest"][:12], v["parts"], v["excluded"], " ".join(v["tags"]) or "-") for v in versions]
+    console.out_table(("version", "digest", "parts", "left out", "tags"), rows)
+    console.out(f"splits: {', '.join(splits) or 'none stored'}")
+    for line in history.lines(history.tree(data)):
+        console.out(line)
+
+
+def _version(version: VersionFile, tags: list[str]) -> dict:
+    """Return what `info` says of a version."""
+    return {
+        "number": version.number, "digest": version.digest, "parent": version.parent, "parts": len(version.parts),
+        "excluded": len(version.exclusions), "tags": tags,
+    }  # fmt: skip
+
+
+def tag(
+    dataset: Data,
+    name: Annotated[str, typer.Argument(metavar="TAG", help="Name of the tag.")],
+    version: Annotated[str | None, typer.Option(help="Version: number or digest; by default the newest.")] = None,
+    move: Annotated[bool, typer.Option("--move", help="Let a standing tag name this version.")] = False,
+    delete: Annotated[bool, typer.Option("--delete", help="Take the tag away.")] = False,
+) -> None:
+    """Name a version, move the name, or take it away."""
+    from candata.datasets.registry import resolve
+    from candata.datasets.tagging import delete_tag, set_tag
+    from candata.errors import UsageError
+
+    path, wanted = resolve(dataset)
+    if delete and (move or version):
+        raise UsageError("--delete goes with neither --move nor --version")
+    if delete:
+        delete_tag(path, name)
+        console.out(f"{name} taken away; the version stays")
+        return
+    made = set_tag(path, name, console.version(version) if version else wanted, move)
+    console.out(f"{name}: version {made.version}, {made.digest[:12]}")
+
+
+def diff(
+    first: Annotated[str, typer.Argument(metavar="A", help="Name or folder, @ and a version if not the newest.")],
+    second: Annotated[str, typer.Argument(metavar="B", help="The same.")],
+    json: Json = False,
+) -> None:
+    """Compare two versions by episode id and content hash; exit 1 when they differ."""
+    from dataclasses import asdict
+
+    from candata.datasets.diff import diff as difference
+    from candata.datasets.history import label_of
+
+    one, two = opened(first), opened(second)
+    found = difference(one, two)
+    if json:
+        console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.equal, **asdict(found)})
+    else:
+        for word, ids in (("added", found.added), ("removed", found.removed), ("changed", found.changed)):
+            for name in ids:
+                console.out(f"{word:8}{name}")
+        counts = f"{len(found.added)} added, {len(found.removed)} removed, {len(found.changed)} changed"
+        console.out(f"{counts}, {found.same} the same")
+    if not found.equal:
+        raise typer.Exit(1)
+
+
+def filter_episodes(
+    dataset: Data,
+    where: Annotated[str, typer.Argument(metavar="EXPRESSION", help="SQL condition over the catalog.")],
+    out: Annotated[Path | None, typer.Option("--out", metavar="FOLDER", help="New dataset of these episodes.")] = None,
+    json: Json = False,
+) -> None:
+    """Print the ids of the episodes for which a condition holds, or make a dataset of them without rewriting data.
+
+    What is left out of a part still lies in its files and travels with a push; `candata compact` drops it.
+    """
+    from candata.datasets.filtering import filter_dataset, matching
+
+    data = opened(dataset)
+    if out is not None:
+        _made(out, filter_dataset(data, where, out), json)
+        return
+    ids = matching(data, where)
+    if json:
+        console.out_json({"dataset": data.name, "digest": data.digest, "where": where, "of": len(data), "ids": ids})
+        return
+    for name in ids:
+        console.out(name)
+    console.note(f"{len(ids)} of {len(data)} episodes")
+
+
+def merge(
+    datasets: Annotated[list[str], typer.Argument(metavar="DATASET...", help="Names or folders.")],
+    out: Out,
+    append: Annotated[bool, typer.Option("--append", help="Add to the dataset that stands there.")] = False,
+    prefix: Annotated[bool, typer.Option("--prefix", help="NAME- before each id; writes every episode anew.")] = False,
+    json: Json = False,
+) -> None:
+    """Make one dataset of several; equal episodes count once, one id for two contents is refused."""
+    from candata.datasets.merging import merge as join
+    from candata.datasets.merging import merge_into
+    from candata.errors import UsageError
+
+    if append and prefix:
+        raise UsageError("--prefix does not go with --append", fix="merge with --prefix to a new folder first")
+    data = [opened(text) for text in datasets]
+    _made(out, merge_into(data, out) if append else join(data, out, prefix), json)
+
+
+def relabel(
+    dataset: Data,
+    out: Out,
+    setting: Annotated[list[str], typer.Option("--set", metavar="LABEL=VALUE", help="object, task, outcome, scene.")],
+    where: Annotated[str | None, typer.Option("--where", metavar="EXPRESSION", help="As for filter.")] = None,
+    json: Json = False,
+) -> None:
+    """Make a dataset in which some episodes bear other labels; LABEL= takes one away."""
+    from candata.datasets.relabelling import relabel as write
+    from candata.errors import UsageError
+
+    labels: dict[str, str | None] = {}
+    for text in setting:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise UsageError("--set takes LABEL=VALUE", found=text)
+        labels[name] = value or None
+    _made(out, write(opened(dataset), labels, where, out), json)
+
+
+def _made(out: Path, version: VersionFile, json: bool) -> None:
+    """Print what was made."""
+    from candata.datasets import open_dataset
+
+    count = len(open_dataset(out, version.number))
+    if json:
+        console.out_json({"path": str(out), "version": version.number, "digest": version.digest, "episodes": count})
+    else:
+        console.out(f"{out}: {count} episodes in version {version.number}, {version.digest[:12]}")
+
+
+def log(dataset: Data, json: Json = False) -> None:
+    """Print where a version comes from, as a tree: recorded, generated, imported, filtered, merged, relabelled."""
+    from candata.datasets import history
+
+    origin = history.tree(opened(dataset))
+    if json:
+        console.out_json(history.as_json(origin))
+        return
+    for line in history.lines(origin):
+        console.out(line)
