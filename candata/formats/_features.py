@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import yaml
@@ -138,17 +137,6 @@ def names_of(made: Sequence[Pick]) -> dict[str, tuple[str, ...]]:
         "joint_names": first("joint_position", "joint_velocity", "joint_effort"),
         "actuator_names": first("action"),
         "fingertip_names": first("fingertip_force", "fingertip_contact"),
-    }
-
-
-def labels(mapping: FeatureMap, scene: str | None, object_: str | None, task: str | None) -> dict[str, Any]:
-    """Return the fields of an episode's record that a map and the command line give; the command line comes first."""
-    return {
-        "scene": scene or mapping.scene,
-        "object": object_ or mapping.object,
-        "task": task or mapping.task,
-        "force": mapping.force,
-        "action": mapping.action,
     }
 
 

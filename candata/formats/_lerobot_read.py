@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,8 +14,8 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.formats import Reading
-from candata.formats._assemble import checked, gather
-from candata.formats._features import Pick, blocks, labels, names_of, picks, read_feature_map, wanted
+from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
+from candata.formats._features import Pick, blocks, picks, read_feature_map, wanted
 from candata.formats._lerobot_layout import (
     BOOKKEEPING,
     INFO,
@@ -31,8 +30,8 @@ from candata.formats._lerobot_layout import (
 )
 from candata.formats._lerobot_names import ACTION, STATE, guess
 from candata.formats._sidecar import parse_export, restored
-from candata.schema.episode import Episode, EpisodeMeta
-from candata.schema.exchange import ExportFile, FeatureMap
+from candata.schema.episode import Episode
+from candata.schema.exchange import ExportFile
 
 #: Distance of a stamp from frame_index / fps up to which it counts as on the beat: lerobot's own tolerance_s [s].
 _ON_BEAT_S = 1e-4
@@ -68,15 +67,7 @@ def digest(source: Path, reading: Reading) -> str:
     """
     folder = open_folder(source)
     files = meta_files(folder.root) + list(dict.fromkeys(entry.file for entry in folder.entries))
-    told = [reading.source, reading.scene, reading.object, reading.task]
-    if reading.mapping is not None:
-        told.append(read_feature_map(reading.mapping).model_dump_json())
-    lines = [repr(told)]
-    for file in files:
-        with file.open("rb") as opened:
-            content = hashlib.file_digest(opened, "sha256").hexdigest()
-        lines.append(f"{file.relative_to(folder.root).as_posix()} {content}")
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+    return digest_of(folder.root, files, reading)
 
 
 def _restored(folder: Folder, sidecar: ExportFile, path: Path) -> Iterator[Episode]:
@@ -101,42 +92,18 @@ def _by_map(folder: Folder, reading: Reading) -> Iterator[Episode]:
     mapping = read_feature_map(path) if reading.mapping else guess(folder.features, path)
     made = picks(mapping, folder.features, path)
     _say(folder, made, reading)
+    rate_hz = mapping.rate_hz or folder.info.fps
     off_beat = 0
     for entry, arrays in _arrays(folder, wanted(made)):
         if reading.mapping is None:
             _check_positions(made, arrays, entry)
-        on_beat, time_ns = _time_ns(arrays, mapping.rate_hz or folder.info.fps, entry)
+        on_beat, time_ns = _time_ns(arrays, rate_hz, entry)
         off_beat += not on_beat
-        yield _episode(folder, entry, made, mapping, arrays, time_ns, reading)
+        identity = f"{folder.root.resolve().name}-{entry.index}"
+        own = {"rate_hz": rate_hz, "task": " / ".join(entry.tasks) or None}
+        yield mapped_episode(identity, time_ns, arrays, made, mapping, reading, entry.file, **own)
     if off_beat:
         reading.note(f"{off_beat} episodes have stamps off the beat of fps: their stamps were kept")
-
-
-def _episode(
-    folder: Folder,
-    entry: Entry,
-    made: Sequence[Pick],
-    mapping: FeatureMap,
-    arrays: dict[str, NDArray],
-    time_ns: NDArray[np.int64],
-    reading: Reading,
-) -> Episode:
-    """Return one episode."""
-    identity = f"{folder.root.resolve().name}-{entry.index}"
-    where = Where(path=str(entry.file), episode=identity)
-    rows = np.arange(entry.rows)
-    found = gather(time_ns, blocks(made, arrays), rows, where, reading.allow_gaps)
-    task = reading.task or " / ".join(entry.tasks) or None
-    said = labels(mapping, reading.scene, reading.object, task) | names_of(made)
-    meta = EpisodeMeta(
-        id=identity,
-        source=reading.source,
-        rate_hz=mapping.rate_hz or folder.info.fps,
-        contact_rule=found.rule,
-        invalid_counts=found.invalid,
-        **said,
-    )
-    return checked(meta, found.arrays, entry.file)
 
 
 def _say(folder: Folder, made: Sequence[Pick], reading: Reading) -> None:
@@ -228,7 +195,7 @@ def _time_ns(arrays: dict[str, NDArray], rate_hz: float, entry: Entry) -> tuple[
     if not (np.abs(stamps) < 1e9).all():
         raise DataError("a stamp is no time in seconds", found=str(stamps[~(np.abs(stamps) < 1e9)][0]), where=where)
     if (np.abs(stamps - frames / rate_hz) <= _ON_BEAT_S + 1e-7 * stamps).all():
-        return True, np.rint(frames * 1e9 / rate_hz).astype(np.int64)
+        return True, even_time_ns(entry.rows, rate_hz)
     return False, np.rint(stamps * 1e9).astype(np.int64)
 
 
