@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.datasets.encode import content_hash
+from candata.datasets.encode import content_hash, hash_columns, meta_json
 from candata.errors import DataError, Where
 from candata.formats import Writing
 from candata.formats._assemble import checked
@@ -116,11 +116,10 @@ def restored(entry: ExportedEpisode, arrays: Mapping[str, NDArray], path: object
         shaped = {name: _shaped(name, shape, entry.rows, arrays) for name, shape in entry.layout.items()}
     except (KeyError, ValueError, MemoryError, OverflowError) as error:
         raise _altered(f"{type(error).__name__}: {error}", where) from None
-    episode = checked(entry.meta, shaped, path)
-    found = content_hash(episode)
+    found = hash_columns(meta_json(entry.meta), shaped)
     if found != entry.content_hash:
         raise _altered(f"content {found[:12]}", where, f"content {entry.content_hash[:12]}")
-    return episode
+    return checked(entry.meta, shaped, path)
 
 
 def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, NDArray]) -> NDArray:
