@@ -83,7 +83,7 @@ def test_a_damaged_export_is_refused_or_read_whole(way, damage, exports, tmp_pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("way", WAYS)
-@settings(max_examples=400)
+@settings(max_examples=1000)
 @given(damage=damages())
 def test_much_damage_is_refused_or_read_whole(way, damage, exports, tmp_path_factory):
     check_damaged(way, damage, exports, tmp_path_factory.getbasetemp() / f"worse-{way[0]}-{way[1]}")
