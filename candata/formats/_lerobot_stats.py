@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Stats = dict[str, dict[str, list[float]]]
+Stats = dict[str, dict[str, list]]
 
 #: Quantiles of LeRobot v3. Source: lerobot, `compute_stats.DEFAULT_QUANTILES`.
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
@@ -40,17 +40,17 @@ class Tally:
         made = {}
         for key, (count, mean, spread, low, high) in self._moments.items():
             values = np.concatenate(self._held[key]).astype(np.float64)
-            made[key] = _plain(self._rows, mean, np.sqrt(spread / np.maximum(count, 1)), low, high, _quantiles(values))
+            made[key] = _plain(count, mean, np.sqrt(spread / np.maximum(count, 1)), low, high, _quantiles(values))
         return made
 
-    def _add(self, key: str, values: NDArray) -> dict[str, list[float]]:
+    def _add(self, key: str, values: NDArray) -> dict[str, list]:
         """Return the statistics of one key of one episode, and merge them."""
         own = _moments(values)
         self._moments[key] = _merged(self._moments[key], own) if key in self._moments else own
         self._held.setdefault(key, []).append(values[(-self._rows) % self._every :: self._every])
         count, mean, spread, low, high = own
-        spread_mean = np.sqrt(spread / np.maximum(count, 1))
-        return _plain(len(values), mean, spread_mean, low, high, _quantiles(values.astype(np.float64)))
+        std = np.sqrt(spread / np.maximum(count, 1))
+        return _plain(count, mean, std, low, high, _quantiles(values.astype(np.float64)))
 
 
 def _moments(values: NDArray) -> tuple[NDArray, ...]:
@@ -88,7 +88,11 @@ def _quantiles(values: NDArray[np.float64]) -> dict[str, NDArray]:
     return dict(zip(_QUANTILES, found, strict=True))
 
 
-def _plain(rows: int, mean: Any, std: Any, low: Any, high: Any, quantiles: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Return statistics as lists of numbers; what nothing finite is known of is 0."""
+def _plain(count: NDArray, mean: Any, std: Any, low: Any, high: Any, quantiles: Mapping[str, Any]) -> dict[str, list]:
+    """Return statistics as lists of numbers; what nothing finite is known of is 0.
+
+    LeRobot weights episodes by one count for all columns: that of the column with the most finite rows.
+    """
     named = {"min": low, "max": high, "mean": mean, "std": std, **quantiles}
+    rows = max(1, int(count.max()))
     return {name: np.where(np.isfinite(v), v, 0.0).tolist() for name, v in named.items()} | {"count": [rows]}
