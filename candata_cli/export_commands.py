@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -55,14 +56,20 @@ def export(
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
         staged = Path(folder) / "export"
         staged.mkdir()
-        known[format_name].write(_counted(data), staged, writing)
+        known[format_name].write(_Counted(data), staged, writing)
         staged.rename(out)
     console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")
 
 
-def _counted(data: Dataset) -> Iterator[Episode]:
-    """Yield the episodes under a progress bar."""
-    with console.progress("writing episodes", len(data)) as advance:
-        for episode in data.episodes():
-            yield episode
-            advance(1)
+@dataclass(frozen=True)
+class _Counted:
+    """The episodes of a dataset, each reading of them under a progress bar."""
+
+    data: Dataset
+
+    def __iter__(self) -> Iterator[Episode]:
+        """Yield all episodes."""
+        with console.progress("reading episodes", len(self.data)) as advance:
+            for episode in self.data.episodes():
+                yield episode
+                advance(1)

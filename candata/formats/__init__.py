@@ -82,7 +82,8 @@ class Format:
     takes_map : bool
         Whether `read` looks at `reading.mapping`.
     write : callable, optional
-        `(episodes, folder, writing)`: writes the layout into an empty folder that stands.
+        `(episodes, folder, writing)`: writes the layout into an empty folder that stands; `episodes` may be
+        iterated several times.
     variants : tuple of str
         Values of `writing.variant` that `write` knows.
     """

@@ -141,7 +141,7 @@ def time_factor(mapping: TableMap, path: Path) -> float:
     unit = mapping.units.get(mapping.time_s, "s")
     where = Where(path=str(path), channel="time_ns")
     if to_si(unit, where) and unit not in _SAME_KIND["s"]:
-        raise _unfit(mapping.time_s, unit, ("s",), where)
+        raise unfit(mapping.time_s, unit, ("s",), where)
     return TO_SI[unit]
 
 
@@ -196,31 +196,31 @@ def _factors(mapping: TableMap, channel: str, columns: tuple[str, ...], where: W
     A channel's unit applies to those of its elements that can have it: `object_pose: mm` leaves the
     quaternion alone.
     """
-    kinds = _kinds(channel, len(columns))
+    kinds = si_units(channel, len(columns))
     shared = mapping.units.get(channel)
-    if shared is not None and not any(_fits(shared, kind) for kind in kinds):
-        raise _unfit(channel, shared, kinds[0], where)
+    if shared is not None and not any(fits(shared, kind) for kind in kinds):
+        raise unfit(channel, shared, kinds[0], where)
     factors = []
     for column, kind in zip(columns, kinds, strict=True):
         own = mapping.units.get(column)
-        if own is not None and not _fits(own, kind):
-            raise _unfit(column, own, kind, where)
-        unit = own or (shared if shared is not None and _fits(shared, kind) else "1")
+        if own is not None and not fits(own, kind):
+            raise unfit(column, own, kind, where)
+        unit = own or (shared if shared is not None and fits(shared, kind) else "1")
         factors.append(TO_SI[unit])
     return tuple(factors)
 
 
-def _kinds(channel: str, count: int) -> tuple[tuple[str, ...], ...]:
+def si_units(channel: str, count: int) -> tuple[tuple[str, ...], ...]:
     """Return, for each column of a channel, the SI units it may have."""
     return _FIXED.get(channel) or (_JOINT.get(channel, (CHANNELS[channel].unit,)),) * count
 
 
-def _fits(unit: str, kind: tuple[str, ...]) -> bool:
+def fits(unit: str, kind: tuple[str, ...]) -> bool:
     """Tell whether `unit` measures what one of the SI units of `kind` measures."""
     return any(unit in _SAME_KIND[si] for si in kind)
 
 
-def _unfit(name: str, unit: str, kind: tuple[str, ...], where: Where) -> UsageError:
+def unfit(name: str, unit: str, kind: tuple[str, ...], where: Where) -> UsageError:
     """Return the error of a known unit in the wrong place."""
     fitting = ", ".join(sorted(u for si in kind for u in _SAME_KIND[si]))
     return UsageError(f"{name} cannot be in {unit}", expected=f"one of {fitting}", found=unit, where=where)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,18 +12,15 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.formats import Format
+from candata.formats._assemble import Block, checked, gather
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._mapping import Plan, plans, read_map, time_factor
 from candata.formats._names import element_names, fingertip_names
-from candata.schema.channels import CHANNELS, VALID_SUFFIX
-from candata.schema.contact import fingertip_contact
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import TableMap
 
 #: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
 _RATE_FACTOR = 300.0
-#: Largest number the schema's float32 holds; beyond it are only the fill values of other formats.
-_LARGEST = float(np.finfo(np.float32).max)
 
 
 def read(source: Path, allow_gaps: bool = False) -> Iterator[Episode]:
@@ -182,83 +178,16 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
 
 def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
     """Return one checked episode; a problem in it also names the file."""
-    arrays: dict[str, NDArray] = {"time_ns": table.time_ns[rows]}
-    invalid: dict[str, int] = {}
+    blocks = []
     for plan in table.plans:
-        where = Where(path=str(table.path), episode=identity, channel=plan.channel)
         pairs = zip(plan.columns, plan.factors, strict=True)
-        block = np.stack([table.values[column][rows] * factor for column, factor in pairs], axis=1)
-        gaps = ~(np.abs(block) <= _LARGEST)
-        if gaps.any():
-            if not table.allow_gaps:
-                raise _gap_error(plan, gaps, rows, where)
-            block[gaps] = np.nan
-            arrays[plan.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
-            invalid[plan.channel] = int(gaps.any(axis=1).sum())
-        arrays[plan.channel] = _typed(plan, block, where).reshape(len(rows), *plan.shape)
-    rule = _derive_contact(arrays, invalid)
-    episode = _checked(_meta(table, identity, rule, invalid), arrays, table.path)
+        values = np.stack([table.values[column][rows] * factor for column, factor in pairs], axis=1)
+        blocks.append(Block(plan.channel, values, plan.columns, plan.shape))
+    where = Where(path=str(table.path), episode=identity)
+    found = gather(table.time_ns[rows], blocks, rows, where, table.allow_gaps)
+    episode = checked(_meta(table, identity, found.rule, found.invalid), found.arrays, table.path)
     _check_rate(episode, table)
     return episode
-
-
-def _checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: Path) -> Episode:
-    """Return the episode; what is wrong with it is said with the file's name."""
-    try:
-        return Episode(meta, arrays)
-    except DataError as error:
-        where = dataclasses.replace(error.where, path=str(path))
-        facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
-        raise DataError(error.problem, where=where, **facts) from None
-
-
-def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, where: Where) -> DataError:
-    """Return the error of a channel that holds values which are not finite."""
-    row, column = (int(i) for i in np.argwhere(gaps)[0])
-    return DataError(
-        f"{plan.channel} is not finite",
-        expected="finite numbers",
-        found=f"a gap in column {plan.columns[column]}, row {rows[row]} of the file "
-        f"({int(gaps.any(axis=1).sum())} such rows in the episode)",
-        where=dataclasses.replace(where, index=row),
-        fix="import with --allow-gaps: such rows are kept and marked invalid",
-    )
-
-
-def _typed(plan: Plan, block: NDArray, where: Where) -> NDArray:
-    """Return the block as the channel's kind; flags must be 0 or 1 (a gap is False)."""
-    if CHANNELS[plan.channel].dtype != "bool":
-        return block
-    odd = np.argwhere(np.isfinite(block) & (block != 0) & (block != 1))
-    if len(odd):
-        row, column = (int(i) for i in odd[0])
-        raise DataError(
-            f"{plan.channel} is no flag",
-            expected="0 or 1",
-            found=f"{block[row, column]:g}",
-            where=dataclasses.replace(where, index=row),
-        )
-    return block == 1
-
-
-def _derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> ContactRule | None:
-    """Add the contact channels that are missing; return the rule if a threshold was applied."""
-    rule = None
-    if "fingertip_force" in arrays and "fingertip_contact" not in arrays:
-        rule = ContactRule()
-        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
-        _inherit(arrays, invalid, "fingertip_force", "fingertip_contact")
-    if "fingertip_contact" in arrays and "contact" not in arrays:
-        arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
-        _inherit(arrays, invalid, "fingertip_contact", "contact")
-    return rule
-
-
-def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, derived: str) -> None:
-    """Mark a derived channel invalid where the one it comes from is."""
-    if origin in invalid:
-        arrays[derived + VALID_SUFFIX] = arrays[origin + VALID_SUFFIX]
-        invalid[derived] = invalid[origin]
 
 
 def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[str, int]) -> EpisodeMeta:

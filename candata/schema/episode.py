@@ -242,7 +242,8 @@ def _values(meta: EpisodeMeta, name: str, arrays: Mapping[str, NDArray]) -> Iter
             fix="mark gaps as invalid: import with --allow-gaps",
         )
     if name in QUATERNION and array.ndim == 2 and array.shape[1] == 7:
-        norm = np.linalg.norm(np.where(np.isfinite(array), array, 0.0)[:, QUATERNION[name]], axis=1)
+        finite = np.where(np.isfinite(array), array, 0.0).astype(np.float64)  # squares of float32 may overflow
+        norm = np.linalg.norm(finite[:, QUATERNION[name]], axis=1)
         bad = np.flatnonzero(valid & np.isfinite(array).all(1) & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
         if len(bad):
             yield DataError(

@@ -14,6 +14,7 @@ from candata.schema.bench import BenchFile, CaseFile, Label, LabelsFile
 from candata.schema.channels import CHANNELS, Channel
 from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
+from candata.schema.exchange import ExportFile, FeatureMap
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
 from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
@@ -26,6 +27,7 @@ DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _READ: dict[str, type[Record]] = {
     "case": CaseFile,
     "effects": EffectsFile,
+    "feature-map": FeatureMap,
     "label": Label,
     "labels": LabelsFile,
     "map": TableMap,
@@ -38,6 +40,7 @@ _WRITTEN: dict[str, type[Record]] = {
     "channel": Channel,
     "dataset": DatasetFile,
     "episode": EpisodeMeta,
+    "export": ExportFile,
     "part": PartFile,
     "registry": RegistryFile,
     "remote_version": RemoteVersion,

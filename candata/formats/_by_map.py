@@ -1,0 +1,94 @@
+"""One episode from named arrays, as a feature map says; and what identifies such an import."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import Where
+from candata.formats import Reading
+from candata.formats._assemble import checked, gather
+from candata.formats._features import Pick, blocks, names_of, read_feature_map
+from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.exchange import FeatureMap
+
+
+def mapped_episode(
+    identity: str,
+    time_ns: NDArray[np.int64],
+    arrays: Mapping[str, NDArray],
+    made: Sequence[Pick],
+    mapping: FeatureMap,
+    reading: Reading,
+    path: Path,
+    **own: Any,
+) -> Episode:
+    """Return one checked episode.
+
+    Parameters
+    ----------
+    identity : str
+        Its id.
+    time_ns : ndarray
+        `(T,) int64 [ns]`.
+    arrays : mapping of str to ndarray
+        Each feature as `(T, width)`.
+    made : sequence of Pick
+        How each channel is made.
+    mapping : FeatureMap
+        The map that `made` comes from.
+    reading : Reading
+        What the import was told; comes before the map.
+    path : Path
+        File, for messages.
+    **own
+        What the file itself says: `rate_hz`, and `task` where it names one.
+
+    Raises
+    ------
+    DataError
+        When a value is not finite, or the arrays make no episode.
+    """
+    where = Where(path=str(path), episode=identity)
+    found = gather(time_ns, blocks(made, arrays), np.arange(len(time_ns)), where, reading.allow_gaps)
+    told = {
+        name: getattr(reading, name) or getattr(mapping, name) or own.get(name) for name in ("scene", "object", "task")
+    }
+    fields: dict[str, Any] = {
+        "id": identity,
+        "source": reading.source,
+        "force": mapping.force,
+        "action": mapping.action,
+    }
+    fields |= {"contact_rule": found.rule, "invalid_counts": found.invalid}
+    meta = EpisodeMeta.model_validate(own | told | fields | names_of(made))
+    return checked(meta, found.arrays, path)
+
+
+def even_time_ns(rows: int, rate_hz: float) -> NDArray[np.int64]:
+    """Return `(rows,) int64 [ns]`: the beat of a rate, from zero."""
+    return np.rint(np.arange(rows) * 1e9 / rate_hz).astype(np.int64)
+
+
+def digest_of(root: Path, files: Iterable[Path], reading: Reading) -> str:
+    """Return the sha256 over files (by their paths below `root`), the map and what the import was told.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong.
+    """
+    told: list[object] = [reading.source, reading.scene, reading.object, reading.task]
+    if reading.mapping is not None:
+        told.append(read_feature_map(reading.mapping).model_dump_json())
+    lines = [repr(told)]
+    for path in files:
+        with path.open("rb") as file:
+            content = hashlib.file_digest(file, "sha256").hexdigest()
+        lines.append(f"{path.relative_to(root).as_posix()} {content}")
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

@@ -1,0 +1,316 @@
+"""What a LeRobot folder says of itself: its features, and where each episode lies; both layouts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import ConfigDict, Field
+
+from candata.errors import DataError, Where
+from candata.formats._features import Feature
+from candata.formats._sidecar import parse_json
+from candata.schema.record import Record
+
+INFO = "meta/info.json"
+SIDECAR = "meta/candata.json"
+#: Layouts that are read: per-episode files, and files of many episodes.
+PER_EPISODE, SHARED = ("v2.0", "v2.1"), ("v3.0",)
+#: Columns that every LeRobot set has.
+BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+_NUMBERS = re.compile(r"(float|int|uint)\d+|bool")
+_PLACE = re.compile(r"\{(\w+)(?::(\d{1,2})d)?\}")
+
+Count = Annotated[int, Field(ge=0)]
+
+
+class FeatureInfo(Record):
+    """A feature in `meta/info.json`; what else stands there is not looked at."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    dtype: str
+    shape: tuple[Count, ...]
+    names: Any = None
+
+
+class Info(Record):
+    """`meta/info.json`; what else stands there is not looked at."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    codebase_version: str
+    fps: Annotated[float, Field(gt=1e-6, lt=1e9)]
+    features: dict[str, FeatureInfo]
+    data_path: str
+    chunks_size: Annotated[int, Field(gt=0)] = 1000
+    total_episodes: Count
+    total_frames: Count
+
+
+@dataclass(frozen=True)
+class Entry:
+    """An episode of a set: its number, its rows, its tasks, its file."""
+
+    index: int
+    rows: int
+    tasks: tuple[str, ...]
+    file: Path
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A LeRobot set as its `meta` describes it.
+
+    Attributes
+    ----------
+    root : Path
+        Its folder.
+    info : Info
+        What `meta/info.json` says.
+    entries : tuple of Entry
+        Its episodes by number; every file is there.
+    """
+
+    root: Path
+    info: Info
+    entries: tuple[Entry, ...]
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Features that hold numbers, without the bookkeeping."""
+        return tuple(
+            Feature(name, _width(one), _names(one))
+            for name, one in self.info.features.items()
+            if name not in BOOKKEEPING and is_numbers(one) and _width(one)
+        )
+
+
+def open_folder(root: Path) -> Folder:
+    """Return what a folder says of itself.
+
+    Raises
+    ------
+    DataError
+        When a file is missing or damaged, the version is not known, or the counts do not agree.
+    UsageError
+        When a field of `meta/info.json` is missing or wrong.
+    """
+    root = Path(root)
+    info = _info(root)
+    if info.codebase_version in SHARED:
+        entries = tuple(_shared_entries(root, info))
+    else:
+        entries = tuple(_per_episode_entries(root, info))
+    _check_entries(root, info, entries)
+    return Folder(root, info, entries)
+
+
+def is_numbers(feature: FeatureInfo) -> bool:
+    """Tell whether a feature holds numbers or flags."""
+    return _NUMBERS.fullmatch(feature.dtype) is not None
+
+
+def meta_files(root: Path) -> list[Path]:
+    """Return the files of `meta` that determine the episodes, statistics left out."""
+    tables = sorted((root / "meta" / "episodes").glob("*/*.parquet"))
+    names = (INFO, SIDECAR, "meta/episodes.jsonl", "meta/tasks.jsonl", "meta/tasks.parquet")
+    return [root / name for name in names if (root / name).is_file()] + tables
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file.
+
+    Raises
+    ------
+    DataError
+        When it is missing or no text.
+    """
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise missing(path) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise unreadable(path, error) from None
+
+
+def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
+    """Return columns of a Parquet file.
+
+    Raises
+    ------
+    DataError
+        When it is missing, damaged, or lacks a column.
+    """
+    if not path.is_file():
+        raise missing(path)
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            lacking = [name for name in columns if name not in file.schema_arrow.names]
+            if not lacking:
+                return file.read(columns=list(columns), use_threads=False)
+    except (pa.ArrowException, OSError, ValueError, KeyError, OverflowError, MemoryError) as error:
+        raise unreadable(path, error) from None
+    raise DataError(
+        f"the table lacks {', '.join(lacking)}",
+        expected=", ".join(columns),
+        where=Where(path=str(path)),
+        fix="the folder is incomplete or was changed; get it again from its source",
+    )
+
+
+def missing(path: Path) -> DataError:
+    """Return the error of a file that is not there."""
+    return DataError(
+        f"{path.name} is missing",
+        expected="a LeRobot folder with meta/ and data/",
+        where=Where(path=str(path)),
+        fix="give the folder that holds meta/info.json, with all files that it names",
+    )
+
+
+def unreadable(path: Path, error: Exception) -> DataError:
+    """Return the error of a file that cannot be read."""
+    found = (str(error).splitlines() or [""])[0] or type(error).__name__
+    return DataError(
+        f"{path.name} cannot be read",
+        found=found[:200],
+        where=Where(path=str(path)),
+        fix="the file is damaged or incomplete; get it again from its source",
+    )
+
+
+def _info(root: Path) -> Info:
+    """Return `meta/info.json`, its version known."""
+    path = root / INFO
+    value = parse_json(read_text(path), path)
+    version = value.get("codebase_version") if isinstance(value, dict) else None
+    if version not in PER_EPISODE + SHARED:
+        raise DataError(
+            "unknown LeRobot codebase_version",
+            expected=f"one of {', '.join(PER_EPISODE + SHARED)}",
+            found=repr(version)[:80],
+            where=Where(path=str(path)),
+            fix="convert it with lerobot's own scripts, or read it with a newer candata",
+        )
+    return Info.parse(value, path)
+
+
+def _per_episode_entries(root: Path, info: Info) -> Iterator[Entry]:
+    """Yield the episodes of the layout with a file each."""
+    path = root / "meta" / "episodes.jsonl"
+    for line in read_text(path).splitlines():
+        if not line.strip():
+            continue
+        value = parse_json(line, path)
+        index, rows, tasks = _fields(value, path)
+        places = {"episode_chunk": index // info.chunks_size, "episode_index": index}
+        yield Entry(index, rows, tasks, _file(root, info.data_path, places))
+
+
+def _shared_entries(root: Path, info: Info) -> Iterator[Entry]:
+    """Yield the episodes of the layout with files of many episodes."""
+    tables = sorted((root / "meta" / "episodes").glob("*/*.parquet"))
+    if not tables and info.total_episodes:
+        raise missing(root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+    columns = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index")
+    for path in tables:
+        for value in read_table(path, columns).to_pylist():
+            index, rows, tasks = _fields(value, path)
+            places = {"chunk_index": value["data/chunk_index"], "file_index": value["data/file_index"]}
+            if not all(isinstance(n, int) and n >= 0 for n in places.values()):
+                raise _ragged(f"episode {index} has no file", path, found=repr(places))
+            yield Entry(index, rows, tasks, _file(root, info.data_path, places))
+
+
+def _fields(value: Any, path: Path) -> tuple[int, int, tuple[str, ...]]:
+    """Return number, rows and tasks of an episode's record."""
+    found = value if isinstance(value, dict) else {}
+    index, rows, tasks = found.get("episode_index"), found.get("length"), found.get("tasks") or ()
+    whole = [isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 2**40 for n in (index, rows)]
+    if not all(whole) or not isinstance(tasks, list | tuple) or not all(isinstance(t, str) for t in tasks):
+        raise _ragged("a record of an episode is not valid", path, "episode_index, length and tasks", repr(value)[:200])
+    return int(found["episode_index"]), int(found["length"]), tuple(tasks)
+
+
+def _file(root: Path, template: str, places: dict[str, int]) -> Path:
+    """Return the file that a path template names; it lies inside the folder."""
+    where = Where(path=str(root / INFO))
+
+    def filled(found: re.Match[str]) -> str:
+        name, width = found.groups()
+        if name not in places:
+            raise DataError("data_path has an unknown place", expected=", ".join(places), found=name, where=where)
+        return f"{places[name]:0{int(width or 0)}d}"
+
+    relative = Path(_PLACE.sub(filled, template))
+    if relative.is_absolute() or ".." in relative.parts or "\0" in template or relative.suffix != ".parquet":
+        raise DataError(
+            "data_path does not name a Parquet file inside the folder", found=repr(template)[:200], where=where
+        )
+    return root / relative
+
+
+def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
+    """Raise unless the episodes are numbered 0, 1, ..., add up, and their files are there."""
+    if [entry.index for entry in entries] != list(range(len(entries))):
+        raise _ragged("the episodes are not numbered 0, 1, 2, ...", root / "meta", found=_odd_number(entries))
+    if not entries:
+        raise DataError("the set holds no episode", where=Where(path=str(root)))
+    for what, claimed, found in (
+        ("total_episodes", info.total_episodes, len(entries)),
+        ("total_frames", info.total_frames, sum(entry.rows for entry in entries)),
+    ):
+        if claimed != found:
+            raise _ragged(
+                f"{what} does not agree with the list of episodes", root / INFO, f"{found} as listed", str(claimed)
+            )
+    for file in dict.fromkeys(entry.file for entry in entries):
+        if not file.is_file():
+            raise missing(file)
+
+
+def _odd_number(entries: Sequence[Entry]) -> str:
+    """Return the first number that is out of order."""
+    return next(f"{entry.index} as number {k}" for k, entry in enumerate(entries) if entry.index != k)
+
+
+def _ragged(problem: str, path: Path, expected: str | None = None, found: str | None = None) -> DataError:
+    """Return the error of a `meta` that contradicts itself."""
+    return DataError(
+        problem,
+        expected=expected,
+        found=found,
+        where=Where(path=str(path)),
+        fix="the set was not closed or was edited; get it again from its source",
+    )
+
+
+def _width(feature: FeatureInfo) -> int:
+    """Return the number of columns of a feature."""
+    total = 1
+    for size in feature.shape:
+        total *= size
+    return total
+
+
+def _names(feature: FeatureInfo) -> tuple[str, ...]:
+    """Return the names of the columns where there is one each: a list, a list in a list, or a mapping."""
+    flat = tuple(_flat(feature.names))
+    return flat if len(flat) == _width(feature) and len(set(flat)) == len(flat) else ()
+
+
+def _flat(value: Any, depth: int = 3) -> Iterator[str]:
+    """Yield the texts in nested lists; of a mapping to numbers its keys in their order, else its values."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict) and value and all(isinstance(n, int) for n in value.values()):
+        yield from sorted(value, key=value.__getitem__)
+    elif isinstance(value, dict | list) and depth:
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _flat(part, depth - 1)

@@ -1,0 +1,295 @@
+"""robomimic files as episodes: exactly where candata wrote them, else by a map or by the datasets' names."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.errors import CandataError, DataError, MissingExtraError, UsageError, Where
+from candata.formats import Reading
+from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
+from candata.formats._features import Feature, Pick, picks, read_feature_map, wanted
+from candata.formats._sidecar import parse_episode, parse_export, restored
+from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.episode import Episode
+from candata.schema.exchange import ExportedEpisode, FeatureMap
+
+T = TypeVar("T")
+
+#: Attribute that holds the sidecar: of `data` the columns, of a demo its episode.
+SIDECAR = "candata"
+#: What robosuite calls the joints of its first robot.
+_ROBOSUITE = {"joint_position": "obs/robot0_joint_pos", "joint_velocity": "obs/robot0_joint_vel"}
+#: What compression can gain at most; a dataset that claims more is damaged. Source: deflate, at most 1032 to 1.
+_LARGEST_GAIN = 1100
+_SLACK_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Demo:
+    """A demonstration at hand: its name, its rows, each dataset as `(T, n)`, its sidecar."""
+
+    name: str
+    rows: int
+    arrays: Mapping[str, NDArray]
+    sidecar: ExportedEpisode | None
+
+
+def read(source: Path, reading: Reading) -> Iterator[Episode]:
+    """Yield the episodes of a robomimic file in the order of their numbers.
+
+    Raises
+    ------
+    UsageError
+        When the map is wrong, or the names do not tell what a dataset is.
+    DataError
+        When the file is missing or damaged, or a demonstration is ragged.
+    MissingExtraError
+        When h5py is not installed.
+    """
+    path = find_file(source)
+    with _opened(path) as file:
+        data = _guarded(path, lambda: file["data"])
+        names = _guarded(path, lambda: sorted(data, key=_number))
+        if not names:
+            raise DataError("the file holds no demonstration", where=Where(path=str(path)))
+        keys = _guarded(path, _keys, data, path) if reading.mapping is None else None
+        if keys is not None:
+            for name in names:
+                demo = _guarded(path, _demo, data, name, path, tuple(keys.values()))
+                yield _restored(demo, keys, path)
+            return
+        yield from _by_map(data, names, path, reading)
+
+
+def digest(source: Path, reading: Reading) -> str:
+    """Return the sha256 over the file, the map and what the import was told.
+
+    Raises
+    ------
+    DataError
+        When the file is missing.
+    """
+    path = find_file(source)
+    return digest_of(path.parent, [path], reading)
+
+
+def find_file(source: Path) -> Path:
+    """Return the HDF5 file, which may be given by its folder.
+
+    Raises
+    ------
+    DataError
+        When there is none, or more than one.
+    """
+    source = Path(source)
+    found = sorted(p for end in ("*.hdf5", "*.h5") for p in source.glob(end)) if source.is_dir() else [source]
+    if len(found) != 1 or not found[0].is_file():
+        raise DataError(
+            "there is no robomimic file",
+            expected="an HDF5 file, or a folder that holds one",
+            found=", ".join(p.name for p in found) if source.is_dir() and found else "no such file",
+            where=Where(path=str(source)),
+        )
+    return found[0]
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Yield the open file."""
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError("h5py", "formats") from None
+    file = _guarded(path, lambda: h5py.File(path, "r", locking=False))
+    try:
+        yield file
+    finally:
+        file.close()
+
+
+def _guarded(path: Path, action: Callable[..., T], *arguments: Any) -> T:
+    """Return what `action` returns; whatever HDF5 raises over a damaged file becomes one error."""
+    try:
+        return action(*arguments)
+    except CandataError:
+        raise
+    except Exception as error:  # h5py raises nearly everything, by where the damage lies
+        raise DataError(
+            "the HDF5 file cannot be read",
+            expected="a whole file with a group `data` of demonstrations",
+            found=(str(error).splitlines() or [""])[0][:200] or type(error).__name__,
+            where=Where(path=str(path)),
+            fix="the file is damaged or incomplete; get it again from its source",
+        ) from None
+
+
+def _number(name: str) -> tuple[int, str]:
+    """Return the order of a demonstration: `demo_10` comes after `demo_2`."""
+    found = re.fullmatch(r"demo_(\d{1,9})", name)
+    return (int(found.group(1)) if found else -1, name)
+
+
+def _keys(data: Any, path: Path) -> dict[str, str] | None:
+    """Return where each column of an exported file lies, or None where candata did not write it."""
+    value = data.attrs.get(SIDECAR)
+    if value is None:
+        return None
+    return {one.column: one.key for one in parse_export(value, path).columns}
+
+
+def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _Demo:
+    """Return a demonstration with the datasets that are wanted."""
+    group = data[name]
+    shapes = _shapes(group)
+    rows = _rows(group, shapes, name, path)
+    value = group.attrs.get(SIDECAR)
+    lacking = [key for key in wanted_names if key not in shapes]
+    if lacking:
+        raise DataError(
+            f"the demonstration lacks {', '.join(lacking)}",
+            expected=", ".join(wanted_names),
+            found=", ".join(shapes),
+            where=Where(path=str(path), episode=name),
+        )
+    arrays = {key: _load(group[key], path).reshape(rows, -1) for key in wanted_names}
+    return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
+
+
+def _shapes(group: Any) -> dict[str, tuple[int, ...]]:
+    """Return the shape of every dataset of numbers in a demonstration, by its path; two levels deep."""
+    found = {}
+    for key, value in group.items():
+        inner = {f"{key}/{name}": one for name, one in value.items()} if hasattr(value, "items") else {key: value}
+        for name, one in inner.items():
+            if hasattr(one, "shape") and one.ndim and one.dtype.kind in "fiub":
+                found[name] = one.shape
+    return found
+
+
+def _rows(group: Any, shapes: Mapping[str, tuple[int, ...]], name: str, path: Path) -> int:
+    """Return the number of rows of a demonstration, which all its datasets have."""
+    counts = {key: shape[0] for key, shape in shapes.items()}
+    claimed = group.attrs.get("num_samples")
+    if claimed is not None:
+        counts = {"num_samples": int(claimed)} | counts
+    where = Where(path=str(path), episode=name)
+    if not counts or not all(counts.values()):
+        raise DataError("the demonstration is empty", expected="at least 1 row", where=where)
+    known = counts.get("num_samples") or Counter(counts.values()).most_common(1)[0][0]
+    odd = [f"{key}: {count}" for key, count in counts.items() if count != known]
+    if odd:
+        raise DataError(
+            "the datasets of a demonstration differ in length",
+            expected=f"{known} rows, as {next(k for k, c in counts.items() if c == known)} has",
+            found=", ".join(odd),
+            where=where,
+            fix="the recording was cut short or is damaged; remove the demonstration, or get the file again",
+        )
+    return known
+
+
+def _load(dataset: Any, path: Path) -> NDArray:
+    """Return the values of a dataset that can lie in a file of that size."""
+    if dataset.nbytes > _LARGEST_GAIN * path.stat().st_size + _SLACK_BYTES:
+        raise DataError(
+            "a dataset claims more than the file can hold",
+            expected=f"a file of {path.stat().st_size} bytes",
+            found=f"{dataset.nbytes} bytes in {dataset.name}",
+            where=Where(path=str(path)),
+        )
+    return dataset[()]
+
+
+def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
+    """Return an episode that candata exported."""
+    if demo.sidecar is None:
+        raise DataError(
+            "the demonstration has no sidecar",
+            expected=f"an attribute {SIDECAR}, as the others have",
+            where=Where(path=str(path), episode=demo.name),
+            fix=f"remove the attribute {SIDECAR} of `data` to import all by their names",
+        )
+    return restored(demo.sidecar, {column: demo.arrays[key] for column, key in keys.items()}, path)
+
+
+def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
+    """Yield the episodes as the map says, or the names."""
+    shapes = _guarded(path, lambda: _shapes(data[names[0]]))
+    features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
+    mapping = read_feature_map(reading.mapping) if reading.mapping else _guess(features, path)
+    made = picks(mapping, features, reading.mapping or path)
+    rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
+    if rate_hz is None:
+        raise UsageError(
+            "the file does not say its rate",
+            expected="control_freq in env_args",
+            where=Where(path=str(path)),
+            fix="say it with --map FILE: `rate_hz: 20` beside `channels`",
+        )
+    used = wanted(made)
+    left = [name for name in shapes if name not in used]
+    if left:
+        reading.note(f"left out: {', '.join(left)}")
+    if reading.mapping is None:
+        kinds = ", ".join(f"{pick.channel} from {wanted([pick])[0]}" for pick in made)
+        reading.note(f"by their names: {kinds}; units are taken for SI (rad, m, N), as robomimic names none")
+    for name in names:
+        demo = _guarded(path, _demo, data, name, path, used)
+        identity = f"{path.stem}-{name}"
+        _check_widths(demo, made, Where(path=str(path), episode=identity))
+        time_ns = even_time_ns(demo.rows, rate_hz)
+        yield mapped_episode(identity, time_ns, demo.arrays, made, mapping, reading, path, rate_hz=rate_hz)
+
+
+def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
+    """Raise where a demonstration has fewer columns than the first."""
+    for pick in made:
+        for name, columns in pick.parts:
+            if max(columns) >= demo.arrays[name].shape[1]:
+                raise DataError(
+                    f"{name} has other columns than in the first demonstration",
+                    expected=f"at least {max(columns) + 1}",
+                    found=str(demo.arrays[name].shape[1]),
+                    where=where,
+                )
+
+
+def _guess(features: list[Feature], path: Path) -> FeatureMap:
+    """Return the map that the datasets' names imply."""
+    known = {feature.name for feature in features}
+    channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE}
+    for channel, name in _ROBOSUITE.items():
+        if name in known:
+            channels.setdefault(channel, name)
+    if "actions" in known:
+        channels["action"] = "actions"
+    if not {"object_pose", "joint_position"} & set(channels):
+        raise UsageError(
+            "no dataset is known as the joints' position or the object's pose",
+            expected="obs/<channel> or obs/robot0_joint_pos",
+            found=", ".join(known),
+            where=Where(path=str(path)),
+            fix="say what is what with --map FILE, such as "
+            "`channels: {joint_position: 'obs/my_joints[0:7]', action: actions}`",
+        )
+    return FeatureMap(channels=dict(channels))
+
+
+def _rate_hz(data: Any) -> float | None:
+    """Return the control rate of the environment, where the file says it."""
+    try:
+        arguments = json.loads(data.attrs["env_args"])
+        rate_hz = float(arguments["env_kwargs"]["control_freq"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        return None
+    return rate_hz if 1e-6 < rate_hz < 1e9 else None

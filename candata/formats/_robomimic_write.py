@@ -1,0 +1,88 @@
+"""Episodes as a robomimic HDF5 file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from candata.errors import MissingExtraError
+from candata.formats import Writing
+from candata.formats._packing import Survey, filled, survey
+from candata.formats._robomimic_read import SIDECAR
+from candata.formats._sidecar import exported, sidecar, text
+from candata.schema.channels import VALID_SUFFIX
+from candata.schema.episode import Episode
+
+FILE = "dataset.hdf5"
+#: robomimic asks what kind of environment made the data; 2 is gym. Source: robomimic, `envs/env_base.py`.
+_GYM = 2
+
+
+def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
+    """Write the episodes into `dataset.hdf5` in an empty folder; they are read twice.
+
+    Raises
+    ------
+    DataError
+        When the episodes differ in rate, or in number or names of joints, actuators or fingertips.
+    MissingExtraError
+        When h5py is not installed.
+    """
+    try:
+        import h5py
+    except ImportError:
+        raise MissingExtraError("h5py", "formats") from None
+    found = survey(episodes)
+    # Attributes beyond 64 KB need the file format of HDF5 1.8.
+    with h5py.File(folder / FILE, "w", libver=("v108", "v108")) as file:
+        data = file.create_group("data")
+        data.attrs["total"] = found.rows
+        data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}))
+        masks: dict[str, list[str]] = {}
+        scenes: list[str] = []
+        for index, episode in enumerate(episodes):
+            name = f"demo_{index}"
+            _write_demo(data.create_group(name), episode, found)
+            masks.setdefault(episode.meta.source, []).append(name)
+            scenes.append(episode.meta.scene or "unknown")
+        for source, names in masks.items():
+            file.create_dataset(f"mask/{source}", data=np.array(names, dtype="S"))
+        data.attrs["env_args"] = _env_args(scenes, found)
+    for line in (*found.notes, *_limits(found)):
+        writing.note(line)
+
+
+def key_of(column: str) -> str:
+    """Return where a column lies in a demonstration."""
+    if column.endswith(VALID_SUFFIX):
+        return f"valid/{column.removesuffix(VALID_SUFFIX)}"
+    return {"action": "actions", "time_ns": "time_ns"}.get(column, f"obs/{column}")
+
+
+def _write_demo(group: Any, episode: Episode, found: Survey) -> None:
+    """Write one demonstration."""
+    for name, array in filled(episode, found).items():
+        group.create_dataset(key_of(name), data=array)
+    rows = len(episode)
+    group.create_dataset("rewards", data=np.zeros(rows))
+    group.create_dataset("dones", data=(np.arange(rows) == rows - 1).astype(np.int64))
+    group.attrs["num_samples"] = rows
+    group.attrs[SIDECAR] = text(exported(episode))
+
+
+def _env_args(scenes: list[str], found: Survey) -> str:
+    """Return what robomimic wants to know of the environment."""
+    name = ", ".join(dict.fromkeys(scenes))
+    return json.dumps({"env_name": name, "type": _GYM, "env_kwargs": {"control_freq": found.rate_hz}})
+
+
+def _limits(found: Survey) -> Iterable[str]:
+    """Yield what robomimic's own files have and these have not."""
+    yield "rewards are zero and dones mark the last row, as candata keeps neither"
+    yield "left out: states, model_file and next_obs; train with hdf5_load_next_obs: false"
+    if "action" not in found.columns:
+        yield "the episodes have no action, and so the file has no `actions`"

@@ -1,0 +1,152 @@
+"""The sidecar of an export: what a foreign layout cannot hold, and the way back to the exact episodes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets.encode import content_hash, hash_columns, meta_json
+from candata.errors import DataError, Where
+from candata.formats import Writing
+from candata.formats._assemble import checked
+from candata.schema.channels import CHANNELS, VALID_SUFFIX
+from candata.schema.episode import Episode
+from candata.schema.exchange import SIDECAR_VERSION, ExportedColumn, ExportedEpisode, ExportFile
+
+
+def exported(episode: Episode) -> ExportedEpisode:
+    """Return what an import needs beside the arrays of an episode."""
+    layout = {name: array.shape[1:] for name, array in episode.arrays.items()}
+    return ExportedEpisode(meta=episode.meta, rows=len(episode), content_hash=content_hash(episode), layout=layout)
+
+
+def sidecar(writing: Writing, keys: Mapping[str, str], episodes: Iterable[ExportedEpisode] = ()) -> ExportFile:
+    """Return the sidecar of an export; `keys` is where each column lies in the foreign layout."""
+    columns = tuple(_column(name, key) for name, key in keys.items())
+    return ExportFile(
+        dataset=writing.name,
+        digest=writing.digest,
+        lineage=writing.lineage,
+        columns=columns,
+        episodes=tuple(episodes),
+    )
+
+
+def text(record: ExportFile | ExportedEpisode) -> str:
+    """Return a sidecar as JSON."""
+    return json.dumps(record.model_dump(mode="json"), ensure_ascii=False)
+
+
+def parse_export(value: str | bytes, path: object) -> ExportFile:
+    """Return the sidecar in JSON text.
+
+    Raises
+    ------
+    DataError
+        When the text is no JSON, or of a version that is not known.
+    UsageError
+        When a field is missing, unknown or wrong.
+    """
+    found = parse_json(value, path)
+    version = found.get("format_version") if isinstance(found, dict) else None
+    if version != SIDECAR_VERSION:
+        raise DataError(
+            "the sidecar has another version",
+            expected=f"format_version {SIDECAR_VERSION}",
+            found=repr(version)[:80],
+            where=Where(path=str(path)),
+            fix="import with the candata that wrote it, or without the sidecar",
+        )
+    return ExportFile.parse(found, str(path))
+
+
+def parse_episode(value: str | bytes, path: object) -> ExportedEpisode:
+    """Return the sidecar of one episode in JSON text.
+
+    Raises
+    ------
+    DataError
+        When the text is no JSON.
+    UsageError
+        When a field is missing, unknown or wrong.
+    """
+    return ExportedEpisode.parse(parse_json(value, path), str(path))
+
+
+def parse_json(value: str | bytes, path: object) -> Any:
+    """Return the value of JSON text.
+
+    Raises
+    ------
+    DataError
+        When it is no JSON; says where.
+    """
+    try:
+        return json.loads(value)
+    except (ValueError, RecursionError) as error:
+        raise DataError(
+            "the file is no JSON", found=str(error)[:200], where=Where(path=str(path)), fix="restore it from a copy"
+        ) from None
+
+
+def restored(entry: ExportedEpisode, arrays: Mapping[str, NDArray], path: object) -> Episode:
+    """Return the episode that was exported, bit for bit.
+
+    Parameters
+    ----------
+    entry : ExportedEpisode
+        Its part of the sidecar.
+    arrays : mapping of str to ndarray
+        By column, `(T, n)` or `(T,)`; columns without elements may be absent.
+    path : object
+        File, for messages.
+
+    Raises
+    ------
+    DataError
+        When an array is missing or of another size, or the content is not what was exported.
+    """
+    where = Where(path=str(path), episode=entry.meta.id)
+    try:
+        shaped = {name: _shaped(name, shape, entry.rows, arrays) for name, shape in entry.layout.items()}
+    except (KeyError, ValueError, MemoryError, OverflowError) as error:
+        raise _altered(f"{type(error).__name__}: {error}", where) from None
+    found = hash_columns(meta_json(entry.meta), shaped)
+    if found != entry.content_hash:
+        raise _altered(f"content {found[:12]}", where, f"content {entry.content_hash[:12]}")
+    return checked(entry.meta, shaped, path)
+
+
+def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, NDArray]) -> NDArray:
+    """Return a column in the shape it had."""
+    flag = name.endswith(VALID_SUFFIX)
+    dtype = "bool" if flag else CHANNELS[name].dtype
+    if not math.prod(shape):
+        return np.zeros((rows, *shape), dtype)
+    return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
+
+
+def _altered(found: str, where: Where, expected: str | None = None) -> DataError:
+    """Return the error of an export that was changed after it was written."""
+    return DataError(
+        "the data are not what was exported",
+        expected=expected,
+        found=found,
+        where=where,
+        fix="export again; or remove the sidecar to import what is there by its names",
+    )
+
+
+def _column(name: str, key: str) -> ExportedColumn:
+    """Return what a column's numbers mean."""
+    channel = CHANNELS[name.removesuffix(VALID_SUFFIX)]
+    if name.endswith(VALID_SUFFIX):
+        return ExportedColumn(
+            column=name, key=key, unit="1", frame="", meaning=f"{channel.name} holds a value in this row"
+        )
+    return ExportedColumn(column=name, key=key, unit=channel.unit, frame=channel.frame, meaning=channel.meaning)

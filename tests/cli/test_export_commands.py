@@ -1,0 +1,86 @@
+"""`export`, and `import` of what it wrote: text, exit codes, what stays behind, and equal episodes."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from candata.datasets import append, create_dataset, open_dataset
+from candata.schema.manifest import Lineage
+from candata_cli import main as entry
+from tests.conftest import make_episode
+
+pytest.importorskip("h5py")
+
+
+def run(*arguments) -> int:
+    with pytest.raises(SystemExit) as stop:
+        entry.main([str(argument) for argument in arguments])
+    return stop.value.code or 0
+
+
+@pytest.fixture
+def dataset(tmp_path):
+    root = create_dataset(tmp_path / "ds", name="ds")
+    append(root, [make_episode(f"é{k}", seed=k, task="pick") for k in range(3)], Lineage(operation="made"))
+    return root
+
+
+@pytest.mark.parametrize("way", [["lerobot"], ["lerobot", "--v21"], ["robomimic"], ["diffusion_policy"]])
+def test_episodes_and_digest_survive_an_export_and_an_import(way, dataset, tmp_path, capsys):
+    out, back = tmp_path / "out", tmp_path / "back"
+    assert run("export", way[0], dataset, "--out", out, *way[1:]) == 0
+    one = open_dataset(dataset)
+    assert capsys.readouterr().out == f"{out}: 3 episodes of ds@{one.digest[:12]}\n"
+    assert run("import", way[0], out, "--out", back) == 0
+    assert capsys.readouterr().out == f"{back}: 3 episodes added, 3 in version 1\n"
+    other = open_dataset(back)
+    assert (other.ids, other.digest) == (one.ids, one.digest)
+    assert other.lineage[0].operation == f"import {way[0]}"
+    assert run("import", way[0], out, "--out", back, "--append") == 0
+    assert capsys.readouterr().out == f"{back}: 0 episodes added, 3 in version 1\n"
+
+
+def test_the_sidecar_says_whose_data_it_is(dataset, tmp_path):
+    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    sidecar = json.loads((tmp_path / "out" / "meta" / "candata.json").read_text())
+    assert sidecar["digest"] == open_dataset(dataset).digest
+    assert sidecar["lineage"][0]["operation"] == "made"
+    units = {one["key"]: (one["unit"], one["frame"]) for one in sidecar["columns"]}
+    assert units["observation.fingertip_force"] == ("N", "fingertip")
+
+
+def test_wrong_arguments(dataset, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run("export", "lerobott", dataset, "--out", out) == 2
+    assert "did you mean 'lerobot'" in capsys.readouterr().err
+    assert run("export", "robomimic", dataset, "--out", out, "--v21") == 2
+    assert "`export robomimic` takes no --v21" in capsys.readouterr().err
+    assert run("export", "lerobot", tmp_path / "none", "--out", out) == 2
+    out.mkdir()
+    assert run("export", "lerobot", dataset, "--out", out) == 2
+    assert "the output exists already" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["ds", "out"]
+
+
+def test_a_refused_export_leaves_nothing(dataset, tmp_path, capsys):
+    append(dataset, [make_episode("fast", rate_hz=500.0)], Lineage(operation="made"))
+    for name in ("lerobot", "robomimic", "diffusion_policy"):
+        assert run("export", name, dataset, "--out", tmp_path / "out") == 2
+        assert "the episodes differ in rate_hz" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["ds"]
+
+
+def test_a_damaged_export_imports_nothing(dataset, tmp_path, capsys):
+    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    path = tmp_path / "out" / "data" / "chunk-000" / "file-000.parquet"
+    path.write_bytes(path.read_bytes()[:-40])
+    before = path.read_bytes()
+    capsys.readouterr()
+    assert run("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
+    error = capsys.readouterr().err
+    assert "file-000.parquet cannot be read" in error
+    assert "Traceback" not in error
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["ds", "out"]
+    assert path.read_bytes() == before
