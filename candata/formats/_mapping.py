@@ -210,6 +210,23 @@ def _factors(mapping: TableMap, channel: str, columns: tuple[str, ...], where: W
     return tuple(factors)
 
 
+def unit_factors(channel: str, count: int, unit: str | None, where: Where) -> tuple[float, ...]:
+    """Return the factor to SI of each of a channel's values, the unit applied to those that can have it.
+
+    Raises
+    ------
+    UsageError
+        When the unit is not known, or none of the values can have it.
+    """
+    kinds = _kinds(channel, count)
+    if unit is None:
+        return (1.0,) * count
+    factor = to_si(unit, where)
+    if not any(_fits(unit, kind) for kind in kinds):
+        raise _unfit(channel, unit, kinds[0], where)
+    return tuple(factor if _fits(unit, kind) else 1.0 for kind in kinds)
+
+
 def _kinds(channel: str, count: int) -> tuple[tuple[str, ...], ...]:
     """Return, for each column of a channel, the SI units it may have."""
     return _FIXED.get(channel) or (_JOINT.get(channel, (CHANNELS[channel].unit,)),) * count

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.formats import Format
+from candata.formats._checked import checked, derive_contact
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._mapping import Plan, plans, read_map, time_factor
 from candata.formats._names import element_names, fingertip_names
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
-from candata.schema.contact import fingertip_contact
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import TableMap
 
@@ -196,20 +196,10 @@ def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
             arrays[plan.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
             invalid[plan.channel] = int(gaps.any(axis=1).sum())
         arrays[plan.channel] = _typed(plan, block, where).reshape(len(rows), *plan.shape)
-    rule = _derive_contact(arrays, invalid)
-    episode = _checked(_meta(table, identity, rule, invalid), arrays, table.path)
+    rule = derive_contact(arrays, invalid)
+    episode = checked(_meta(table, identity, rule, invalid), arrays, table.path)
     _check_rate(episode, table)
     return episode
-
-
-def _checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: Path) -> Episode:
-    """Return the episode; what is wrong with it is said with the file's name."""
-    try:
-        return Episode(meta, arrays)
-    except DataError as error:
-        where = dataclasses.replace(error.where, path=str(path))
-        facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
-        raise DataError(error.problem, where=where, **facts) from None
 
 
 def _gap_error(plan: Plan, gaps: NDArray, rows: NDArray, where: Where) -> DataError:
@@ -239,26 +229,6 @@ def _typed(plan: Plan, block: NDArray, where: Where) -> NDArray:
             where=dataclasses.replace(where, index=row),
         )
     return block == 1
-
-
-def _derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> ContactRule | None:
-    """Add the contact channels that are missing; return the rule if a threshold was applied."""
-    rule = None
-    if "fingertip_force" in arrays and "fingertip_contact" not in arrays:
-        rule = ContactRule()
-        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
-        _inherit(arrays, invalid, "fingertip_force", "fingertip_contact")
-    if "fingertip_contact" in arrays and "contact" not in arrays:
-        arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(axis=1))
-        _inherit(arrays, invalid, "fingertip_contact", "contact")
-    return rule
-
-
-def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, derived: str) -> None:
-    """Mark a derived channel invalid where the one it comes from is."""
-    if origin in invalid:
-        arrays[derived + VALID_SUFFIX] = arrays[origin + VALID_SUFFIX]
-        invalid[derived] = invalid[origin]
 
 
 def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[str, int]) -> EpisodeMeta:

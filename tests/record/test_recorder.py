@@ -13,11 +13,11 @@ import pytest
 
 from candata import plugins
 from candata.errors import SetupError, UsageError
+from candata.formats._mcap_scan import Scan
 from candata.record.devices import _xhand_frames as wire
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import Settings
-from candata.formats._mcap_scan import Scan
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
 
