@@ -47,7 +47,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class Row:
-    """One reading with its three times [ns] (0: no stamp), the names beside its values, and its message's number."""
+    """One reading with its three times [ns] (-1: no stamp), the names beside its values, and its message's number."""
 
     header_ns: int
     log_ns: int

@@ -10,7 +10,7 @@ from typing import Any
 from candata.errors import DataError, UsageError, Where
 from candata.schema.topics import TopicEntry
 
-#: A message to its readings: header stamp [ns] (0 where it has none), names, values.
+#: A message to its readings: header stamp [ns] (-1 where it has none), names, values.
 Reading = tuple[int, tuple[str, ...], tuple[float, ...]]
 Extract = Callable[[Any], list[Reading]]
 
@@ -195,16 +195,16 @@ def _joints(message: Any, value: str, entry: TopicEntry, where: Where) -> list[R
 
 
 def stamp_ns(message: Any) -> int:
-    """Return a message's own stamp `header.stamp` or `timestamp` [ns]; 0 where it has none."""
+    """Return a message's own stamp `header.stamp` or `timestamp` [ns]; -1 where it has none."""
     header = _get(message, "header")
     stamp = _get(message, "timestamp") if header is None else _get(header, "stamp")
     if stamp is None:
-        return 0
+        return -1
     seconds = next((v for v in (_get(stamp, name) for name in ("sec", "seconds")) if v is not None), 0)
     parts = (_get(stamp, name) for name in ("nanosec", "nanos", "nsec"))
     below = next((v for v in parts if v is not None), 0)
     if not (isinstance(seconds, int) and isinstance(below, int)):
-        return 0
+        return -1
     return seconds * 1_000_000_000 + below
 
 
@@ -267,10 +267,11 @@ def _at(value: Any, steps: Sequence[_Step], where: Where) -> Any:
 
 
 def _numbers(value: Any, where: Where) -> tuple[float, ...]:
-    """Return a number or a list of them as floats; null is none that is known."""
-    items = value if hasattr(value, "__iter__") and not isinstance(value, str | Mapping) else (value,)
+    """Return a number or lists of them as floats, in order; null is none that is known."""
+    if hasattr(value, "__iter__") and not isinstance(value, str | Mapping):
+        return tuple(number for item in value for number in _numbers(item, where))
     try:
-        return tuple(float("nan") if item is None else float(item) for item in items)
+        return (float("nan") if value is None else float(value),)
     except (TypeError, ValueError, OverflowError):
         raise DataError(
             "a field does not hold numbers", expected="numbers", found=repr(value)[:80], where=where,

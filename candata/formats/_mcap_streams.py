@@ -186,7 +186,8 @@ def _stamps(
 ) -> tuple[NDArray[np.int64], Alignment | None]:
     """Return the stamps of a topic on the chosen clock, and the recorder's clock against its header stamps."""
     header, log = (np.array([getattr(row, f"{name}_ns") for row in rows], np.int64) for name in ("header", "log"))
-    unstamped = np.flatnonzero(header <= 0)
+    # Simulated time begins at 0; a stamp that is always 0 was never filled in.
+    unstamped = np.flatnonzero(header < 0) if header.any() else np.arange(len(rows))
     fit = None if len(unstamped) else align.clock_fit(header, log, _FIT)
     if clock in ("header", "fitted") and fit is None:
         some = len(unstamped) < len(rows)

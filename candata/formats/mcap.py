@@ -22,10 +22,9 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-import yaml
-
 from candata.errors import DataError, UsageError, Where
 from candata.formats import Format, Reading
+from candata.formats._map_file import read_map_file
 from candata.formats._mcap_bag import Bag, Recording, metadata, read_bag, recordings
 from candata.formats._mcap_bag import digest as recording_digest
 from candata.formats._mcap_episode import episodes
@@ -85,19 +84,10 @@ def _is_own(recording: Recording) -> bool:
 
 def _mapping(reading: Reading) -> TopicMap | None:
     """Return the map, checked as far as it can be without the recording."""
-    path = reading.mapping
-    if path is None:
+    if reading.mapping is None:
         return None
-    where = Where(path=str(path))
-    try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise UsageError("the map cannot be read", found=found, where=where) from None
-    except (yaml.YAMLError, RecursionError) as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split()), where=where) from None
-    mapping = TopicMap.parse(value, path)
-    entries(mapping, where)
+    mapping = read_map_file(TopicMap, reading.mapping)
+    entries(mapping, Where(path=str(reading.mapping)))
     return mapping
 
 
