@@ -12,7 +12,7 @@ from candata import align
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.formats._mapping import unit_factors
 from candata.formats._mcap_bag import Bag, Recording, Row, Wanted
-from candata.formats._mcap_fields import extract
+from candata.formats._mcap_fields import Extract, extract, stamp_ns
 from candata.schema.channels import CHANNELS, DENSE, QUATERNION
 from candata.schema.episode import Alignment
 from candata.schema.topics import TopicEntry, TopicMap
@@ -103,15 +103,18 @@ def wanted(mapping: TopicMap, where: Where) -> list[Wanted]:
     return found
 
 
-def _marker(mapping: TopicMap, where: Where) -> Callable:
+def _marker(mapping: TopicMap, where: Where) -> Callable[[str], Extract]:
     """Return what makes the extractor of the marker: its flag where it is one, else nothing but its time."""
     cuts = mapping.episodes
     if cuts is None or cuts.marker is None:
         raise UsageError("the map has no marker", where=where)
-    entry = TopicEntry(topic=cuts.marker, fields=(cuts.field,))
+    topic, given = cuts.marker, cuts.field
 
-    def make(kind: str) -> Callable:
-        return extract("contact", kind, entry if kind == "std_msgs/Bool" else TopicEntry(topic=entry.topic), where)
+    def make(kind: str) -> Extract:
+        flag = given or ("data" if kind == "std_msgs/Bool" else None)
+        if flag is None:
+            return lambda message: [(stamp_ns(message), (), ())]
+        return extract("contact", kind, TopicEntry(topic=topic, fields=(flag,)), where)
 
     return make
 

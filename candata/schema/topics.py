@@ -41,13 +41,13 @@ class TopicEntry(Record):
 class Cuts(Record):
     """Where the episodes of a recording begin and end; seconds count from the first reading of a mapped topic.
 
-    With a marker, a flag that turns true begins an episode and one that turns false ends it; a message that is no flag
-    ends the last one and begins the next.
+    With a marker, a flag that turns true begins an episode and one that turns false ends it: `field` of its messages,
+    or a `std_msgs/Bool`. A message without a flag ends the last episode and begins the next.
     """
 
     ranges_s: tuple[tuple[float, float], ...] = ()
     marker: str | None = None
-    field: str = "data"
+    field: str | None = None
     clock: Clock = "log"
 
 
