@@ -13,7 +13,7 @@ import yaml
 
 from candata.errors import DataError, Where
 from candata.formats._mcap_decode import decoded, decoder, type_name
-from candata.formats._mcap_fields import Extract
+from candata.formats._mcap_fields import LATEST_NS, Extract
 from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
 
@@ -207,7 +207,7 @@ class _File:
     def message(self, message: Any) -> None:
         """Count a message, and take from it what is wanted."""
         channel = self.channels.get(message.channel_id)
-        if channel is None:
+        if channel is None or max(message.log_time, message.publish_time) >= LATEST_NS:
             self.orphans += 1
             return
         self.read += 1
@@ -285,7 +285,7 @@ def _damage(path: Path, scan: Scan, orphans: int, read: int, claimed: int | None
     if scan.damaged_chunks:
         yield f"{path.name}: {scan.damaged_chunks} damaged chunks"
     if orphans:
-        yield f"{path.name}: {orphans} messages of no known topic"
+        yield f"{path.name}: {orphans} messages of no known topic, or of no possible time"
     if claimed is not None and claimed != read + orphans and not scan.damaged_chunks:
         yield f"{path.name}: {read} messages where its statistics say {claimed}"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 from collections.abc import Callable
 from typing import Any
@@ -62,7 +64,8 @@ def _ros2(schema: Any) -> Decode:
         from mcap_ros2.decoder import DecoderFactory
     except ModuleNotFoundError:
         raise MissingExtraError("mcap-ros2-support", "formats") from None
-    made = DecoderFactory().decoder_for("cdr", schema)
+    with contextlib.redirect_stderr(io.StringIO()):  # its parser prints what it then raises
+        made = DecoderFactory().decoder_for("cdr", schema)
     if made is None:
         raise ValueError("no decoder")
     return made

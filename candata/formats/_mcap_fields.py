@@ -37,6 +37,8 @@ TRANSFORMS = {
     "tf2_msgs/TFMessage": ("transforms", "geometry_msgs/TransformStamped"),
     "foxglove.FrameTransforms": ("transforms", "foxglove.FrameTransform"),
 }
+#: Times from here on (the year 2116) are damage; differences of earlier ones stay within int64.
+LATEST_NS = 1 << 62
 _ARRAYS = re.compile(r"std_msgs/(U?Int(8|16|32|64)|Float(32|64))(MultiArray)?|std_msgs/Bool")
 JOINTS = ("sensor_msgs/JointState", "foxglove.JointStates")
 _JOINT_FIELD = {"joint_velocity": "velocity", "joint_effort": "effort"}
@@ -205,7 +207,8 @@ def stamp_ns(message: Any) -> int:
     below = next((v for v in parts if v is not None), 0)
     if not (isinstance(seconds, int) and isinstance(below, int)):
         return -1
-    return seconds * 1_000_000_000 + below
+    found = seconds * 1_000_000_000 + below
+    return found if 0 <= found < LATEST_NS else -1
 
 
 def _steps(path: str) -> list[_Step]:

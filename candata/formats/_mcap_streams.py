@@ -170,13 +170,13 @@ def stream(
                         where=where, fix="correct `child` or `joints` in the map")  # fmt: skip
     time_ns, clocks = _stamps(rows, entry, entry.clock or mapping.clock, where, note)
     values = _matrix(rows, channel, where)
-    values *= np.array(unit_factors(channel, values.shape[1], entry.unit, where))
+    columns = slice(0, 3) if channel in QUATERNION else slice(None)
+    with np.errstate(over="ignore", invalid="ignore"):
+        values *= np.array(unit_factors(channel, values.shape[1], entry.unit, where))
+        values[:, columns] *= entry.scale
+    _mark_gaps(values, rows, channel, entry, allow_gaps, where, note)
     if channel in QUATERNION:
-        values[:, :3] *= entry.scale
         _make_unit(values, rows, where)
-    else:
-        values *= entry.scale
-    _mark_gaps(values, rows, entry, allow_gaps, where, note)
     shaped, names = _shaped(channel, entry, values, rows, where)
     if CHANNELS[channel].dtype == "bool":
         read = np.isfinite(values).all(axis=1)
@@ -250,10 +250,9 @@ def _matrix(rows: Sequence[Row], channel: str, where: Where) -> NDArray[np.float
 
 
 def _make_unit(values: NDArray[np.float64], rows: Sequence[Row], where: Where) -> None:
-    """Make quaternions unit; one of zeros (nothing was seen) becomes NaN."""
+    """Make quaternions unit."""
     norm = np.linalg.norm(values[:, 3:], axis=1)
-    values[norm == 0] = np.nan
-    bad = np.flatnonzero(np.isfinite(norm) & (norm > 0) & ~(np.abs(norm - 1) <= _NORM_TOLERANCE))
+    bad = np.flatnonzero(np.isfinite(norm) & ~(np.abs(norm - 1) <= _NORM_TOLERANCE))
     if len(bad):
         raise DataError(
             f"{where.channel} holds a quaternion that is not unit",
@@ -262,19 +261,22 @@ def _make_unit(values: NDArray[np.float64], rows: Sequence[Row], where: Where) -
             where=Where(path=where.path, channel=where.channel, index=rows[int(bad[0])].index),
             fix="check that the topic holds poses, and the order of `fields`",
         )
-    values[:, 3:] /= np.where(norm > 0, norm, 1.0)[:, None]
+    values[:, 3:] /= norm[:, None]
 
 
 def _mark_gaps(
     values: NDArray[np.float64],
     rows: Sequence[Row],
+    channel: str,
     entry: TopicEntry,
     allow_gaps: bool,
     where: Where,
     note: Callable[[str], None],
 ) -> None:
-    """Make readings that are not finite NaN as a whole; without `allow_gaps` refuse them."""
+    """Make readings that are not finite, or quaternions of zeros (nothing was seen), NaN as a whole, or refuse them."""
     gaps = ~(np.abs(values) <= _LARGEST).all(axis=1)
+    if channel in QUATERNION:
+        gaps |= ~values[:, QUATERNION[channel]].any(axis=1)
     if not gaps.any():
         return
     first = rows[int(np.argmax(gaps))].index

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag
 
 from candata.schema.record import Record
 from candata.schema.scene import Positive
@@ -38,6 +38,18 @@ class TopicEntry(Record):
     max_gap_periods: Positive = 1.5
 
 
+def _form(value: object) -> str:
+    """Return which of its forms a channel's value in a map has, so that an error names the field in that."""
+    if isinstance(value, str):
+        return "topic"
+    return "entries" if isinstance(value, list | tuple) else "entry"
+
+
+_Topic = Annotated[str, Tag("topic")]
+_Entry = Annotated[TopicEntry, Tag("entry")]
+Entries = tuple[Annotated[_Topic | _Entry, Discriminator(_form)], ...]
+
+
 class Cuts(Record):
     """Where the episodes of a recording begin and end; seconds count from the first reading of a mapped topic.
 
@@ -59,7 +71,9 @@ class TopicMap(Record):
     """
 
     rate_hz: Positive
-    channels: dict[str, str | TopicEntry | tuple[TopicEntry, ...]] = Field(min_length=1)
+    channels: dict[str, Annotated[_Topic | _Entry | Annotated[Entries, Tag("entries")], Discriminator(_form)]] = Field(
+        min_length=1
+    )
     clock: Clock = "header"
     reference: str | None = None
     episodes: Cuts | None = None

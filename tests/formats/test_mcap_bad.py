@@ -40,11 +40,11 @@ def bare(count: int = 50) -> list:
     [
         (channels(object_poses="/pose"), UnknownNameError, "did you mean 'object_pose'"),
         (channels(hand_pose="/pose"), UsageError, "one of object_pose, joint_position"),
-        (channels(object_pose=["/pose", "/pose"]), UsageError, "object_pose"),
+        (channels(object_pose=["/pose", "/pose"]), UsageError, "needs one topic"),
         (channels(object_pose={"topic": "/pose", "joints": ["a"]}), UsageError, "has no joints"),
         (channels(object_pose={"topic": "/pose", "unit": "deg"}), UsageError, "cannot be in deg"),
         (channels(object_pose={"topic": "/pose", "unit": "metre"}), UnknownNameError, "unknown unit"),
-        (channels(object_pose={"topic": "/pose", "clock": "wall"}), UsageError, "clock"),
+        (channels(object_pose={"topic": "/pose", "clock": "wall"}), UsageError, r"object_pose\.entry\.clock"),
         (channels(object_pose={"topic": "/pose", "role": "speed"}), UsageError, "role"),
         (channels(object_pose={"topic": "/pose", "fields": ["pose..x"]}), UsageError, "no field path"),
         (channels(object_pose={"topic": "/pose", "fields": ["__class__"]}), UsageError, "no field path"),
