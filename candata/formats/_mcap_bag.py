@@ -18,6 +18,12 @@ from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
 
 METADATA = "metadata.yaml"
+#: First bytes of other files that bags come in, what they are, and what to do.
+_OTHERS = (
+    (b"SQLite", "a bag of kind sqlite3", "convert it: `ros2 bag convert` with storage_id mcap"),
+    (b"#ROSBAG", "a bag of ROS 1", "convert it: `mcap convert`"),
+    (b"\x28\xb5\x2f\xfd", "a file packed by zstd", "unpack it: `zstd -d`, and correct its name in metadata.yaml"),
+)
 
 
 @dataclass(frozen=True)
@@ -134,13 +140,13 @@ def _require_mcap(path: Path) -> None:
         raise DataError("the recording cannot be read", found=error.strerror, where=where) from None
     if head == MAGIC:
         return
-    database = head.startswith(b"SQLite")
+    found, fix = next(((words, fix) for start, words, fix in _OTHERS if head.startswith(start)), (repr(head), None))
     raise DataError(
         "the file is no MCAP file" if head else "the file is empty",
         expected="a file that begins with the MCAP magic",
-        found="a bag of kind sqlite3" if database else repr(head),
+        found=found,
         where=where,
-        fix="convert it: `ros2 bag convert` with storage_id mcap" if database else None,
+        fix=fix,
     )
 
 

@@ -90,9 +90,9 @@ def test_a_transform_is_found_by_its_child_frame(tmp_path):
         for t in TIMES.tolist()
     ]
     bag = write_ros2(tmp_path / "run.mcap", {"/tf": ("tf2_msgs/msg/TFMessage", messages)})
-    entry = {"topic": "/tf", "child": "can", "parent": "odom"}
+    entry = {"topic": "/tf", "child": "can", "parent": "map"}
     (episode,) = read(bag, {"rate_hz": 100, "channels": {"object_pose": entry}})
-    assert (episode["object_pose"][:, 0] == 2.0).all()
+    assert (episode["object_pose"][:, 0] == 1.0).all()
     with pytest.raises(UsageError, match="which frame"):
         read(bag, {"rate_hz": 100, "channels": {"object_pose": "/tf"}})
     with pytest.raises(DataError, match="holds nothing for object_pose"):
@@ -200,6 +200,22 @@ def test_a_gap_is_refused_or_marked_and_never_filled(tmp_path, reference):
         assert np.flatnonzero(~valid).tolist() == list(range(20, 30))
         assert episode.meta.invalid_counts == {"object_pose": 10}
         assert np.isnan(episode["object_pose"][~valid]).all()
+
+
+def test_what_counts_as_a_gap_is_the_map_s(tmp_path):
+    torn = [message for k, message in enumerate(poses()) if not 20 <= k < 30]
+    bag = write_ros2(tmp_path / "run.mcap", {"/pose": (POSES, torn)})
+    entry = {"topic": "/pose", "max_gap_periods": 11}
+    (episode,) = read(bag, {"rate_hz": 100, "channels": {"object_pose": entry}})
+    assert episode["object_pose"][:, 0] == pytest.approx(np.arange(50), rel=1e-6)  # linear between its ends, float32
+    with pytest.raises(DataError, match="has a gap"):
+        read(bag, {"rate_hz": 100, "channels": {"object_pose": entry | {"max_gap_periods": 10}}})
+
+
+def test_messages_need_not_stand_in_the_order_of_time(tmp_path):
+    shuffled = [poses()[k] for k in (*range(25, 50), *range(25))]
+    (episode,) = read(write_ros2(tmp_path / "run.mcap", {"/pose": (POSES, shuffled)}), POSE_MAP)
+    assert (episode["object_pose"][:, 0] == np.arange(50)).all()
 
 
 @pytest.mark.parametrize("broken", [pose(float("nan")), pose(w=0.0), pose(1e300)])

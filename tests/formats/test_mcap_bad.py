@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 import yaml
 
@@ -185,11 +187,45 @@ def test_a_broken_chunk_is_refused_or_a_gap(tmp_path):
     assert (episode["object_pose"][valid, 0] == [k for k in range(400) if valid[k]]).all()
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"SQLite format 3\0", b"hello world, hello"])
-def test_files_that_are_no_recordings(tmp_path, content):
+def test_a_lost_message_is_known_by_the_count(tmp_path):
+    from mcap.writer import CompressionType
+
+    topics = {"/pose": (POSES, poses(60))}
+    bag = write_ros2(tmp_path / "run.mcap", topics, compression=CompressionType.NONE, enable_crcs=False)
+    raw = bytearray(bag.read_bytes())
+    body = struct.pack("<HIQQ", 1, 7, START + 7 * STEP, START + 7 * STEP - 1)
+    at = raw.index(body) - 9
+    assert raw[at] == 5  # a message
+    raw[at] = 0x80  # a record of another's, which readers pass over
+    bag.write_bytes(bytes(raw))
+    with pytest.raises(DataError, match="59 messages where its statistics say 60"):
+        read(bag, POSE_MAP)
+    (episode,) = read(bag, POSE_MAP, allow_gaps=True)
+    assert episode.meta.invalid_counts == {"object_pose": 1}
+
+
+def test_a_topic_that_never_says_anything_finite_is_refused(tmp_path):
+    messages = [(t, item | {"pose": pose(float("nan"))}) for t, item in poses()]
+    topics = {"/pose": (POSES, messages), "/j": (JOINTS, joints())}
+    bag = write_ros2(tmp_path / "run.mcap", topics)
+    with pytest.raises(DataError, match="no row has a valid object_pose"):
+        read(bag, channels(object_pose="/pose", joint_position="/j"), allow_gaps=True)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "the file is empty"),
+        (b"\x89MCAP", "no MCAP file"),
+        (b"SQLite format 3\0", "ros2 bag convert"),
+        (b"#ROSBAG V2.0", "mcap convert"),
+        (b"\x28\xb5\x2f\xfd1234", "zstd -d"),
+    ],
+)
+def test_files_that_are_no_recordings(tmp_path, content, words):
     path = tmp_path / "run.mcap"
     path.write_bytes(content)
-    with pytest.raises(DataError):
+    with pytest.raises(DataError, match=words):
         read(path, POSE_MAP)
 
 
