@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from candata import rotation
 from candata.errors import DataError, UsageError
+from candata.schema.channels import QUATERNION
 from candata.schema.episode import Alignment
 
 Role = Literal["state", "command", "measurement", "sample", "flag"]
@@ -90,6 +91,59 @@ def resample(
     else:
         raise UsageError("unknown role", expected=f"state, command, {', '.join(_OVER_A_STEP)}", found=repr(role))
     return Resampled(_filled(found, valid), valid)
+
+
+#: What a channel's readings mean; others are states.
+ROLES: dict[str, Role] = {
+    "action": "command",
+    "joint_effort": "measurement",
+    "fingertip_force": "measurement",
+    "fingertip_contact": "flag",
+    "contact": "flag",
+    "taxels": "sample",
+}
+
+
+def on_rows(
+    channel: str,
+    time_ns: Times,
+    values: NDArray,
+    rows_ns: Times,
+    *,
+    max_gap_periods: float = MAX_GAP_PERIODS,
+    role: Role | None = None,
+    action: Literal["next", "previous"] = "next",
+) -> Resampled:
+    """Return a stream at the rows of an episode, each kind of reading where it counts.
+
+    A command counts by the middle of the step that it is held over; a reading over a step (force, flag, sample) by the
+    middle of the stream's period before its stamp. With one rate for stream and rows, jitter below half a period then
+    moves nothing into another row.
+
+    Parameters
+    ----------
+    channel : str
+        Channel; says the role where none is given, and which columns are a quaternion.
+    time_ns, values, rows_ns
+        As in `resample`.
+    max_gap_periods : float
+        Neighbours further apart, in median intervals of the stream, are the ends of a gap.
+    role : str, optional
+        Another role than the channel's.
+    action : str
+        Whether a command is held over the step after its row or the one before.
+
+    Raises
+    ------
+    DataError, UsageError
+        As `resample`.
+    """
+    role, period = role or ROLES.get(channel, "state"), period_ns(time_ns)
+    step = float(rows_ns[1] - rows_ns[0]) if len(rows_ns) > 1 else 0.0
+    shift = {"state": 0.0, "command": step if action == "next" else -step}.get(role, period) / 2
+    at = rows_ns + (round(shift) if np.isfinite(shift) else 0)
+    gap = max_gap_periods * period
+    return resample(time_ns, values, at, role, max_gap_ns=gap, quaternion=QUATERNION.get(channel))
 
 
 def period_ns(time_ns: Times) -> float:

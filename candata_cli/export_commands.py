@@ -36,8 +36,9 @@ def export(
 ) -> None:
     """Write a version of a dataset in a foreign format; what the format cannot hold is said."""
     import tempfile
+    from functools import partial
 
-    from candata.datasets import open_dataset
+    from candata.datasets import get_cloud, open_dataset
     from candata.errors import UnknownNameError, UsageError, Where
     from candata.formats import Writing
     from candata.plugins import load, names
@@ -51,7 +52,9 @@ def export(
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     data = open_dataset(dataset, console.version(version))
-    writing = Writing(data.name, data.digest, data.lineage, "v21" if v21 else None, console.note)
+    writing = Writing(
+        data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, dataset)
+    )
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
         staged = Path(folder) / "export"

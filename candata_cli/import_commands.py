@@ -11,6 +11,8 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from candata.record.importing import Imported, Recipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
@@ -166,14 +168,20 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
     if options["mapping"] is not None and not reader.takes_map:
         raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
     _refuse_standing(out, append)
-    reading = Reading(**options, note=console.note)
+    clouds: list[NDArray] = []
+    reading = Reading(**options, note=console.note, cloud=clouds.append)
     lineage = Lineage(
         operation=f"import {format_name}",
         config_digest=reader.digest(source, reading),
         tools={"candata": __version__},
-        details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps},
+        details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
     )
-    _publish(out, reader.read(source, reading), lineage.operation, lambda: lineage)
+    _publish(out, reader.read(source, reading), lineage.operation, lambda: lineage, clouds=clouds)
+
+
+def _map_text(mapping: Path | None) -> dict[str, str]:
+    """Return the text of a map that was read, as the lineage keeps it."""
+    return {} if mapping is None else {"map": mapping.read_text(encoding="utf-8")}
 
 
 def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: Path, append: bool) -> None:
@@ -276,20 +284,28 @@ def _refuse_standing(out: Path, append: bool) -> None:
 
 
 def _publish(
-    out: Path, episodes: Iterable[Episode], operation: str, lineage: Callable[[], Lineage], part_size: int = 16
+    out: Path,
+    episodes: Iterable[Episode],
+    operation: str,
+    lineage: Callable[[], Lineage],
+    part_size: int = 16,
+    clouds: Iterable[NDArray] = (),
 ) -> None:
     """Write all episodes as one version and print what was added; a failure leaves no trace.
 
-    A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all. `lineage` is asked
-    once all episodes were read.
+    A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all. `lineage` and
+    `clouds` are asked once all episodes were read.
     """
     import tempfile
 
-    from candata.datasets import create_dataset, publish, write_parts
+    from candata.datasets import create_dataset, publish, put_cloud, write_parts
     from candata.datasets.versions import newest
 
     def add(root: Path) -> VersionFile:
-        return publish(root, write_parts(root, _told(episodes), operation, part_size), lineage())
+        parts = write_parts(root, _told(episodes), operation, part_size)
+        for points in clouds:
+            put_cloud(root, points)
+        return publish(root, parts, lineage())
 
     standing = newest(out) if out.exists() else None
     if out.exists():

@@ -7,12 +7,18 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from numpy.typing import NDArray
+
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
 
 def _silent(line: str) -> None:
     """Say nothing."""
+
+
+def _dropped(points: NDArray) -> None:
+    """Keep no cloud."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,8 @@ class Reading:
         What the file does not say of its episodes.
     note : callable
         Takes a line for people: what was left out, what was assumed.
+    cloud : callable
+        Takes a point cloud `(N, 3) float32 [m]` that an episode names by its content, to be kept with it.
     """
 
     allow_gaps: bool = False
@@ -40,6 +48,7 @@ class Reading:
     object: str | None = None
     task: str | None = None
     note: Callable[[str], None] = field(default=_silent, compare=False)
+    cloud: Callable[[NDArray], None] = field(default=_dropped, compare=False)
 
 
 @dataclass(frozen=True)
@@ -56,6 +65,8 @@ class Writing:
         Older layout of the format, where it has one.
     note : callable
         Takes a line for people: what the format cannot hold.
+    cloud : callable, optional
+        The points `(N, 3) float32 [m]` of the cloud that an episode names, where they are at hand.
     """
 
     name: str
@@ -63,6 +74,7 @@ class Writing:
     lineage: tuple[Lineage, ...] = ()
     variant: str | None = None
     note: Callable[[str], None] = field(default=_silent, compare=False)
+    cloud: Callable[[str], NDArray] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)

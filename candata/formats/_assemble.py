@@ -85,7 +85,7 @@ def gather(
             arrays[block.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
             invalid[block.channel] = int(gaps.any(axis=1).sum())
         arrays[block.channel] = _typed(block.channel, values, here).reshape(len(rows), *block.shape)
-    return Gathered(arrays, _derive_contact(arrays, invalid), invalid)
+    return Gathered(arrays, derive_contact(arrays, invalid), invalid)
 
 
 def checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: object) -> Episode:
@@ -133,8 +133,16 @@ def _typed(channel: str, values: NDArray, where: Where) -> NDArray:
     return values == 1
 
 
-def _derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> ContactRule | None:
-    """Add the contact channels that are missing; return the rule if a threshold was applied."""
+def derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> ContactRule | None:
+    """Add the contact channels that are missing; return the rule if a threshold was applied.
+
+    Parameters
+    ----------
+    arrays : dict of str to ndarray
+        Channels and their `_valid` flags; added to.
+    invalid : dict of str to int
+        Invalid rows by channel; added to.
+    """
     rule = None
     if "fingertip_force" in arrays and "fingertip_contact" not in arrays:
         rule = ContactRule()

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from candata.errors import DataError, UnknownNameError, UsageError, Where
+from candata.formats._map_file import read_map_file
 from candata.schema.channels import CHANNELS, DENSE, QUATERNION
 from candata.schema.scene import TableMap
 from candata.units import TO_SI, to_si
@@ -70,19 +69,7 @@ def read_map(path: Path) -> TableMap:
     UsageError
         When the file is missing, is no YAML, or a field is missing, unknown or wrong.
     """
-    try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(
-            "the map cannot be read",
-            found=getattr(error, "strerror", None) or str(error),
-            where=Where(path=str(path)),
-        ) from None
-    except yaml.YAMLError as error:
-        raise UsageError(
-            "the map is no YAML", found=" ".join(str(error).split()), where=Where(path=str(path))
-        ) from None
-    return TableMap.parse(value, path)
+    return read_map_file(TableMap, path)
 
 
 def plans(mapping: TableMap, path: Path) -> tuple[Plan, ...]:
@@ -208,6 +195,23 @@ def _factors(mapping: TableMap, channel: str, columns: tuple[str, ...], where: W
         unit = own or (shared if shared is not None and fits(shared, kind) else "1")
         factors.append(TO_SI[unit])
     return tuple(factors)
+
+
+def unit_factors(channel: str, count: int, unit: str | None, where: Where) -> tuple[float, ...]:
+    """Return the factor to SI of each of a channel's values, the unit applied to those that can have it.
+
+    Raises
+    ------
+    UsageError
+        When the unit is not known, or none of the values can have it.
+    """
+    kinds = si_units(channel, count)
+    if unit is None:
+        return (1.0,) * count
+    factor = to_si(unit, where)
+    if not any(fits(unit, kind) for kind in kinds):
+        raise unfit(channel, unit, kinds[0], where)
+    return tuple(factor if fits(unit, kind) else 1.0 for kind in kinds)
 
 
 def si_units(channel: str, count: int) -> tuple[tuple[str, ...], ...]:

@@ -183,7 +183,7 @@ def _messages(path: Path) -> Iterable[tuple[str, str, int, bytes]]:
     """Yield topic, schema name, log time [ns] and bytes of every message."""
     from mcap.records import Channel, Message, Schema
 
-    from candata.record.scan import Scan
+    from candata.formats._mcap_scan import Scan
 
     schemas: dict[int, str] = {}
     channels: dict[int, tuple[str, str]] = {}
@@ -215,7 +215,7 @@ def _joints(data: bytes, log_time: int) -> tuple[int, Any]:
 
 def _decoded(name: str, data: bytes) -> Any:
     """Return a protobuf message; bytes that are none are refused."""
-    from candata.record.messages import message
+    from candata.formats._mcap_messages import message
 
     kind = message(name)
     from google.protobuf.message import DecodeError

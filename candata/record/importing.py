@@ -26,7 +26,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.record.companions import Companion, Stream
 from candata.record.import_streams import column_order, merged, punctual, require_overlap, span, utc, wire_streams
 from candata.record.logs import Log
-from candata.schema.channels import QUATERNION, VALID_SUFFIX
+from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
 from candata.schema.record import Record
@@ -40,7 +40,6 @@ BEAT_ROWS = 81
 SCALES = (0.5, 1.0, 2.0)
 #: Largest rate of the grid as a multiple of the hand's.
 RATES = 20
-_ROLES: dict[str, align.Role] = {"action": "command", "fingertip_force": "measurement", "taxels": "sample"}
 
 
 class Recipe(Record):
@@ -246,26 +245,12 @@ def _aligned(
     for channel in dict.fromkeys(s.channel for s in streams):
         same = [s for s in streams if s.channel == channel]
         order, names[channel] = column_order(same, recipe.roles)
-        found = [_on_grid(s, grid_ns, recipe.max_gap_periods) for s in same]
+        gap = recipe.max_gap_periods
+        found = [align.on_rows(s.channel, s.time_ns, s.values, grid_ns, max_gap_periods=gap) for s in same]
         values = np.concatenate([f.values for f in found], axis=1) if len(found) > 1 else found[0].values
         arrays[channel] = values if order is None else values[:, order]
         arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in found])
     return arrays, names
-
-
-def _on_grid(stream: Stream, grid_ns: NDArray[np.int64], max_gap_periods: float) -> align.Resampled:
-    """Return a stream on the grid; a command in the middle of the step, a reading of force as of its middle."""
-    role, period = _ROLES.get(stream.channel, "state"), align.period_ns(stream.time_ns)
-    shift = {"state": 0.0, "command": float(grid_ns[1] - grid_ns[0])}.get(role, period) / 2
-    quaternion = QUATERNION.get(stream.channel)
-    return align.resample(
-        stream.time_ns,
-        stream.values,
-        grid_ns + round(shift),
-        role,
-        max_gap_ns=max_gap_periods * period,
-        quaternion=quaternion,
-    )
 
 
 def _add_contact(arrays: Arrays, threshold_n: float) -> None:

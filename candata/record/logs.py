@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
+from candata.formats._mcap_messages import descriptors, message
+from candata.formats._mcap_scan import Scan
 from candata.record.calibration import Calibration, from_metadata, to_metadata
 from candata.record.devices._contract import Commands, Device, States
-from candata.record.messages import descriptors, message
-from candata.record.scan import Scan
 from candata.record.sink import Sink
 from candata.schema.record import Record
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from candata.errors import SetupError, UsageError, Where
-from candata.record.scan import Scan
+from candata.formats._mcap_scan import Scan
 
 
 @dataclass(frozen=True)

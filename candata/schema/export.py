@@ -20,6 +20,7 @@ from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
 from candata.schema.report import Report
 from candata.schema.scene import SceneFile, TableMap
+from candata.schema.topics import FramesMap, TopicMap
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -28,10 +29,12 @@ _READ: dict[str, type[Record]] = {
     "case": CaseFile,
     "effects": EffectsFile,
     "feature-map": FeatureMap,
+    "frames": FramesMap,
     "label": Label,
     "labels": LabelsFile,
     "map": TableMap,
     "scene": SceneFile,
+    "topics": TopicMap,
 }
 
 #: Files that candata writes, where every key is present.

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from candata.errors import DataError, UsageError
+from candata.formats._mcap_messages import descriptors, message
 from candata.record.companions import read_companion
 from candata.record.importing import import_log
-from candata.record.messages import descriptors, message
 from tests.record.made_logs import JOINTS, RECIPE, START, make_log
 
 

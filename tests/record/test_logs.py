@@ -14,11 +14,11 @@ import pytest
 
 from candata import plugins
 from candata.errors import DataError, SetupError, UsageError
+from candata.formats._mcap_messages import message
 from candata.record import logs
 from candata.record.calibration import Calibration
 from candata.record.devices._contract import Commands, States
 from candata.record.logs import LogMeta, LogWriter, meta_of, read_log
-from candata.record.messages import message
 
 META = LogMeta(
     device="d",

@@ -13,11 +13,11 @@ import pytest
 
 from candata import plugins
 from candata.errors import SetupError, UsageError
+from candata.formats._mcap_scan import Scan
 from candata.record.devices import _xhand_frames as wire
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import Settings
-from candata.record.scan import Scan
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
 
@@ -56,7 +56,7 @@ def run(port, out, watcher=None, device=DEVICE, stop=lambda: False, overrides=No
 def wire_bytes(path) -> bytes:
     from mcap.records import Channel, Message
 
-    from candata.record.messages import message
+    from candata.formats._mcap_messages import message
 
     topics, data = {}, b""
     for item in Scan(path):

@@ -53,7 +53,7 @@ class Scan:
             while True:
                 try:
                     record = next(records)
-                except (McapError, EOFError, StopIteration, ValueError, struct.error):
+                except (McapError, EOFError, StopIteration, ValueError, OverflowError, MemoryError, struct.error):
                     return
                 self.end = file.tell()
                 self.whole = self.whole or isinstance(record, Footer)
@@ -65,9 +65,10 @@ class Scan:
         from mcap.exceptions import McapError
         from mcap.stream_reader import breakup_chunk
 
+        broken = (McapError, EOFError, ValueError, RuntimeError, OverflowError, MemoryError, struct.error)
         try:
             return breakup_chunk(chunk, validate_crc=True)
-        except (McapError, EOFError, ValueError, RuntimeError, struct.error, zstandard.ZstdError):
+        except (*broken, zstandard.ZstdError):
             self.damaged_chunks += 1
             return []
 
