@@ -46,7 +46,7 @@ _WRITTEN: dict[str, type[Record]] = {
     "export": ExportFile,
     "part": PartFile,
     "registry": RegistryFile,
-    "remote_version": RemoteVersion,
+    "remote-version": RemoteVersion,
     "report": Report,
     "tag": TagFile,
     "version": VersionFile,
