@@ -6,9 +6,12 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+if TYPE_CHECKING:
+    from candata.datasets import Dataset
 
 GAP = "Check the diagnosis itself, and what it found."
 
@@ -23,8 +26,20 @@ def group(app: typer.Typer, name: str, about: str) -> typer.Typer:
     return made
 
 
-def version(text: str | None) -> int | str | None:
-    """Return a short number as a number, the start of a digest as it is."""
+def opened(dataset: str, version: str | None = None, partial: bool = False) -> Dataset:
+    """Return the version of a dataset that a folder or a registered name means, `@` and a tag or version after it.
+
+    `version` is a number, the start of a digest or a tag, and stands above what follows the `@`.
+    """
+    from candata.datasets import open_dataset
+    from candata.datasets.registry import resolve
+
+    path, wanted = resolve(dataset)
+    return open_dataset(path, number(version) if version else wanted, partial=partial)
+
+
+def number(text: str | None) -> int | str | None:
+    """Return a short number as a number, a tag or the start of a digest as it is."""
     return int(text) if text and text.isdigit() and len(text) < 6 else text
 
 

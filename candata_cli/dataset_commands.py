@@ -29,7 +29,7 @@ def validate(dataset: DatasetPath, version: Version = None, json: Json = False) 
     from candata.checks import check
     from candata.datasets import open_dataset
 
-    data = open_dataset(dataset, console.version(version), partial=True)
+    data = open_dataset(dataset, console.number(version), partial=True)
     with console.progress("checking parts", len(data.file.parts)) as advance:
         findings = check(data, lambda: advance(1))
     if json:

@@ -24,7 +24,7 @@ def register(app: typer.Typer) -> None:
 
 
 def diagnose(
-    dataset: Annotated[Path, typer.Argument(help="Dataset of recordings.")],
+    dataset: Annotated[str, typer.Argument(help="Dataset of recordings: its folder or registered name.")],
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
@@ -34,7 +34,7 @@ def diagnose(
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
     edit: Annotated[
-        Path | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
+        str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
     ] = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
     only: Annotated[
@@ -47,7 +47,6 @@ def diagnose(
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
-    from candata.datasets import open_dataset
     from candata.datasets.durable import user_cache
     from candata.errors import UsageError
     from candata.gap import diagnose as run
@@ -61,12 +60,12 @@ def diagnose(
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
     world = load_scene(scene)
-    other = None if edit is None else (open_dataset(edit), load_scene(edit_scene) if edit_scene else world)
+    other = None if edit is None else (console.opened(edit), load_scene(edit_scene) if edit_scene else world)
     if other is not None:
         _check_edit(*other)
     with console.stages() as stage:
         found = run(
-            open_dataset(dataset, int(version) if version and version.isdigit() else version),
+            console.opened(dataset, version),
             world,
             jobs=jobs,
             seed=seed,

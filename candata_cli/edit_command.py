@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
 
 
 def edit_test(
-    dataset: Annotated[Path, typer.Argument(help="Recordings of another object or task.")],
+    dataset: Annotated[str, typer.Argument(help="Recordings of another object or task.")],
     effects: Annotated[Path, typer.Option("--effects", metavar="FILE", help="What the diagnosis named: effects.yaml.")],
     scene: Annotated[
         str | None, typer.Option(help="Nominal simulator of these recordings; else that of --effects.")
@@ -34,7 +34,6 @@ def edit_test(
     Kept means: the 90 % interval of the share that closes lies above zero, and the share is at least 0.8 of what
     closed in the diagnosis (report.json beside --effects; without one, of the whole gap).
     """
-    from candata.datasets import open_dataset
     from candata.effects import read_effects, scene_of
     from candata.gap.edit import edit_test as run
     from candata.reports.words import edit_words
@@ -44,7 +43,7 @@ def edit_test(
     world = load_scene(scene or scene_of(given, effects))
     with console.stages() as stage:
         found = run(
-            open_dataset(dataset), world, given.effects, reference=_closed(effects.parent / "report.json"), jobs=jobs,
+            console.opened(dataset), world, given.effects, reference=_closed(effects.parent / "report.json"), jobs=jobs,
             seed=seed, progress=stage,
         )  # fmt: skip
     console.out(found.model_dump_json(indent=2) if json else edit_words(found))

@@ -29,16 +29,16 @@ def register(app: typer.Typer) -> None:
 
 def export(
     format_name: Annotated[str, typer.Argument(metavar="FORMAT", help="Format; an unknown one lists them.")],
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name.")],
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder to write; appears whole or not at all.")],
-    version: Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")] = None,
+    version: Annotated[str | None, typer.Option(help="Version: its number, the start of its digest, or a tag.")] = None,
     v21: Annotated[bool, typer.Option("--v21", help="lerobot: the layout of v2.1 instead of v3.0.")] = False,
 ) -> None:
     """Write a version of a dataset in a foreign format; what the format cannot hold is said."""
     import tempfile
     from functools import partial
 
-    from candata.datasets import get_cloud, open_dataset
+    from candata.datasets import get_cloud
     from candata.errors import UnknownNameError, UsageError, Where
     from candata.formats import Writing
     from candata.plugins import load, names
@@ -51,7 +51,7 @@ def export(
         raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
-    data = open_dataset(dataset, console.version(version))
+    data = console.opened(dataset, version)
     writing = Writing(
         data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, dataset)
     )

@@ -25,7 +25,7 @@ Examples:
 #: Rows of a comparison that the terminal shows; the page and --json have all.
 SHOWN_ROWS = 15
 
-Version = Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")]
+Version = Annotated[str | None, typer.Option(help="Version: its number, the start of its digest, or a tag.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
@@ -35,10 +35,10 @@ def register(app: typer.Typer) -> None:
 
 
 def inspect(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name.")],
     episode: Annotated[str | None, typer.Option("--episode", metavar="ID", help="Only this episode.")] = None,
     against: Annotated[
-        Path | None, typer.Option("--against", metavar="DATASET", help="Compare motion, force and contact with it.")
+        str | None, typer.Option("--against", metavar="DATASET", help="Compare motion, force and contact with it.")
     ] = None,
     html: Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Page to write as well.")] = None,
     version: Version = None,
@@ -48,16 +48,15 @@ def inspect(
 
     With --against, the same statistics of two datasets side by side, what differs most first.
     """
-    from candata.datasets import open_dataset
     from candata.errors import UsageError
 
-    data = open_dataset(dataset, console.version(version))
+    data = console.opened(dataset, version)
     if against is None:
         _inspect_one(data, episode, html, json)
     elif episode is not None:
         raise UsageError("--episode and --against do not go together", fix="leave one of them out")
     else:
-        _inspect_two(data, open_dataset(against), html, json)
+        _inspect_two(data, console.opened(against), html, json)
 
 
 def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bool) -> None:

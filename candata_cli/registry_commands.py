@@ -10,7 +10,6 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
-    from candata.datasets import Dataset
     from candata.schema.manifest import VersionFile
 
 ABOUT = "Names, versions and lineage of datasets; choosing, joining and sharing them."
@@ -51,14 +50,6 @@ _RELABEL = """\b
 Example:
   candata registry relabel day1 --set task=pick --set outcome=success --where "rows > 200" --out named
 """
-
-
-def opened(text: str) -> Dataset:
-    """Return the version of a dataset that a name or path means."""
-    from candata.datasets import open_dataset
-    from candata.datasets.registry import resolve
-
-    return open_dataset(*resolve(text))
 
 
 def add(
@@ -120,7 +111,7 @@ def info(dataset: Data, json: Json = False) -> None:
     from candata.datasets.tags import read_tags
     from candata.datasets.versions import numbers, read_version
 
-    data = opened(dataset)
+    data = console.opened(dataset)
     tags = read_tags(data.path)
     versions = [_version(read_version(data.path, n), [t for t, v in tags.items() if v.version == n])
                 for n in numbers(data.path)]  # fmt: skip
@@ -167,7 +158,7 @@ def tag(
         delete_tag(path, name)
         console.out(f"{name} taken away; the version stays")
         return
-    made = set_tag(path, name, console.version(version) if version else wanted, move)
+    made = set_tag(path, name, console.number(version) if version else wanted, move)
     console.out(f"{name}: version {made.version}, {made.digest[:12]}")
 
 
@@ -182,7 +173,7 @@ def diff(
     from candata.datasets.diff import diff as difference
     from candata.datasets.history import label_of
 
-    one, two = opened(first), opened(second)
+    one, two = console.opened(first), console.opened(second)
     found = difference(one, two)
     if json:
         console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.equal, **asdict(found)})
@@ -208,7 +199,7 @@ def filter_episodes(
     """
     from candata.datasets.filtering import filter_dataset, matching
 
-    data = opened(dataset)
+    data = console.opened(dataset)
     if out is not None:
         _made(out, filter_dataset(data, where, out), json)
         return
@@ -235,7 +226,7 @@ def merge(
 
     if append and prefix:
         raise UsageError("--prefix does not go with --append", fix="merge with --prefix to a new folder first")
-    data = [opened(text) for text in datasets]
+    data = [console.opened(text) for text in datasets]
     _made(out, merge_into(data, out) if append else join(data, out, prefix), json)
 
 
@@ -256,7 +247,7 @@ def relabel(
         if not equals:
             raise UsageError("--set takes LABEL=VALUE", found=text)
         labels[name] = value or None
-    _made(out, write(opened(dataset), labels, where, out), json)
+    _made(out, write(console.opened(dataset), labels, where, out), json)
 
 
 def _made(out: Path, version: VersionFile, json: bool) -> None:
@@ -274,7 +265,7 @@ def log(dataset: Data, json: Json = False) -> None:
     """Print where a version comes from, as a tree: recorded, generated, imported, filtered, merged, relabelled."""
     from candata.datasets import history
 
-    origin = history.tree(opened(dataset))
+    origin = history.tree(console.opened(dataset))
     if json:
         console.out_json(history.as_json(origin))
         return

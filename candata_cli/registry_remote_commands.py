@@ -85,7 +85,7 @@ def pull(
 
     called, _, version = name.partition("@")
     store = open_remote(find_remote(remote))
-    done = fetch(store, called, out, console.version(version or None), _bar("fetching"))
+    done = fetch(store, called, out, console.number(version or None), _bar("fetching"))
     for line in done.notes:
         console.note(line)
     if json:

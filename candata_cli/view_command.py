@@ -20,7 +20,7 @@ def register(app: typer.Typer) -> None:
 
 
 def view(
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")],
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name.")],
     episode: Annotated[
         str | None, typer.Option("--episode", metavar="ID", help="Episode; the first by id by default.")
     ] = None,
@@ -31,17 +31,16 @@ def view(
         str | None,
         typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; by default the episode's, if built in."),
     ] = None,
-    version: Annotated[str | None, typer.Option(help="Version: its number or the start of its digest.")] = None,
+    version: Annotated[str | None, typer.Option(help="Version: its number, the start of its digest, or a tag.")] = None,
 ) -> None:
     """Show an episode in Rerun: hand, object, contacts and forces in space, and traces over time.
 
     Needs the extra `view`. Without --out the viewer opens; it asks its own question about usage data.
     """
-    from candata.datasets import open_dataset
     from candata.reports.rerun_view import view as show
     from candata_cli import console
 
-    data = open_dataset(dataset, console.version(version))
+    data = console.opened(dataset, version)
     chosen = episode or data.ids[0]
     for line in show(data, chosen, scene, out):
         console.note(line)
