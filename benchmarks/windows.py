@@ -20,7 +20,7 @@ import torch
 from torch.utils.data import DataLoader, Dataset
 
 from candata.datasets import append, create_dataset, open_dataset
-from candata.loaders import Sampler, Windows, as_tensors, windows
+from candata.loaders import Windows, as_tensors, windows
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 
@@ -78,7 +78,7 @@ def through_loader(dataset: Dataset, collate, batches: int) -> float:
 
 def direct(feed: Windows, batches: int) -> float:
     """Return windows per CPU second of `Windows.batch` in the order of a Sampler."""
-    sampler = Sampler(len(feed), BATCH)
+    sampler = feed.sampler(BATCH)
     sampler.indices(0)
     begin = time.process_time()
     for step in range(batches):
