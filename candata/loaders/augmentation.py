@@ -29,9 +29,9 @@ class Augmentation(Record):
         Standard deviation of the noise on each element of a command, in its own unit (rad, m, N m, ...).
     """
 
-    position_m: float = Field(0.0, ge=0, allow_inf_nan=False)
-    rotation_rad: float = Field(0.0, ge=0, allow_inf_nan=False)
-    command: float = Field(0.0, ge=0, allow_inf_nan=False)
+    position_m: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    rotation_rad: float = Field(default=0.0, ge=0, allow_inf_nan=False)
+    command: float = Field(default=0.0, ge=0, allow_inf_nan=False)
 
     @property
     def off(self) -> bool:
