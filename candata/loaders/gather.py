@@ -125,13 +125,14 @@ class Stores:
 
     def __call__(self, wanted: NDArray[np.int64]) -> NDArray:
         """Return `(B, W) structured`; the rows of one window are of one array."""
-        block = np.empty(wanted.shape, self.rows[0].dtype)
-        first = 0
+        row = self.rows[0].dtype
+        # As plain bytes: numpy would copy a structured row field by field.
+        block, first = np.empty(wanted.shape, f"V{row.itemsize}"), 0
         for rows in self.rows:
             here = np.flatnonzero((wanted[:, 0] >= first) & (wanted[:, 0] < first + len(rows)))
-            block[here] = rows.take(wanted[here] - first, mode="clip")
+            block[here] = rows.view(block.dtype).take(wanted[here] - first, mode="clip")
             first += len(rows)
-        return block
+        return block.view(row)
 
 
 def batches(feed: Feed, sampler: Sampler, first: int = 0) -> Iterator[Batch]:

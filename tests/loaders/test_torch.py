@@ -66,7 +66,7 @@ def equal(batch, expected):
 def loaded(feed, sampler, **how):
     from torch.utils.data import DataLoader
 
-    return list(DataLoader(feed, batch_sampler=sampler.steps(3, 9), collate_fn=as_tensors, **how))
+    return list(DataLoader(feed, batch_sampler=sampler.steps(3, 9), **{"collate_fn": as_tensors} | how))
 
 
 @pytest.mark.filterwarnings("ignore:This DataLoader will create")  # on a machine of one core
@@ -76,10 +76,11 @@ def test_workers_change_no_bit(mixed):
     sampler = mixed.sampler(16, seed=11, rank=1, world=2)
     direct = [mixed.batch(sampler.indices(step)) for step in range(3, 9)]
     for how in ({}, {"num_workers": 2, "multiprocessing_context": "fork", "prefetch_factor": 3}):
-        found = loaded(mixed, sampler, **how)
-        assert len(found) == len(direct)
-        for batch, expected in zip(found, direct, strict=True):
-            equal(batch, expected)
+        for sent in ({}, {"collate_fn": dict}):
+            found = loaded(mixed, sampler, **how, **sent)
+            assert len(found) == len(direct)
+            for batch, expected in zip(found, direct, strict=True):
+                equal(as_tensors(batch) if sent else batch, expected)
 
 
 @pytest.mark.slow
