@@ -22,6 +22,10 @@ _EVERY_S = {True: 0.5, False: 10.0}
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
 Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
+Scaling = Annotated[
+    str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
+]
+CommandNoise = Annotated[float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
@@ -59,14 +63,10 @@ def train(
     init: Annotated[
         Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
     ] = None,
-    normaliser: Annotated[
-        str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
-    ] = None,
+    normaliser: Scaling = None,
     pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
     pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
-    command_noise: Annotated[
-        float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")
-    ] = 0,
+    command_noise: CommandNoise = 0,
     device: Device = "cpu",
     threads: Threads = None,
     version: Version = None,
