@@ -55,3 +55,11 @@ PINNED = [8, 4, 1, 6, 3, 2, 7, 5, 9, 0]
 def test_numbers_out_of_range(arguments):
     with pytest.raises(UsageError):
         Sampler(**{"counts": (10,), "batch_size": 2} | arguments)
+
+
+def test_sources_of_one_size_are_shuffled_apart():
+    line = Sampler((50, 50), 100, seed=3, parts=(1, 1)).indices(0)
+    first, second = line[line < 50], line[line >= 50] - 50
+    np.testing.assert_array_equal(np.sort(first), np.sort(second))
+    assert (first != second).any()
+    np.testing.assert_array_equal(first, Sampler((50,), 50, seed=3).indices(0))

@@ -248,6 +248,9 @@ def test_a_run_on_a_mixture_names_its_sources(mixture):
     assert told == [("glide", 0.75, sources["glide"].digest), ("real", 0.25, sources["real"].digest)]
     assert [(one.name, one.drawn) for one in job.effective(6)] == [("glide", 36), ("real", 12)]
     assert np.bincount(job.draw(0)["domain"]).tolist() == [6, 2]
+    held_out = torch.cat([batch["domain"] for batch in job.held_out])
+    # Glide has one episode for validation, real one too: the shares come from the mixture.
+    assert held_out.double().mean() == pytest.approx(0.25, abs=1 / len(held_out))
     assert run["normaliser"]["episodes"] == 8 + 10
 
 
