@@ -13,6 +13,7 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
+    from candata.loaders import Mixture
     from candata.training import Job, Progress, Report, Settings
 
 #: Shortest time between two lines of progress [s].
@@ -21,19 +22,26 @@ _EVERY_S = {True: 0.5, False: 10.0}
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Threads of the CPU; torch's choice by default.")]
 Version = Annotated[str | None, typer.Option("--version", help="Version of the dataset (default: the newest).")]
+Scaling = Annotated[
+    str | None, typer.Option("--normaliser", help="robust (default), std or quantile (to [-1, 1], clipped).")
+]
+CommandNoise = Annotated[float, typer.Option("--command-noise", help="Noise on each command, 1 sd in its own unit.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 def register(app: typer.Typer) -> None:
     """Add `train` and `evaluate`."""
-    app.command(epilog="Example: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first")(
-        train
-    )
+    app.command(
+        epilog="Examples: candata train --data sim --model contact_diffusion --minutes 10 --out runs/first; "
+        "candata train --data sim:0.7,real:0.3 --init runs/first --out runs/tuned"
+    )(train)
     app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
 
 
 def train(
-    data: Annotated[Path, typer.Option("--data", metavar="DATASET", help="Dataset to train on.")],
+    data: Annotated[
+        str, typer.Option("--data", metavar="DATASET", help="Dataset to train on, or several: sim:0.7,real:0.3.")
+    ],
     out: Annotated[Path, typer.Option("--out", metavar="RUN", help="Folder of the run; one that stands goes on.")],
     model: Annotated[
         str | None,
@@ -55,6 +63,10 @@ def train(
     init: Annotated[
         Path | None, typer.Option("--init", metavar="CHECKPOINT", help="Fine-tune this run or checkpoint.")
     ] = None,
+    normaliser: Scaling = None,
+    pose_noise_m: Annotated[float, typer.Option("--pose-noise-m", help="Shift of the object a window, 1 sd.")] = 0,
+    pose_noise_rad: Annotated[float, typer.Option("--pose-noise-rad", help="Turn of the object a window, 1 sd.")] = 0,
+    command_noise: CommandNoise = 0,
     device: Device = "cpu",
     threads: Threads = None,
     version: Version = None,
@@ -70,11 +82,18 @@ def train(
     from candata.training import train as run
 
     _set_threads(threads)
-    settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None)
-    ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init)
+    noise = {"position_m": pose_noise_m, "rotation_rad": pose_noise_rad, "command": command_noise}
+    settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
+    mixture, paths = _sources(data, version)
+    method: Any = normaliser
+    ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
     with console.stages() as stage:
         stage("reading the dataset")
-        job = prepare(_open(data, version), ask, settings, device)
+        opened = {name: _open(path, version) for name, path in paths.items()}
+        job = prepare(opened if mixture else opened[""], ask, settings, device)
+        if clipped := job.run.normaliser.get("clipped"):
+            values = ", ".join(f"{name} {count:,}" for name, count in clipped.items())
+            stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")
         if init is not None:
             stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as stopped:
@@ -82,7 +101,7 @@ def train(
     if settings.share(progress.step, progress.elapsed_s) < 1:
         console.note(f"stopped and saved at step {progress.step}; the same command goes on from there")
         raise typer.Exit(1)
-    _print_trained(job, progress, out, data, json)
+    _print_trained(job, progress, out, list(paths.values())[-1], json)
 
 
 def evaluate(
@@ -143,6 +162,22 @@ def _open(path: Path, version: str | None) -> Any:
     return open_dataset(path, int(version) if version and version.isdigit() else version)
 
 
+def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, Path]]:
+    """Return the mixture that `--data` tells, None for one dataset, and the folder of each source."""
+    if ":" not in data or Path(data).exists():
+        return None, {"": Path(data)}
+    from candata.errors import UsageError
+    from candata.loaders import Mixture, parse_mixture
+
+    told = parse_mixture(data)
+    paths = {Path(name).name: Path(name) for name in told.names}
+    if len(paths) < len(told.names):
+        raise UsageError("two datasets of a mixture have one name", found=data, fix="give their folders other names")
+    if version is not None:
+        raise UsageError("--version is of one dataset", found=data, fix="leave --version out")
+    return Mixture(names=tuple(paths), parts=told.parts), paths
+
+
 def _set_threads(threads: int | None) -> None:
     """Tell torch how many threads to use."""
     import torch
@@ -152,10 +187,17 @@ def _set_threads(threads: int | None) -> None:
 
 
 def _settings(
-    steps: int | None, minutes: float | None, seed: int, batch: int, learning_rate: float | None, tuned: bool
+    steps: int | None,
+    minutes: float | None,
+    seed: int,
+    batch: int,
+    learning_rate: float | None,
+    tuned: bool,
+    noise: dict[str, float],
 ) -> Settings:
     """Return the settings of the run."""
     from candata.errors import UsageError
+    from candata.loaders import Augmentation
     from candata.training import Settings
     from candata.training.settings import FINE_TUNE_SHARE
 
@@ -165,7 +207,8 @@ def _settings(
     if not 0 < learning_rate < 1:
         raise UsageError("--learning-rate is out of range", expected="between 0 and 1", found=f"{learning_rate:g}")
     length = steps if steps or minutes else usual.steps
-    return Settings(seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate)
+    augment = Augmentation.parse(noise, "noise of poses and commands")
+    return Settings(seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate, augment=augment)
 
 
 def _yaml(path: Path | None) -> dict[str, Any] | None:
@@ -226,12 +269,20 @@ def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
 
 def _print_trained(job: Job, progress: Progress, out: Path, data: Path, json: bool) -> None:
     """Print what stands now."""
+    from candata.loaders import told
+
+    given = job.effective(progress.step)
     if json:
-        console.out_json({"run": str(out), "model": job.run.model, **progress.model_dump(mode="json")})
+        shares = [one.model_dump(mode="json") for one in given]
+        console.out_json(
+            {"run": str(out), "model": job.run.model, **progress.model_dump(mode="json"), "sources": shares}
+        )
         return
     best = "no held-out episodes" if progress.best_loss is None else (
         f"least held-out loss {progress.best_loss:.4f} at step {progress.best_step}"
     )  # fmt: skip
     skipped = f", {progress.skipped} steps skipped: not finite" if progress.skipped else ""
     console.out(f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best}{skipped}")
+    if given:
+        console.out(told(given))
     console.note(f"next: candata evaluate {out} {data}")

@@ -1,28 +1,47 @@
 """Loaders: windows of episodes, gathered in batches from a memory-mapped cache."""
 
+from candata.loaders.augmentation import Augmentation, augment
 from candata.loaders.cache import Cache, open_cache
 from candata.loaders.feed import Windows, windows
+from candata.loaders.gather import Feed, Gather, batches
 from candata.loaders.increments import integrate
-from candata.loaders.normaliser import Normaliser, Scale
-from candata.loaders.sampling import Sampler
+from candata.loaders.mixing import Mixed, common_channels, mix
+from candata.loaders.normaliser import METHODS, Normaliser, Scale, normalised
+from candata.loaders.sampling import Sampler, noise
+from candata.loaders.shares import Effective, Mixture, parse_mixture, told
 from candata.loaders.splits import Split, find_split, load_split, make_split, save_split, split_digest, split_names
 from candata.loaders.tensors import as_tensors
 
 __all__ = [
+    "METHODS",
+    "Augmentation",
     "Cache",
+    "Effective",
+    "Feed",
+    "Gather",
+    "Mixed",
+    "Mixture",
     "Normaliser",
     "Sampler",
     "Scale",
     "Split",
     "Windows",
     "as_tensors",
+    "augment",
+    "batches",
+    "common_channels",
     "find_split",
     "integrate",
     "load_split",
     "make_split",
+    "mix",
+    "noise",
+    "normalised",
     "open_cache",
+    "parse_mixture",
     "save_split",
     "split_digest",
     "split_names",
+    "told",
     "windows",
 ]

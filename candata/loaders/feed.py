@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from candata.datasets import Dataset, get_cloud, open_dataset
+from candata.errors import UnknownNameError
 from candata.loaders.cache import Cache, Progress, open_cache
+from candata.loaders.gather import Batch, Gather, OneStore, host_index
 from candata.loaders.index import Pad, present_rows, strides
 from candata.loaders.layout import known_channels
-from candata.loaders.normaliser import SAMPLE, Method, Normaliser, channel_scale, float_channels, increment_scale
+from candata.loaders.normaliser import METHODS, SAMPLE, Method, Normaliser, Sample, fitted
+from candata.loaders.resident import move
+from candata.loaders.sampling import Sampler
 from candata.loaders.splits import Split, find_split, group_ids
-
-Batch = dict[str, NDArray]
 
 #: Seed of the choice of points where clouds differ in size.
 _THINNING_SEED = 0
@@ -102,33 +105,39 @@ class Windows:
         IndexError
             When a number is out of range.
         """
-        chosen = np.asarray(numbers, np.int64)
-        owner, present = self.owner[chosen], self.present[chosen]
-        begin, last = self.cache.begin[owner], self.cache.end[owner] - 1
-        wanted = present[:, None] + self._steps * self.stride[owner][:, None]
-        rows = np.minimum(np.maximum(wanted, begin[:, None]), last[:, None])
-        flagged = rows != wanted
-        if not self.cache.all_valid:
-            flagged |= ~self.cache.valid[rows]
-        if not self.cache.unbroken:
-            flagged |= self.cache.stretch[rows] != self.cache.stretch[present][:, None]
-        # mode="clip" skips a buffered check; the rows are within the episodes by construction.
-        block = self.cache.rows.take(rows, mode="clip")
-        past = self.history
-        out: Batch = {}
-        for name in self.channels:
-            values = block[name]
-            out[f"history/{name}"], out[f"future/{name}"] = values[:, :past], values[:, past:]
-            if name == "action":
-                out["planned/action"] = values[:, past - 1 : -1]
-        out["history_pad"], out["future_pad"] = flagged[:, :past], flagged[:, past:]
-        out["cloud"], out["episode"], out["row"] = self._cloud_of[owner], owner, present - begin
-        return out
+        return self.gather.batch(numbers)
+
+    def sampler(self, batch_size: int, seed: int = 0, rank: int = 0, world: int = 1) -> Sampler:
+        """Return the sampler of these windows; see `Sampler`."""
+        return Sampler((len(self),), batch_size, seed, rank, world)
+
+    def resident(self, device: str) -> Gather:
+        """Return a copy on the device that gives the same batches as tensors; see `candata.loaders.resident.move`."""
+        return move(self.gather, [self.cache.rows], device)
 
     @cached_property
-    def _steps(self) -> NDArray[np.int64]:
-        """Steps from the present, the oldest first."""
-        return np.arange(1 - self.history, self.horizon + 1)
+    def gather(self) -> Gather:
+        """Where each window lies."""
+        cache = self.cache
+        return Gather(
+            channels=self.channels,
+            past=self.history,
+            steps=np.arange(1 - self.history, self.horizon + 1),
+            present=self.present,
+            owner=self.owner,
+            begin=cache.begin,
+            last=cache.end - 1,
+            stride=self.stride,
+            columns={"cloud": self._cloud_of},
+            valid=None if cache.all_valid else cache.valid,
+            stretch=None if cache.unbroken else cache.stretch,
+            index=host_index,
+            take=OneStore(cache.rows),
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Send the fields alone to a worker: what is derived from the cache maps the file anew."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -194,42 +203,38 @@ class Windows:
         if not found:
             return np.zeros((0, 0, 3), np.float32)
         points = min(map(len, found))
-        return np.stack([_thinned(cloud, points) for cloud in found])
+        return np.stack([thinned(cloud, points) for cloud in found])
 
     @cached_property
     def normaliser(self) -> Normaliser:
         """Centre and scale of the float channels and of the pose increments, from the training episodes only."""
-        rows = np.concatenate([np.arange(self.cache.begin[e], self.cache.end[e]) for e in self.fit_episodes])
-        rows = rows[self.cache.valid[rows]]
-        rows = rows[:: -(-len(rows) // SAMPLE) or 1]
-        taken = self.cache.rows.take(rows)
-        scales = {n: channel_scale(n, taken[n], self.method) for n in float_channels(self.channels)}
-        poses, good = self._fit_poses() if "object_pose" in self.channels else (None, np.empty((0, 0), bool))
-        return Normaliser(
-            method=self.method,
+        return fitted(
+            self.method,
+            self.fit_sample(),
             dataset=self.dataset.name,
             digest=self.dataset.digest,
             episodes=len(self.fit_episodes),
-            rows=len(rows),
-            windows=len(good),
             rate_hz=self.rate_hz,
             horizon=self.horizon,
-            channels=scales,
-            increments=None if poses is None else increment_scale(poses, good),
         )
 
-    def _fit_poses(self) -> tuple[NDArray, NDArray[np.bool_]]:
-        """Return `(n, H + 1, 7)` poses of training windows, and `(n, H) bool` where an increment is real."""
+    def fit_sample(self) -> Sample:
+        """Return valid rows and poses of the training episodes, evenly spread: what a normaliser is fitted on."""
+        rows = np.concatenate([np.arange(self.cache.begin[e], self.cache.end[e]) for e in self.fit_episodes])
+        rows = rows[self.cache.valid[rows]]
+        taken = self.cache.rows.take(rows[:: -(-len(rows) // SAMPLE) or 1])
+        if "object_pose" not in self.channels:
+            return Sample(taken, np.empty((0, self.horizon + 1, 7)), np.empty((0, self.horizon), bool))
         present, owner = present_rows(self.cache, self.fit_episodes, self.stride, 1, self.horizon, 1, pad="both")
         every = -(-len(present) * (self.horizon + 1) // (2 * SAMPLE)) or 1
         fit = replace(self, history=1, present=present[::every], owner=owner[::every])
         batch = fit.batch(np.arange(len(fit)))
         poses = np.concatenate([batch["history/object_pose"], batch["future/object_pose"]], axis=1)
         flagged = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
-        return poses, ~(flagged[:, 1:] | flagged[:, :-1])
+        return Sample(taken, poses, ~(flagged[:, 1:] | flagged[:, :-1]))
 
 
-def _thinned(cloud: NDArray[np.float32], points: int) -> NDArray[np.float32]:
+def thinned(cloud: NDArray[np.float32], points: int) -> NDArray[np.float32]:
     """Return `points` of a cloud; the points of a cloud are not in random order."""
     if len(cloud) == points:
         return cloud
@@ -282,7 +287,7 @@ def windows(
     step : int
         Every how many native rows a window begins.
     method : str
-        Method of the normaliser: `robust` or `std`.
+        Method of the normaliser: `robust`, `std` or `quantile`; see `channel_scale`.
     cache : str or Path, optional
         Folder for caches; see `open_cache`.
     progress : callable
@@ -293,12 +298,14 @@ def windows(
     UsageError
         When a number is out of range, or there is no dataset.
     UnknownNameError
-        When a channel, group, split or padding is not known.
+        When a channel, group, split, padding or method is not known.
     DataError
         When a channel is missing, rates do not divide, the group is empty, or no episode is long enough.
     SetupError
         When the cache cannot be written.
     """
+    if method not in METHODS:
+        raise UnknownNameError("method of a normaliser", method, METHODS)
     opened = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     wanted = None if channels is None else known_channels(channels)
     found = find_split(opened, splits) if split is not None or splits is not None else None

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from candata.errors import DataError, UnknownNameError
+from candata.errors import DataError, UnknownNameError, UsageError
 from candata.loaders.increments import increments
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.record import Record
 
-Method = Literal["robust", "std"]
+Method = Literal["robust", "std", "quantile"]
+METHODS = ("robust", "std", "quantile")
 
 #: A standard deviation in MADs of a normal distribution, 1 / Phi^-1(3/4).
 #: Source: F. R. Hampel, "The influence curve and its role in robust estimation", JASA 69 (1974).
@@ -51,6 +54,7 @@ class Scale(Record):
 class Normaliser(Record):
     """Scales fitted on the training episodes only; plain JSON by `model_dump_json`, back by `model_validate_json`.
 
+    `clipped` counts, for `quantile`, the fitted values of each channel beyond [-1, 1], which are set to its ends.
     `channels` holds the float channels of the windows; quaternions keep centre 0 and scale 1, the three axes of a
     position share one scale. `increments` is `(H, 6)`, dp [m] and omega [rad] at the model's rate, mean and standard
     deviation by step; null where the windows have no object pose. `rows` and `windows` say how many were read.
@@ -66,6 +70,12 @@ class Normaliser(Record):
     horizon: int
     channels: dict[str, Scale]
     increments: Scale | None
+    clipped: dict[str, int] = Field(default_factory=dict)
+
+    @property
+    def clips(self) -> bool:
+        """Whether what is normalised is set to the ends of [-1, 1] beyond them."""
+        return self.method == "quantile"
 
     def channel(self, name: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return centre and scale of a channel, in its shape without the time axis.
@@ -75,9 +85,37 @@ class Normaliser(Record):
         UnknownNameError
             When the channel was not fitted; lists those that were.
         """
+        return self.scale_of(name).arrays()
+
+    def scale_of(self, name: str) -> Scale:
+        """Return the scale of a channel.
+
+        Raises
+        ------
+        UnknownNameError
+            When the channel was not fitted; lists those that were.
+        """
         if name not in self.channels:
             raise UnknownNameError("channel of the normaliser", name, self.channels)
-        return self.channels[name].arrays()
+        return self.channels[name]
+
+
+class Sample(NamedTuple):
+    """What a normaliser is fitted on.
+
+    Attributes
+    ----------
+    rows : (n,) structured
+        Valid rows; a field a channel.
+    poses : (m, H + 1, 7)
+        Pose of the present row and of the horizon; m is 0 where the rows hold no object pose.
+    good : (m, H) bool
+        Steps whose two poses are both real.
+    """
+
+    rows: NDArray
+    poses: NDArray
+    good: NDArray[np.bool_]
 
 
 def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scale:
@@ -91,7 +129,8 @@ def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scal
         Valid values.
     method : str
         `robust`: median, and the larger of 1.4826 MAD and the range of all but the outer 0.1 % on each side, in
-        standard deviations; `std`: mean and standard deviation.
+        standard deviations; `std`: mean and standard deviation; `quantile`: middle and half width of that range, so
+        that it becomes [-1, 1].
 
     Raises
     ------
@@ -112,12 +151,14 @@ def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scal
 
 def _centre_and_scale(values: NDArray, method: Method) -> tuple[NDArray, NDArray]:
     """Return both `(n,)` for `(rows, n)` values."""
+    if method not in METHODS:
+        raise UnknownNameError("method of a normaliser", method, METHODS)
     if method == "std":
         return values.mean(0), np.maximum(values.std(0), CHANNEL_FLOOR)
-    if method != "robust":
-        raise UnknownNameError("method of a normaliser", method, ("robust", "std"))
-    centre = np.median(values, 0)
     low, high = np.quantile(values, [TAIL, 1 - TAIL], axis=0)
+    if method == "quantile":
+        return (low + high) / 2, np.maximum((high - low) / 2, CHANNEL_FLOOR)
+    centre = np.median(values, 0)
     scale = np.maximum(MAD_TO_STD * np.median(np.abs(values - centre), 0), (high - low) / (2 * TAIL_STD))
     return centre, np.maximum(scale, CHANNEL_FLOOR)
 
@@ -147,6 +188,86 @@ def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
     spread = np.stack([step.std(0) for step in taken])
     scale = np.maximum(spread, INCREMENT_FLOOR)
     return Scale(shape=centre.shape, centre=tuple(centre.ravel().tolist()), scale=tuple(scale.ravel().tolist()))
+
+
+def fitted(method: Method, sample: Sample, **facts: Any) -> Normaliser:
+    """Return the normaliser of a sample.
+
+    Parameters
+    ----------
+    method : str
+        As for `channel_scale`.
+    sample : Sample
+        Rows and poses.
+    **facts
+        The other fields of the normaliser.
+
+    Raises
+    ------
+    DataError, UnknownNameError
+        As `channel_scale` and `increment_scale`.
+    """
+    rows = sample.rows
+    names = float_channels(rows.dtype.names or ())
+    scales = {name: channel_scale(name, rows[name], method) for name in names}
+    clipped = {name: _outside(rows[name], scales[name], name) for name in names} if method == "quantile" else {}
+    return Normaliser(
+        method=method,
+        rows=len(rows),
+        windows=len(sample.good),
+        channels=scales,
+        increments=increment_scale(sample.poses, sample.good) if "object_pose" in names else None,
+        clipped=clipped,
+        **facts,
+    )
+
+
+def _outside(values: NDArray, scale: Scale, name: str) -> int:
+    """Return how many values would be clipped."""
+    beyond = np.abs(_scaled(values, scale)) > 1
+    return int(np.delete(beyond, QUATERNION[name], axis=1).sum() if name in QUATERNION else beyond.sum())
+
+
+def normalised(batch: Mapping[str, NDArray], normalisers: Normaliser | Sequence[Normaliser]) -> dict[str, NDArray]:
+    """Return the batch with its float channels normalised; quaternions, flags and indices stay as they are.
+
+    Parameters
+    ----------
+    batch : mapping
+        As `Windows.batch` gives it.
+    normalisers : Normaliser, or one a domain
+        Shared statistics, or separate ones in the order of the mixture's names, taken by the `domain` of each window.
+
+    Raises
+    ------
+    UsageError
+        When there are several and the batch has no `domain`.
+    UnknownNameError
+        When a channel was not fitted.
+    """
+    shared = isinstance(normalisers, Normaliser)
+    if not shared and "domain" not in batch:
+        raise UsageError("the batch names no domain", expected="windows of mix(...)", fix="give one normaliser")
+    each = [normalisers] if isinstance(normalisers, Normaliser) else list(normalisers)
+    domain = np.zeros(len(batch["history_pad"]), np.int64) if shared else batch["domain"]
+    out = dict(batch)
+    for key, values in batch.items():
+        name = key.partition("/")[2]
+        if name not in float_channels((name,) if name in CHANNELS else ()):
+            continue
+        out[key] = np.empty(values.shape, np.float32)
+        for number, one in enumerate(each):
+            here = domain == number
+            scaled = _scaled(values[here], one.scale_of(name))
+            out[key][here] = scaled.clip(-1, 1) if one.clips else scaled
+    return out
+
+
+def _scaled(values: NDArray, scale: Scale) -> NDArray[np.float32]:
+    """Return values less the centre, over the scale."""
+    centre, width = scale.arrays()
+    scaled: NDArray[np.float32] = (values - centre) / width
+    return scaled
 
 
 def float_channels(names: tuple[str, ...]) -> tuple[str, ...]:

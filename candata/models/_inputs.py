@@ -45,7 +45,7 @@ class Reader(nn.Module):
 
     def __init__(self, config: HistoryConfig, sizes: Sizes, normaliser: Normaliser) -> None:
         super().__init__()
-        self.config, self.sizes = config, sizes
+        self.config, self.sizes, self.clips = config, sizes, normaliser.clips
         for name, channel, columns in (
             ("position", "object_pose", 3),
             ("joint", "joint_position", sizes.joints),
@@ -94,7 +94,7 @@ class Reader(nn.Module):
         present = poses[:, -1]
         place = [_six(present)]
         if self.config.world_position:
-            place.append(self._scaled("position", present[:, :3]))
+            place.append(self._read("position", present[:, :3]))
         return Inputs(
             self._history(batch, poses, pad),
             torch.cat(place, dim=-1),
@@ -122,8 +122,8 @@ class Reader(nn.Module):
             away / self.get_buffer("position_scale"),
             _six(poses),
             torch.cat([steps.new_zeros(len(steps), 1, 6), steps], dim=1),
-            self._scaled("joint", batch["history/joint_position"]),
-            self._scaled("action", batch["history/action"]),
+            self._read("joint", batch["history/joint_position"]),
+            self._read("action", batch["history/action"]),
         ]
         found = torch.cat(rows, dim=-1)
         found = torch.where(pad[..., None], torch.zeros_like(found), found)
@@ -144,11 +144,16 @@ class Reader(nn.Module):
         if not self.config.planned_actions:
             size = (len(batch["history_pad"]), self.sizes.horizon, 0)
             return torch.zeros(size, dtype=self.increment_scale.dtype, device=batch["history_pad"].device)
-        plan = self._scaled("action", batch["planned/action"])
+        plan = self._read("action", batch["planned/action"])
         if "future_pad" not in batch:
             return plan
         pad = torch.cat([batch["history_pad"][:, -1:], batch["future_pad"][:, :-1]], dim=1)
         return torch.where(pad[..., None], torch.zeros_like(plan), plan)
+
+    def _read(self, name: str, value: Tensor) -> Tensor:
+        """Return `value` normalised, within [-1, 1] where the normaliser clips."""
+        scaled = self._scaled(name, value)
+        return scaled.clamp(-1, 1) if self.clips else scaled
 
     def _scaled(self, name: str, value: Tensor) -> Tensor:
         """Return `value` less the centre, over the scale."""

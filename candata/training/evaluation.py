@@ -14,6 +14,7 @@ from candata.loaders import Split, Windows, find_split, split_digest, split_name
 from candata.loaders.splits import GROUPS
 from candata.models import model as find_model
 from candata.training import checkpoint, feed, jobs, runs
+from candata.training.data import channels_for
 from candata.training.forecasters import BASELINES, Forecaster, Trained
 from candata.training.results import Evaluation, Scores, Track
 from candata.training.scoring import Findings, chosen_windows, score
@@ -124,12 +125,13 @@ def _check(manner: Manner, execute: int, run: Run) -> None:
 
 def split_of(folder: Path, run: Run, dataset: Dataset) -> tuple[Split, str]:
     """Return the split to evaluate by and its name: the run's own on its own data, else the one the dataset has."""
-    own = runs.read_split(folder, run)
-    if run.digest == dataset.digest and own is not None:
-        return own, run.split
+    splits = runs.read_splits(folder, run)
+    place = next((i for i, source in enumerate(run.trained_on) if source.digest == dataset.digest), None)
+    if place is not None and splits is not None:
+        return splits[place], run.split
     name = run.split if run.split in split_names(dataset) else None
     found = find_split(dataset, name)
-    if run.digest == dataset.digest and split_digest(found) != run.split_digest:
+    if place is not None and split_digest(found) != run.trained_on[place].split_digest:
         raise UsageError(
             "the split of the run is not there any more", expected=f"{runs.SPLIT} beside the checkpoint",
             found=f"a split {run.split} of other episodes", fix="evaluate the run's folder, or another dataset",
@@ -141,7 +143,7 @@ def _windows(dataset: Dataset, split: Split, run: Run, group: str) -> Windows:
     """Return a window at every step of the model."""
     given: dict[str, Any] = {
         "history": run.sizes["history"], "horizon": run.sizes["horizon"], "rate_hz": run.rate_hz,
-        "channels": jobs.channels_for(dataset, run.channels),
+        "channels": channels_for(run.channels, dataset),
     }  # fmt: skip
     if group != "all":
         given |= {"split": group, "splits": split}

@@ -8,8 +8,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from candata.loaders import Sampler, Windows, as_tensors
+from candata.errors import SetupError
+from candata.loaders import Gather, Mixed, Windows, as_tensors, augment, noise
 from candata.models import Batch
+from candata.training.settings import Settings
 
 
 def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> dict[str, torch.Tensor]:
@@ -18,22 +20,49 @@ def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> 
     return moved | {"clouds": clouds}
 
 
-def clouds_of(windows: Windows, device: str) -> torch.Tensor:
+def clouds_of(windows: Windows | Mixed, device: str) -> torch.Tensor:
     """Return the windows' distinct point clouds `(C, N, 3)` on the device."""
     return torch.from_numpy(windows.clouds).to(device)
 
 
-def drawing(windows: Windows, seed: int, batch: int, device: str) -> Callable[[int], Batch]:
-    """Return the function from step to batch; without replacement within an epoch."""
-    sampler, clouds = Sampler(len(windows), batch, seed), clouds_of(windows, device)
-    return lambda step: tensors(windows.batch(sampler.indices(step)), clouds, device)
+def drawing(windows: Windows | Mixed, settings: Settings, device: str) -> Callable[[int], Batch]:
+    """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
+
+    On a GPU the rows are resident there, where they fit.
+    """
+    sampler, clouds = windows.sampler(settings.batch, settings.seed), clouds_of(windows, device)
+    source = _source(windows, device)
+
+    def draw(step: int) -> Batch:
+        batch = source.batch(sampler.indices(step))
+        if not settings.augment.off:
+            batch = augment(batch, settings.augment, noise(settings.seed, step))
+        return batch | {"clouds": clouds} if isinstance(source, Gather) else tensors(batch, clouds, device)
+
+    return draw
 
 
-def held_out(windows: Windows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
-    """Return up to `batches` batches, spread evenly over the windows, always the same."""
+def held_out(windows: Windows | Mixed, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
+    """Return up to `batches` batches, spread evenly over the windows, or drawn in a mixture's shares; always the same.
+
+    They have no noise.
+    """
     count = min(len(windows), batch * batches)
-    numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
+    if isinstance(windows, Mixed):
+        numbers = windows.sampler(count).indices(0)
+    else:
+        numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
     clouds = clouds_of(windows, device)
     return tuple(
         tensors(windows.batch(numbers[first : first + batch]), clouds, device) for first in range(0, count, batch)
     )
+
+
+def _source(windows: Windows | Mixed, device: str) -> Windows | Mixed | Gather:
+    """Return where batches are gathered: on the GPU, where the rows fit, else on the host."""
+    if device == "cpu":
+        return windows
+    try:
+        return windows.resident(device)
+    except SetupError:
+        return windows

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,16 @@ import torch
 from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import SetupError, UnknownNameError, UsageError, Where
-from candata.loaders import Normaliser, Split, Windows, find_split, split_digest, windows
+from candata.loaders import Effective, Mixed, Mixture, Normaliser, Split, Windows
+from candata.loaders.normaliser import Method
 from candata.loaders.splits import DEFAULT
-from candata.models import Model, Sizes
+from candata.models import Batch, Model, Sizes
 from candata.models import model as find_model
 from candata.schema.channels import CHANNELS
 from candata.schema.record import Record
 from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
+from candata.training.data import Data, find_data
 from candata.training.loop import Job
 from candata.training.settings import Run, Settings
 
@@ -50,6 +51,10 @@ class Ask:
         Name of a stored split; the default one when None.
     init : Path or None
         Checkpoint to begin with.
+    normaliser : str or None
+        Method of the normaliser; `robust`, or the normaliser of `init`.
+    mixture : Mixture or None
+        Shares of several datasets.
     """
 
     model: str | None = None
@@ -60,37 +65,64 @@ class Ask:
     rate_hz: float | None = None
     split: str | None = None
     init: Path | None = None
+    normaliser: Method | None = None
+    mixture: Mixture | None = None
 
 
-def prepare(dataset: Dataset, ask: Ask, settings: Settings, device: str = "cpu") -> Job:
+def prepare(data: Dataset | Mapping[str, Dataset], ask: Ask, settings: Settings, device: str = "cpu") -> Job:
     """Return the job.
+
+    Parameters
+    ----------
+    data : Dataset, or mapping of str to Dataset
+        What to train on; several datasets by name, with `ask.mixture`.
+    ask : Ask
+        What to train.
+    settings : Settings
+        How.
+    device : str
+        `cpu` or `cuda`.
 
     Raises
     ------
     UsageError
-        When a setting means nothing, or the checkpoint of `init` is of another model, hand or window.
+        When a setting means nothing, the mixture does not fit the datasets, or the checkpoint of `init` is of another
+        model, hand or window.
     DataError
-        When the dataset lacks a channel, the split's `train` is empty, or no episode is as long as the horizon.
+        When a dataset lacks a channel, its split's `train` is empty, no episode is as long as the horizon, or datasets
+        to mix differ.
     SetupError
         When the device is not there.
     """
     check_device(device)
     begin = None if ask.init is None else checkpoint.read(ask.init)
     name, config = _configured(ask, begin, settings)
-    model = find_model(name)
-    split = find_split(dataset, ask.split)
+    reads = find_model(name).reads(config)
+    found = find_data(data, ask.mixture, ask.split)
     usual = USUAL if begin is None else begin.run.sizes | {"rate_hz": begin.run.rate_hz}
     asked = {"history": ask.history, "horizon": ask.horizon, "rate_hz": ask.rate_hz}
     shape = {key: usual[key] if value is None else value for key, value in asked.items()}
-    train = _windows(dataset, split, model.reads(config), "train", shape)
-    run = _run(dataset, ask, settings, name, config, split, train, begin)
+    given = shape | {"method": ask.normaliser or "robust"}
+    train = found.feed(tuple(found.datasets), "train", reads, given)
+    run = _run(found, ask, settings, name, config, train, begin)
     module = build(run, device)
     if begin is not None:
         module.load_state_dict(begin.tensors(checkpoint.AVERAGE, device))
-    held_out = _windows(dataset, split, model.reads(config), "val", shape) if split.val else None
-    batches = () if held_out is None else feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
-    draw = feed.drawing(train, settings.seed, settings.batch, device)
-    return Job(run, module, draw, batches, device, split)
+    batches: tuple[Batch, ...] = ()
+    if named := found.holding("val"):
+        held_out = found.feed(named, "val", reads, given)
+        batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
+    return Job(
+        run, module, feed.drawing(train, settings, device), batches, device, found.kept(), _effective(train, run)
+    )
+
+
+def _effective(train: Windows | Mixed, run: Run) -> Callable[[int], tuple[Effective, ...]]:
+    """Return the function from steps to what each source gave by then; nothing without a mixture."""
+    if isinstance(train, Windows):
+        return lambda steps: ()
+    sampler = train.sampler(run.settings.batch, run.settings.seed)
+    return lambda steps: train.effective(sampler, steps)
 
 
 def build(run: Run, device: str = "cpu") -> torch.nn.Module:
@@ -124,7 +156,7 @@ def check_device(device: str) -> None:
         raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
 
 
-def check_data(kept: Checkpoint, found: Windows) -> None:
+def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
     """Refuse windows of another hand or shape than a checkpoint was made for; the number of points may differ.
 
     Raises
@@ -137,7 +169,7 @@ def check_data(kept: Checkpoint, found: Windows) -> None:
     checkpoint.check_fits(kept.run, facts, kept.path)
 
 
-def _facts(found: Windows) -> dict[str, Any]:
+def _facts(found: Windows | Mixed) -> dict[str, Any]:
     """Return the fields of a Run that the windows decide."""
     return {
         "joint_names": found.joint_names,
@@ -156,6 +188,11 @@ def _configured(ask: Ask, begin: Checkpoint | None, settings: Settings) -> tuple
     model = find_model(name)
     if begin is None:
         return name, _fresh_config(model, ask, settings)
+    if ask.normaliser is not None:
+        raise UsageError(
+            "fine-tuning keeps the normaliser of the first run", expected=f"{begin.run.normaliser.get('method')}",
+            found=f"--normaliser {ask.normaliser}", where=Where(path=str(begin.path)), fix="leave --normaliser out",
+        )  # fmt: skip
     if name != begin.run.model or ask.preset not in (None, begin.run.preset) or ask.config:
         raise UsageError(
             "fine-tuning keeps the model and its configuration",
@@ -175,30 +212,13 @@ def _fresh_config(model: Model, ask: Ask, settings: Settings) -> Record:
     return model.parse(values | {"seed": settings.seed} | dict(ask.config or {}))
 
 
-def _windows(
-    dataset: Dataset, split: Split, channels: tuple[str, ...], group: str, shape: Mapping[str, Any]
-) -> Windows:
-    """Return the windows of a group: presents up to the end of the episode, where the future is partly there."""
-    given = {"channels": channels_for(dataset, channels), "splits": split, "split": group, **shape}
-    if group == "train":
-        windows(dataset, **given)  # refuses a horizon that no episode holds
-    return windows(dataset, pad="both", **given)
-
-
-def channels_for(dataset: Dataset, channels: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the channels to ask windows for: those the model reads, and clouds where all have one."""
-    has_clouds = all(json.loads(text).get("point_cloud") for text in dataset.catalog()["meta"].to_pylist())
-    return (*channels, "point_cloud") if has_clouds else channels
-
-
 def _run(
-    dataset: Dataset,
+    data: Data,
     ask: Ask,
     settings: Settings,
     name: str,
     config: Record,
-    split: Split,
-    train: Windows,
+    train: Windows | Mixed,
     begin: Checkpoint | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
@@ -211,11 +231,8 @@ def _run(
         preset=begin.run.preset if begin else ask.preset or "small",
         config=config.model_dump(mode="json"),
         **facts,
-        dataset=dataset.name,
-        digest=dataset.digest,
-        version=dataset.version,
+        **data.facts(),
         split=ask.split or DEFAULT,
-        split_digest=split_digest(split),
         channels=train.channels,
         units=units | {"increments": "m, rad"},
         # The weights of a fine-tuned model were made for the scales of its first run.
@@ -245,7 +262,7 @@ def trained_on(kept: Checkpoint, split: Split | None = None) -> set[str] | None:
     kept : Checkpoint
         Of the run.
     split : Split, optional
-        Its split, where that is known; else the one beside the file.
+        Its split, where that is known; else those beside the file.
 
     Returns
     -------
@@ -257,6 +274,6 @@ def trained_on(kept: Checkpoint, split: Split | None = None) -> set[str] | None:
     UsageError
         When the split beside it is damaged.
     """
-    split = split or runs.read_split(kept.path.parent, kept.run)
+    splits = runs.read_splits(kept.path.parent, kept.run) if split is None else (split,)
     before = [] if kept.run.init is None else kept.run.init.get("train")
-    return None if split is None or before is None else {*split.train, *before}
+    return None if splits is None or before is None else {*before, *(name for one in splits for name in one.train)}

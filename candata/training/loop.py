@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from candata.errors import DataError, Where
+from candata.loaders import Effective
 from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
@@ -40,6 +41,8 @@ class Job:
         `cpu` or `cuda`.
     split : Record or None
         Who trains, kept in the run's folder.
+    effective : callable
+        Steps to what each source of a mixture really gave by then; empty for one dataset.
     """
 
     run: Run
@@ -48,6 +51,7 @@ class Job:
     held_out: Sequence[Batch] = ()
     device: str = "cpu"
     split: Record | None = None
+    effective: Callable[[int], tuple[Effective, ...]] = lambda _steps: ()
 
 
 @dataclass(frozen=True)

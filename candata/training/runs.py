@@ -20,6 +20,12 @@ FILE = "run.json"
 SPLIT = "split.json"
 
 
+class Splits(Record):
+    """`split.json` of a run on a mixture: the split of each source."""
+
+    splits: dict[str, Split]
+
+
 def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     """Make the run's folder, or see that the one that stands holds this very run.
 
@@ -101,8 +107,10 @@ def read_run(folder: Path) -> Run:
     return Run.parse(value, path)
 
 
-def read_split(folder: Path, run: Run) -> Split | None:
-    """Return who trained, validated and tested in a run; None where it is not kept in the folder.
+def read_splits(folder: Path, run: Run) -> tuple[Split, ...] | None:
+    """Return who trained, validated and tested in a run, a split for each of `run.trained_on`.
+
+    None where it is not kept in the folder.
 
     Raises
     ------
@@ -113,13 +121,14 @@ def read_split(folder: Path, run: Run) -> Split | None:
     if not path.is_file():
         return None
     try:
-        found = Split.parse(json.loads(path.read_bytes()), path)
+        value = json.loads(path.read_bytes())
     except ValueError as error:
         raise UsageError(
             "the split of the run is damaged", found=str(error).splitlines()[0], where=Where(path=str(path)),
             fix="remove it to evaluate by the split of the dataset",
         ) from None  # fmt: skip
-    if split_digest(found) != run.split_digest:
+    found = tuple(Splits.parse(value, path).splits.values()) if run.sources else (Split.parse(value, path),)
+    if [split_digest(one) for one in found] != [source.split_digest for source in run.trained_on]:
         raise UsageError("the split beside the checkpoint is of another run", where=Where(path=str(path)))
     return found
 
@@ -130,7 +139,7 @@ def _refuse_other(standing: Run, asked: Run, path: Path) -> None:
     names = [name for name in sorted(there.keys() | here.keys()) if there.get(name) != here.get(name)]
     if not names:
         return
-    if standing.dataset == asked.dataset and standing.digest != asked.digest:
+    if standing.dataset == asked.dataset and standing.digest != asked.digest and not asked.sources:
         raise UsageError(
             "the dataset is another version than the run was begun on",
             expected=_version(standing), found=_version(asked), where=Where(path=str(path)),

@@ -7,6 +7,7 @@ from typing import Any, Self
 
 from pydantic import Field, model_validator
 
+from candata.loaders import Augmentation
 from candata.schema.record import Record
 
 #: Rate of a fine-tuning run as a share of a fresh one's.
@@ -47,6 +48,8 @@ class Settings(Record):
         Steps a line of the log.
     bad_limit : int
         Steps in a row without a finite loss and gradient that end the run.
+    augment : Augmentation
+        Noise on poses and commands of the batches trained on; none by default.
     """
 
     seed: int = Field(0, ge=0, lt=2**64)
@@ -63,6 +66,7 @@ class Settings(Record):
     save_every_s: float = Field(60.0, ge=0)
     log_every: int = Field(10, ge=1)
     bad_limit: int = Field(20, ge=1)
+    augment: Augmentation = Augmentation()
 
     @model_validator(mode="after")
     def _ends(self) -> Self:
@@ -84,6 +88,17 @@ class Settings(Record):
         return self.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * done))
 
 
+class Source(Record):
+    """One of the datasets trained on: its share of the windows, version, and who of it trained."""
+
+    name: str
+    share: float
+    dataset: str
+    digest: str
+    version: int
+    split_digest: str
+
+
 class Run(Record):
     """`run.json`, and the head of every checkpoint: all that decides what the weights mean.
 
@@ -96,9 +111,11 @@ class Run(Record):
     joint_names, actuator_names, fingertip_names : tuple of str
         What the elements of the channels are.
     dataset, digest, version : str, str, int
-        Data trained on.
+        Data trained on. Of a mixture: its text, the hash of its sources, and 0.
     split, split_digest : str
         Name of the split whose `train` was trained on, and the hash of who is in it.
+    sources : tuple of Source
+        Of a mixture: its datasets; empty for one dataset.
     rate_hz : float
         Rate at which the model steps.
     channels : tuple of str
@@ -129,6 +146,7 @@ class Run(Record):
     version: int
     split: str
     split_digest: str
+    sources: tuple[Source, ...] = ()
     rate_hz: float
     channels: tuple[str, ...]
     units: dict[str, str]
@@ -136,6 +154,12 @@ class Run(Record):
     settings: Settings
     init: dict[str, Any] | None = None
     revision: str
+
+    @property
+    def trained_on(self) -> tuple[Source, ...]:
+        """The datasets trained on, one or those of the mixture."""
+        alone = {name: getattr(self, name) for name in ("dataset", "digest", "version", "split_digest")}
+        return self.sources or (Source(name=self.dataset, share=1.0, **alone),)
 
 
 class Progress(Record):

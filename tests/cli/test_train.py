@@ -160,12 +160,34 @@ def test_a_pickle_is_refused(data, tmp_path):
         (("--device", "tpu"), "one of cpu, cuda"),
         (("--learning-rate", 0), "--learning-rate is out of range"),
         (("--preset", "huge"), "one of base, paper, small"),
+        (("--normaliser", "quantil"), "did you mean 'quantile'"),
+        (("--command-noise", -1), "greater than or equal to 0"),
+        (("--pose-noise-m", "nan"), "position_m"),
+        (("--data", "sim:0.7,real:0.2"), "do not add up to 1"),
+        (("--data", "nowhere:0.7,else:0.3"), "not a dataset"),
+        (("--data", "a/x:0.7,b/x:0.3"), "two datasets of a mixture have one name"),
+        (("--data", "a:0.7,b:0.3", "--version", "2"), "--version is of one dataset"),
     ],
 )
 def test_a_wrong_word_is_named(data, tmp_path, more, said):
     done = run(*words(data, tmp_path / "run", *more))
     assert (done.code, said in done.err) == (2, True), done.err
     assert not (tmp_path / "run").exists()
+
+
+def test_a_mixture_is_trained_on_and_its_shares_are_told(data, tmp_path):
+    second = tmp_path / "real"
+    second.symlink_to(data)
+    told = f"{data}:0.7,{second}:0.3"
+    done = run(*words(data, tmp_path / "run", "--data", told, "--normaliser", "quantile", "--command-noise", 0.01))
+    assert done.code == 0, done.err
+    assert "values clipped of" in done.err
+    assert "\nsim: asked 70.0%, drew 34 windows (70.8%)" in done.out
+    assert "\nreal: asked 30.0%, drew 14 windows (29.2%)" in done.out
+    again = run(
+        *words(data, tmp_path / "run", "--data", told, "--normaliser", "quantile", "--command-noise", 0.01, "--json")
+    )
+    assert [one["drawn"] for one in json.loads(again.out)["sources"]] == [34, 14]
 
 
 @pytest.mark.parametrize(

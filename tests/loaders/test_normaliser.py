@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from candata.errors import DataError, UnknownNameError
-from candata.loaders import Normaliser, integrate, windows
+from candata.loaders import Normaliser, integrate, normalised, windows
 from candata.loaders.increments import increments
 from candata.loaders.normaliser import CHANNEL_FLOOR, channel_scale
 from candata.rotation import exp
@@ -45,8 +45,43 @@ def test_a_pose_keeps_its_directions_and_its_quaternion(rng):
 def test_what_cannot_be_fitted():
     with pytest.raises(DataError, match="no valid value of action"):
         channel_scale("action", np.empty((0, 2)))
-    with pytest.raises(UnknownNameError, match="'quantile'"):
-        channel_scale("action", np.zeros((3, 2)), "quantile")
+    with pytest.raises(UnknownNameError, match="did you mean 'quantile'"):
+        channel_scale("action", np.zeros((3, 2)), "quantiles")
+
+
+def test_an_unknown_method_is_refused_before_anything_is_read(hand, store):
+    with pytest.raises(UnknownNameError, match="quantile, robust, std"):
+        windows(store(hand("a")), 2, 3, stride=2, method="minmax")
+
+
+def test_quantiles_become_minus_one_and_one_and_what_is_clipped_is_counted(hand, store, rng):
+    rows = 3000
+    joints = np.c_[rng.uniform(-2, 4, rows), np.full(rows, 0.7)]
+    joints[:2, 0], joints[2, 0] = 50.0, -50.0
+    feed = windows(store(hand("a", rows, arrays={"joint_position": joints})), 2, 3, stride=2, method="quantile")
+    value = feed.normaliser
+    centre, scale = value.channel("joint_position")
+    # 0.1 % of 3,000 rows are three: the ends lie within a few of the outermost of 2,997 uniform draws.
+    np.testing.assert_allclose(centre, [1, 0.7], atol=0.05)
+    np.testing.assert_allclose(scale, [3, CHANNEL_FLOOR], atol=0.05)
+    outside = np.abs((joints[:, 0].astype(np.float32) - centre[0]) / scale[0]) > 1
+    assert value.clipped["joint_position"] == outside.sum() == 6
+    assert value.clipped["object_pose"] > 0
+    assert Normaliser.model_validate_json(value.model_dump_json()) == value
+    batch = feed.batch([0, 1, 2, 1000])
+    out = normalised(batch, value)
+    assert out["history/joint_position"].max() == 1
+    assert out["future/joint_position"].min() == -1
+    inner = batch["history/joint_position"][3]
+    np.testing.assert_allclose(out["history/joint_position"][3] * scale + centre, inner, atol=1e-5)  # float32
+    np.testing.assert_array_equal(out["history/object_pose"][..., 3:], batch["history/object_pose"][..., 3:])
+    np.testing.assert_array_equal(out["history/contact"], batch["history/contact"])
+
+
+def test_the_other_methods_do_not_clip(hand, store):
+    feed = windows(store(hand("a", arrays={"action": np.r_[np.zeros((29, 2)), [[9, 9]]]})), 1, 1, stride=1)
+    assert feed.normaliser.clipped == {}
+    assert normalised(feed.batch([28]), feed.normaliser)["future/action"].max() > 1
 
 
 def test_json_and_back(hand, store):

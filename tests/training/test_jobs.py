@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 
 from candata.errors import DataError, SetupError, UnknownNameError, UsageError
-from candata.loaders import make_split, save_split
+from candata.loaders import Augmentation, make_split, parse_mixture, save_split
 from candata.training import checkpoint, evaluation, jobs
 from candata.training.evaluation import Manner, evaluate
 from candata.training.jobs import Ask, prepare
@@ -224,3 +226,100 @@ def test_the_seed_decides_the_first_weights(dataset):
     name = next(name for name in first if name.endswith("weight"))
     assert torch.equal(first[name], same[name])
     assert not torch.equal(first[name], other[name])
+
+
+MIX = {"mixture": parse_mixture("glide:0.75,real:0.25")}
+
+
+@pytest.fixture
+def mixture(tmp_path, dataset):
+    """A few steps of a small model on two datasets: its run and both."""
+    sources = {"glide": dataset(), "real": dataset("real", episodes=12, source="real")}
+    job = prepare(sources, replace(MLP, **MIX), SETTINGS)
+    train(job, tmp_path / "mixed")
+    return tmp_path / "mixed", sources, job
+
+
+def test_a_run_on_a_mixture_names_its_sources(mixture):
+    folder, sources, job = mixture
+    run = json.loads((folder / "run.json").read_text())
+    assert (run["dataset"], run["version"]) == ("glide:0.75,real:0.25", 0)
+    told = [(one["name"], one["share"], one["digest"]) for one in run["sources"]]
+    assert told == [("glide", 0.75, sources["glide"].digest), ("real", 0.25, sources["real"].digest)]
+    assert [(one.name, one.drawn) for one in job.effective(6)] == [("glide", 36), ("real", 12)]
+    assert np.bincount(job.draw(0)["domain"]).tolist() == [6, 2]
+    held_out = torch.cat([batch["domain"] for batch in job.held_out])
+    # Glide has one episode for validation, real one too: the shares come from the mixture.
+    assert held_out.double().mean() == pytest.approx(0.25, abs=1 / len(held_out))
+    assert run["normaliser"]["episodes"] == 8 + 10
+
+
+def test_a_run_on_a_mixture_is_evaluated_by_the_split_of_each_source(mixture):
+    folder, sources, _ = mixture
+    for name, train_episodes in (("glide", 8), ("real", 10)):
+        assert evaluate(folder, sources[name], Manner("test", 1, 1, 6))[0].seen_episodes == 0
+        assert evaluate(folder, sources[name], Manner("train", 1, 1, 6))[0].seen_episodes == train_episodes
+    split = json.loads((folder / "split.json").read_text())
+    split["splits"]["real"] = split["splits"]["glide"]
+    (folder / "split.json").write_text(json.dumps(split))
+    with pytest.raises(UsageError, match="of another run"):
+        evaluate(folder, sources["real"], Manner("test", 1, 1, 6))
+
+
+def test_a_run_on_a_mixture_goes_on_and_refuses_other_shares(tmp_path, mixture):
+    folder, sources, _ = mixture
+    answers = iter([False] * 4 + [True])
+    ask = replace(MLP, **MIX)
+    train(prepare(sources, ask, SETTINGS), tmp_path / "parts", stopped=lambda: next(answers))
+    train(prepare(sources, ask, SETTINGS), tmp_path / "parts")
+    whole, parts = (
+        checkpoint.read(path / "last.safetensors").tensors("weights") for path in (folder, tmp_path / "parts")
+    )
+    assert all(torch.equal(whole[name], parts[name]) for name in whole)
+    other = replace(MLP, mixture=parse_mixture("glide:0.5,real:0.5"))
+    with pytest.raises(UsageError, match=r"other settings\n\s+expected: .*glide:0.75"):
+        train(prepare(sources, other, SETTINGS), folder)
+
+
+def test_one_source_may_lack_held_out_episodes(dataset):
+    sources = {"glide": dataset(), "real": dataset("real", episodes=3)}
+    save_split(sources["real"], make_split(sources["real"], {"train": 1.0}), "all")
+    save_split(sources["glide"], make_split(sources["glide"]), "all")
+    job = prepare(sources, replace(MLP, split="all", **MIX), SETTINGS)
+    assert all((batch["domain"] == 0).all() for batch in job.held_out)
+
+
+def test_datasets_and_mixture_must_meet(dataset):
+    data = dataset()
+    with pytest.raises(UsageError, match="several datasets need a mixture"):
+        prepare({"glide": data}, MLP, SETTINGS)
+    with pytest.raises(UsageError, match="several datasets need a mixture"):
+        prepare(data, replace(MLP, **MIX), SETTINGS)
+    with pytest.raises(UnknownNameError, match="'real'"):
+        prepare({"glide": data}, replace(MLP, **MIX), SETTINGS)
+    with pytest.raises(DataError, match="differ in their joint names"):
+        prepare({"glide": data, "real": dataset("real", joint_names=("a", "c"))}, replace(MLP, **MIX), SETTINGS)
+
+
+def test_noise_reaches_the_batches_that_are_trained_on_alone(dataset):
+    data = dataset()
+    noisy = SETTINGS.model_copy(update={"augment": Augmentation(position_m=0.01, rotation_rad=0.1, command=0.1)})
+    plain, job, again = (prepare(data, MLP, settings) for settings in (SETTINGS, noisy, noisy))
+    for name in ("history/object_pose", "planned/action"):
+        assert not torch.equal(job.draw(3)[name], plain.draw(3)[name])
+        assert torch.equal(job.draw(3)[name], again.draw(3)[name])
+        assert torch.equal(job.held_out[0][name], plain.held_out[0][name])
+    assert torch.equal(job.draw(3)["future_pad"], plain.draw(3)["future_pad"])
+
+
+def test_the_method_of_the_normaliser_is_chosen_once(trained, dataset):
+    job = prepare(dataset("more"), replace(MLP, normaliser="quantile"), SETTINGS)
+    assert job.run.normaliser["method"] == "quantile"
+    assert job.run.normaliser["clipped"]["joint_position"] > 0
+    batch = dict(job.draw(0))
+    batch["history/joint_position"] = batch["history/joint_position"] + 1e6
+    assert job.module.reader(batch).history.abs().max() < 1e4
+    with pytest.raises(UsageError, match="fine-tuning keeps the normaliser"):
+        prepare(trained[1], Ask(init=trained[0], normaliser="std"), SETTINGS)
+    with pytest.raises(UnknownNameError, match="did you mean 'quantile'"):
+        prepare(trained[1], replace(MLP, normaliser="quantil"), SETTINGS)

@@ -1,0 +1,150 @@
+"""The gather: from numbers of windows to a batch, the same code for numpy arrays and for torch tensors on a device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import count as count_from
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from candata.loaders.sampling import Sampler
+
+#: A numpy array or a torch tensor; one gather holds one kind.
+Array = Any
+Batch = dict[str, Array]
+
+
+class Feed(Protocol):
+    """What gives batches: windows, a mixture of them, or the resident copy of either."""
+
+    def batch(self, numbers: ArrayLike) -> Batch:
+        """Return the windows with these numbers."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Gather:
+    """Where each window lies, and how rows are taken.
+
+    Attributes
+    ----------
+    channels : tuple of str
+        Channels of a row.
+    past : int
+        Rows of the past, the present one included.
+    steps : (W,) int64
+        Steps from the present, the oldest first.
+    present, owner : (n,) int64
+        Row of the present and number of the episode, by window.
+    begin, last, stride : (E,) int64
+        First and last row, and native rows a step, by episode.
+    columns : mapping of str to (E,) int64
+        What a batch says of each window's episode beside its number.
+    valid : (R,) bool or None
+        Rows that hold a value of every channel; None where all do.
+    stretch : (R,) int32 or None
+        Equal for rows without a break between; None where there is no break.
+    index : callable
+        From the numbers that are asked for to an index of this kind of array.
+    take : callable
+        From rows `(B, W)` to what gives `(B, W, ...)` of a channel by its name.
+    """
+
+    channels: tuple[str, ...]
+    past: int
+    steps: Array
+    present: Array
+    owner: Array
+    begin: Array
+    last: Array
+    stride: Array
+    columns: Mapping[str, Array]
+    valid: Array | None
+    stretch: Array | None
+    index: Callable[[ArrayLike], Array]
+    take: Callable[[Array], Any]
+
+    def __len__(self) -> int:
+        """Return the number of windows."""
+        return len(self.present)
+
+    def batch(self, numbers: ArrayLike) -> Batch:
+        """Return the windows with these numbers; see `Windows.batch`."""
+        chosen = self.index(numbers)
+        owner, present = self.owner[chosen], self.present[chosen]
+        begin = self.begin[owner]
+        wanted = present[:, None] + self.steps * self.stride[owner][:, None]
+        rows = wanted.clip(begin[:, None], self.last[owner][:, None])
+        flagged = rows != wanted
+        if self.valid is not None:
+            flagged = flagged | ~self.valid[rows]
+        if self.stretch is not None:
+            flagged = flagged | (self.stretch[rows] != self.stretch[present][:, None])
+        out = self._named(self.take(rows))
+        out["history_pad"], out["future_pad"] = flagged[:, : self.past], flagged[:, self.past :]
+        out |= {name: values[owner] for name, values in self.columns.items()}
+        out["episode"], out["row"] = owner, present - begin
+        return out
+
+    def _named(self, block: Any) -> Batch:
+        """Return past, future and plan of each channel."""
+        out: Batch = {}
+        for name in self.channels:
+            values = block[name]
+            out[f"history/{name}"], out[f"future/{name}"] = values[:, : self.past], values[:, self.past :]
+            if name == "action":
+                out["planned/action"] = values[:, self.past - 1 : -1]
+        return out
+
+
+def host_index(numbers: ArrayLike) -> NDArray[np.int64]:
+    """Return the numbers as an index of numpy arrays."""
+    return np.asarray(numbers, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class OneStore:
+    """Takes rows of one structured array."""
+
+    rows: NDArray
+
+    def __call__(self, wanted: NDArray[np.int64]) -> NDArray:
+        """Return `(B, W) structured`."""
+        # mode="clip" skips a buffered check; the rows are within the episodes by construction.
+        return self.rows.take(wanted, mode="clip")
+
+
+@dataclass(frozen=True, eq=False)
+class Stores:
+    """Takes rows of several structured arrays of one dtype, as if they stood one behind the other."""
+
+    rows: tuple[NDArray, ...]
+
+    def __call__(self, wanted: NDArray[np.int64]) -> NDArray:
+        """Return `(B, W) structured`; the rows of one window are of one array."""
+        row = self.rows[0].dtype
+        # As plain bytes: numpy would copy a structured row field by field.
+        block, first = np.empty(wanted.shape, f"V{row.itemsize}"), 0
+        for rows in self.rows:
+            here = np.flatnonzero((wanted[:, 0] >= first) & (wanted[:, 0] < first + len(rows)))
+            block[here] = rows.view(block.dtype).take(wanted[here] - first, mode="clip")
+            first += len(rows)
+        return block.view(row)
+
+
+def batches(feed: Feed, sampler: Sampler, first: int = 0) -> Iterator[Batch]:
+    """Yield the batches of all steps from `first` on, without end: the direct path, without a DataLoader.
+
+    Parameters
+    ----------
+    feed : Feed
+        Windows, a mixture, or the resident copy of either.
+    sampler : Sampler
+        Which windows a step takes: `feed.sampler(...)`.
+    first : int
+        Step to begin at; a run that goes on begins where it stopped.
+    """
+    return (feed.batch(sampler.indices(step)) for step in count_from(first))
