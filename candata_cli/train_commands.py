@@ -89,7 +89,7 @@ def train(
     ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
     with console.stages() as stage:
         stage("reading the dataset")
-        opened = {name: _open(path, version) for name, path in paths.items()}
+        opened = {name: console.opened(path, version) for name, path in paths.items()}
         job = prepare(opened if mixture else opened[""], ask, settings, device)
         if clipped := job.run.normaliser.get("clipped"):
             values = ", ".join(f"{name} {count:,}" for name, count in clipped.items())
@@ -106,7 +106,7 @@ def train(
 
 def evaluate(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
-    data: Annotated[Path, typer.Argument(metavar="DATASET", help="Dataset to evaluate on.")],
+    data: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset to evaluate on: folder or registered name.")],
     split: Annotated[str, typer.Option("--split", help="train, val or test of the run's split, or all.")] = "test",
     samples: Annotated[int, typer.Option("--samples", min=1, help="Samples averaged.")] = 16,
     steps: Annotated[int, typer.Option("--steps", min=1, help="Steps of the sampler.")] = 10,
@@ -137,7 +137,7 @@ def evaluate(
         raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
     with console.stages() as stage:
         manner = Manner(split, samples, steps, execute, seed, device)
-        found, tracks = judge(run, _open(data, version), manner, stage)
+        found, tracks = judge(run, console.opened(data, version), manner, stage)
         stage("writing the page")
         page = write_evaluation(found, tracks, folder)
     console.out(found.model_dump_json(indent=2) if json else summary(found))
@@ -155,22 +155,15 @@ def _need_torch() -> None:
             raise MissingExtraError(package, "train")
 
 
-def _open(path: Path, version: str | None) -> Any:
-    """Return the dataset."""
-    from candata.datasets import open_dataset
-
-    return open_dataset(path, int(version) if version and version.isdigit() else version)
-
-
-def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, Path]]:
-    """Return the mixture that `--data` tells, None for one dataset, and the folder of each source."""
+def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, str]]:
+    """Return the mixture that `--data` tells, None for one dataset, and the folder or name of each source."""
     if ":" not in data or Path(data).exists():
-        return None, {"": Path(data)}
+        return None, {"": data}
     from candata.errors import UsageError
     from candata.loaders import Mixture, parse_mixture
 
     told = parse_mixture(data)
-    paths = {Path(name).name: Path(name) for name in told.names}
+    paths = {Path(name).name: name for name in told.names}
     if len(paths) < len(told.names):
         raise UsageError("two datasets of a mixture have one name", found=data, fix="give their folders other names")
     if version is not None:
@@ -267,7 +260,7 @@ def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
     return tell
 
 
-def _print_trained(job: Job, progress: Progress, out: Path, data: Path, json: bool) -> None:
+def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: bool) -> None:
     """Print what stands now."""
     from candata.loaders import told
 
