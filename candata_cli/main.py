@@ -16,7 +16,7 @@ from typing import Annotated, NoReturn
 import typer
 
 import candata_cli
-from candata.errors import CandataError
+from candata.errors import CandataError, SetupError, Where
 
 _HELP = """Say where a recording and its simulation differ, why, and how far that can be mended."""
 
@@ -61,10 +61,24 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     except CandataError as error:
         print(error, file=sys.stderr)
         code = error.exit_code
+    except OSError as error:
+        refused = _refused(error)
+        print(refused, file=sys.stderr)
+        code = refused.exit_code
     except SystemExit as error:
         code = error.code
     _flush()
     sys.exit(code)
+
+
+def _refused(error: OSError) -> SetupError:
+    """Return what the system said against a file, so that a user can act on it."""
+    return SetupError(
+        "the system refused",
+        found=error.strerror or str(error) or type(error).__name__,
+        where=Where(path=str(error.filename)) if error.filename is not None else None,
+        fix="free space, or ask for the right to read or write there",
+    )
 
 
 def _root(

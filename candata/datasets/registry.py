@@ -227,11 +227,10 @@ def resolve(text: str) -> tuple[Path, int | str | None]:
     if at and head and tail and (found := _folder(head)) is not None:
         return found, int(tail) if tail.isdigit() and len(tail) < 6 else tail
     name = head if at and head else text
-    if Path(name).exists() or os.sep in name or not is_name(name):
+    known = () if Path(name).exists() or os.sep in name or not is_name(name) else read_registry().datasets
+    if not known:
         return Path(name), None  # opening it says what is wrong with it
-    raise UnknownNameError(
-        "dataset (no such folder, no such name)", name, read_registry().datasets, Where(path=str(registry_path()))
-    )
+    raise UnknownNameError("dataset (no such folder, no such name)", name, known, Where(path=str(registry_path())))
 
 
 def _folder(text: str) -> Path | None:

@@ -79,6 +79,20 @@ def test_a_missing_thing_of_the_machine_exits_3(with_command):
     assert exit_code("planted") == 3
 
 
+def test_what_the_system_refuses_is_no_traceback(with_command, tmp_path, capsys):
+    """A folder where a file should be: the error names it, and what the system said."""
+
+    def write() -> None:
+        (tmp_path / "taken").mkdir()
+        (tmp_path / "taken").write_bytes(b"")
+
+    with_command(write)
+    assert exit_code("planted") == 3
+    printed = capsys.readouterr().err
+    assert printed.startswith("the system refused\n  found: Is a directory\n  where: ")
+    assert str(tmp_path / "taken") in printed
+
+
 def test_an_interrupt_exits_130(with_command):
     def interrupt() -> None:
         raise KeyboardInterrupt
