@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +18,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # What the person who runs the tests has registered is none of theirs.
-os.environ["CANDATA_REGISTRY"] = os.path.join(os.path.dirname(__file__), "no such folder", "registry.json")
+os.environ["CANDATA_REGISTRY"] = str(Path(tempfile.gettempdir(), f"candata-tests-{os.getpid()}", "registry.json"))
 
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")

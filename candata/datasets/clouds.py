@@ -41,7 +41,7 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
             "not a point cloud", expected="finite (N, 3), N >= 1", found=f"{cloud.shape}, finite: {finite}",
             where=Where(path=str(root), channel="point_cloud"),
         )  # fmt: skip
-    name = _cloud_hash(cloud)
+    name = cloud_hash(cloud)
     target = cloud_path(root, name)
     if not target.is_file():
         durable.ensure_folder(target.parent)
@@ -70,8 +70,8 @@ def get_cloud(path: str | Path, sha: str) -> NDArray[np.float32]:
         cloud = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
         raise durable.damaged(target, durable.reason(error)) from None
-    if _cloud_hash(cloud) != sha:
-        raise durable.damaged(target, f"content {_cloud_hash(cloud)[:12]}", f"content {sha[:12]}")
+    if cloud_hash(cloud) != sha:
+        raise durable.damaged(target, f"content {cloud_hash(cloud)[:12]}", f"content {sha[:12]}")
     return cloud
 
 
@@ -80,7 +80,7 @@ def cloud_path(root: Path, sha: str) -> Path:
     return root / "objects" / f"{sha}.parquet"
 
 
-def _cloud_hash(cloud: NDArray[np.float32]) -> str:
+def cloud_hash(cloud: NDArray[np.float32]) -> str:
     """Return sha256 over (name, dtype, shape, bytes), as an episode's columns are hashed."""
     head = f"point_cloud|float32|{len(cloud)},3|".encode()
     return hashlib.sha256(head + np.ascontiguousarray(cloud, "<f4").tobytes()).hexdigest()

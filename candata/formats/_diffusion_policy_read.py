@@ -15,8 +15,9 @@ from candata.errors import CandataError, DataError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
 from candata.formats._features import Feature, picks, read_feature_map, wanted
-from candata.formats._sidecar import parse_export, restored
+from candata.formats._sidecar import give_clouds, parse_export, restored
 from candata.schema.episode import Episode
+from candata.schema.exchange import ExportFile
 
 #: Attribute of the root group that holds the sidecar as JSON text.
 SIDECAR = "candata"
@@ -46,7 +47,9 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     except Exception as error:  # zarr and its codecs raise nearly everything, by where the damage lies
         raise _unreadable(path, error) from None
     if reading.mapping is None and isinstance(side, str):
-        yield from _restored(side, arrays, ends, path)
+        export = parse_export(side, path)
+        give_clouds(export, reading, path)
+        yield from _restored(export, arrays, ends, path)
         return
     yield from _by_map(arrays, ends, path, reading)
 
@@ -116,9 +119,8 @@ def _ends(root: Any, arrays: dict[str, NDArray], path: Path) -> list[int]:
     return ends
 
 
-def _restored(side: str, arrays: dict[str, NDArray], ends: Sequence[int], path: Path) -> Iterator[Episode]:
+def _restored(export: ExportFile, arrays: dict[str, NDArray], ends: Sequence[int], path: Path) -> Iterator[Episode]:
     """Yield the episodes that candata exported."""
-    export = parse_export(side, path)
     if len(export.episodes) != len(ends):
         raise DataError(
             "the sidecar lists other episodes than the buffer",

@@ -47,7 +47,7 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
         column.flush()
     meta.create_array("episode_ends", data=np.array(ends, np.int64), compressors=None)
     keys = {name: key_of(name) for name in found.columns}
-    root.attrs[SIDECAR] = text(sidecar(writing, keys, kept))
+    root.attrs[SIDECAR] = text(sidecar(writing, keys, found.clouds, kept))
     for line in found.notes:
         writing.note(line)
 

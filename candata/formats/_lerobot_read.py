@@ -29,7 +29,7 @@ from candata.formats._lerobot_layout import (
     read_text,
 )
 from candata.formats._lerobot_names import ACTION, STATE, guess
-from candata.formats._sidecar import parse_export, restored
+from candata.formats._sidecar import give_clouds, parse_export, restored
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportFile
 
@@ -52,7 +52,9 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     folder = open_folder(source)
     path = folder.root / SIDECAR
     if reading.mapping is None and path.is_file():
-        yield from _restored(folder, parse_export(read_text(path), path), path)
+        export = parse_export(read_text(path), path)
+        give_clouds(export, reading, path)
+        yield from _restored(folder, export, path)
         return
     yield from _by_map(folder, reading)
 

@@ -65,7 +65,7 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
         writing.note(line)
     layout.finish(_info(found, features, len(tasks)), list(tasks), tally.total())
     keys = {name: key_of(name) for name in found.columns}
-    (folder / SIDECAR).write_text(text(sidecar(writing, keys, kept)), encoding="utf-8")
+    (folder / SIDECAR).write_text(text(sidecar(writing, keys, found.clouds, kept)), encoding="utf-8")
 
 
 def key_of(column: str) -> str:

@@ -45,6 +45,8 @@ class Survey:
         Totals.
     notes : tuple of str
         What the rows do not tell: uneven stamps, filled and invalid rows.
+    clouds : tuple of str
+        The point clouds that they name.
     """
 
     layout: dict[str, tuple[int, ...]]
@@ -53,6 +55,7 @@ class Survey:
     episodes: int
     rows: int
     notes: tuple[str, ...]
+    clouds: tuple[str, ...] = ()
 
     @property
     def columns(self) -> dict[str, tuple[int, ...]]:
@@ -74,6 +77,7 @@ def survey(episodes: Iterable[Episode]) -> Survey:
     names: dict[str, tuple[str, ...]] = {}
     total = rows = uneven = 0
     rate_hz = 0.0
+    clouds: set[str] = set()
     for episode in episodes:
         total += 1
         _same(first, "rate_hz", episode.meta.rate_hz, episode)
@@ -85,6 +89,7 @@ def survey(episodes: Iterable[Episode]) -> Survey:
             _same(first, name, array.shape[1:], episode)
             shapes[name] = array.shape[1:]
         counts.update(list(episode.arrays))
+        clouds |= {episode.meta.point_cloud} if episode.meta.point_cloud else set()
         rate_hz = episode.meta.rate_hz
         rows += len(episode)
         uneven += _is_uneven(episode)
@@ -94,7 +99,7 @@ def survey(episodes: Iterable[Episode]) -> Survey:
     flags = [c + VALID_SUFFIX for c in channels if counts[c] < total or c + VALID_SUFFIX in shapes]
     layout = {name: shapes.get(name, ()) for name in canonical_order(channels + flags)}
     notes = tuple(_notes(counts, channels, flags, total, uneven))
-    return Survey(layout, rate_hz, names, total, rows, notes)
+    return Survey(layout, rate_hz, names, total, rows, notes, tuple(sorted(clouds)))
 
 
 def filled(episode: Episode, found: Survey) -> dict[str, NDArray]:

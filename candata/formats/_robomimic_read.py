@@ -18,10 +18,10 @@ from candata.errors import CandataError, DataError, MissingExtraError, UsageErro
 from candata.formats import Reading
 from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
 from candata.formats._features import Feature, Pick, picks, read_feature_map, wanted
-from candata.formats._sidecar import parse_episode, parse_export, restored
+from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
 from candata.schema.channels import CHANNELS, DENSE
 from candata.schema.episode import Episode
-from candata.schema.exchange import ExportedEpisode, FeatureMap
+from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
 
 T = TypeVar("T")
 
@@ -62,8 +62,10 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
         names = _guarded(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
-        keys = _guarded(path, _keys, data, path) if reading.mapping is None else None
-        if keys is not None:
+        export = _guarded(path, _export, data, path) if reading.mapping is None else None
+        if export is not None:
+            give_clouds(export, reading, path)
+            keys = {one.column: one.key for one in export.columns}
             for name in names:
                 demo = _guarded(path, _demo, data, name, path, tuple(keys.values()))
                 yield _restored(demo, keys, path)
@@ -139,12 +141,10 @@ def _number(name: str) -> tuple[int, str]:
     return (int(found.group(1)) if found else -1, name)
 
 
-def _keys(data: Any, path: Path) -> dict[str, str] | None:
-    """Return where each column of an exported file lies, or None where candata did not write it."""
+def _export(data: Any, path: Path) -> ExportFile | None:
+    """Return the sidecar of an exported file, or None where candata did not write it."""
     value = data.attrs.get(SIDECAR)
-    if value is None:
-        return None
-    return {one.column: one.key for one in parse_export(value, path).columns}
+    return None if value is None else parse_export(value, path)
 
 
 def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _Demo:

@@ -41,7 +41,7 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
     with h5py.File(folder / FILE, "w", libver=("v108", "v108")) as file:
         data = file.create_group("data")
         data.attrs["total"] = found.rows
-        data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}))
+        data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}, found.clouds))
         masks: dict[str, list[str]] = {}
         scenes: list[str] = []
         for index, episode in enumerate(episodes):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 from collections.abc import Iterable, Mapping
@@ -10,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.datasets.clouds import cloud_hash
 from candata.datasets.encode import content_hash, hash_columns, meta_json
 from candata.errors import DataError, Where
-from candata.formats import Writing
+from candata.formats import Reading, Writing
 from candata.formats._assemble import checked
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
@@ -25,16 +27,38 @@ def exported(episode: Episode) -> ExportedEpisode:
     return ExportedEpisode(meta=episode.meta, rows=len(episode), content_hash=content_hash(episode), layout=layout)
 
 
-def sidecar(writing: Writing, keys: Mapping[str, str], episodes: Iterable[ExportedEpisode] = ()) -> ExportFile:
-    """Return the sidecar of an export; `keys` is where each column lies in the foreign layout."""
+def sidecar(
+    writing: Writing, keys: Mapping[str, str], clouds: Iterable[str], episodes: Iterable[ExportedEpisode] = ()
+) -> ExportFile:
+    """Return the sidecar of an export; `keys` is where each column lies, `clouds` what the episodes name."""
     columns = tuple(_column(name, key) for name, key in keys.items())
+    points = {} if writing.cloud is None else {name: writing.cloud(name) for name in clouds}
     return ExportFile(
         dataset=writing.name,
         digest=writing.digest,
         lineage=writing.lineage,
         columns=columns,
         episodes=tuple(episodes),
+        clouds={name: base64.b64encode(cloud.astype("<f4").tobytes()).decode() for name, cloud in points.items()},
     )
+
+
+def give_clouds(export: ExportFile, reading: Reading, path: object) -> None:
+    """Pass on the point clouds of a sidecar, each checked against its name.
+
+    Raises
+    ------
+    DataError
+        When one is damaged.
+    """
+    for name, code in export.clouds.items():
+        try:
+            cloud = np.frombuffer(base64.b64decode(code, validate=True), "<f4").reshape(-1, 3)
+        except ValueError as error:
+            raise _altered(str(error), Where(path=str(path), channel="point_cloud")) from None
+        if cloud_hash(cloud.astype(np.float32)) != name:
+            raise _altered(f"a cloud that is not {name[:12]}", Where(path=str(path), channel="point_cloud"))
+        reading.cloud(cloud)
 
 
 def text(record: ExportFile | ExportedEpisode) -> str:

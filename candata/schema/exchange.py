@@ -53,7 +53,10 @@ class ExportedEpisode(Record):
 
 
 class ExportFile(Record):
-    """What a foreign layout cannot hold: kept beside it, so that an import restores the episodes exactly."""
+    """What a foreign layout cannot hold: kept beside it, so that an import restores the episodes exactly.
+
+    `clouds` are the point clouds that episodes name: `(N, 3)` little-endian float32 [m] in base64, by content hash.
+    """
 
     format_version: int = SIDECAR_VERSION
     dataset: str
@@ -61,3 +64,4 @@ class ExportFile(Record):
     lineage: tuple[Lineage, ...] = ()
     columns: tuple[ExportedColumn, ...]
     episodes: tuple[ExportedEpisode, ...] = ()
+    clouds: dict[str, str] = {}

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
-from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets import append, create_dataset, get_cloud, open_dataset, put_cloud
 from candata.schema.manifest import Lineage
 from candata_cli import main as entry
 from tests.conftest import make_episode
@@ -23,7 +24,9 @@ def run(*arguments) -> int:
 @pytest.fixture
 def dataset(tmp_path):
     root = create_dataset(tmp_path / "ds", name="ds")
-    append(root, [make_episode(f"é{k}", seed=k, task="pick") for k in range(3)], Lineage(operation="made"))
+    cloud = put_cloud(root, np.random.default_rng(0).normal(size=(64, 3)))
+    episodes = [make_episode(f"é{k}", seed=k, task="pick", point_cloud=cloud) for k in range(3)]
+    append(root, episodes, Lineage(operation="made"))
     return root
 
 
@@ -38,8 +41,29 @@ def test_episodes_and_digest_survive_an_export_and_an_import(way, dataset, tmp_p
     other = open_dataset(back)
     assert (other.ids, other.digest) == (one.ids, one.digest)
     assert other.lineage[0].operation == f"import {way[0]}"
+    cloud = one.episode(one.ids[0]).meta.point_cloud
+    assert np.array_equal(get_cloud(back, cloud), get_cloud(dataset, cloud))
     assert run("import", way[0], out, "--out", back, "--append") == 0
     assert capsys.readouterr().out == f"{back}: 0 episodes added, 3 in version 1\n"
+
+
+def test_a_cloud_that_was_changed_is_refused(dataset, tmp_path, capsys):
+    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    path = tmp_path / "out" / "meta" / "candata.json"
+    sidecar = json.loads(path.read_text())
+    (name,) = sidecar["clouds"]
+    for code, words in (
+        ("AAAAAAAAAAAAAAAA", f"a cloud that is not {name[:12]}"),
+        ("AAAA", "multiple of element size"),
+        ("*", ""),
+    ):
+        path.write_text(json.dumps(sidecar | {"clouds": {name: code}}))
+        capsys.readouterr()
+        assert run("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
+        printed = capsys.readouterr().err
+        assert printed.startswith("the data are not what was exported")
+        assert words in printed
+        assert not (tmp_path / "back").exists()
 
 
 def test_the_sidecar_says_whose_data_it_is(dataset, tmp_path):

@@ -53,7 +53,8 @@ def shell(tmp_path):
     script.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m candata_cli.main "$@"\n')
     script.chmod(0o755)
     path = f"{script.parent}{os.pathsep}{os.environ['PATH']}"
-    return {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+    registry = str(tmp_path / "registry.json")
+    return {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "CANDATA_REGISTRY": registry}
 
 
 @pytest.mark.parametrize(("name", "commands"), blocks("bash"))
