@@ -1,4 +1,4 @@
-"""Commands that look at a dataset: validate, inspect."""
+"""Commands that look at a dataset: inspect."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
-    from candata.checks import Finding
     from candata.datasets.summary import Summary
 
 DatasetPath = Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of the dataset.")]
@@ -20,29 +19,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the application."""
-    app.command("validate")(validate)
     app.command("inspect")(inspect)
-
-
-def validate(dataset: DatasetPath, version: Version = None, json: Json = False) -> None:
-    """Check schema, hashes, finite values, time and quaternions; exit 1 when something is wrong."""
-    from dataclasses import asdict
-
-    from candata.checks import check
-    from candata.datasets import open_dataset
-
-    data = open_dataset(dataset, console.version(version), partial=True)
-    with console.progress("checking parts", len(data.file.parts)) as advance:
-        findings = check(data, lambda: advance(1))
-    if json:
-        record = {"dataset": data.name, "digest": data.digest, "episodes": len(data)}
-        console.out_json(record | {"findings": [asdict(finding) for finding in findings]})
-    elif findings:
-        _print_findings(findings)
-    else:
-        console.out(f"{len(data)} episodes, no findings")
-    if any(finding.level == "error" for finding in findings):
-        raise typer.Exit(1)
 
 
 def inspect(dataset: DatasetPath, version: Version = None, json: Json = False) -> None:
@@ -57,12 +34,6 @@ def inspect(dataset: DatasetPath, version: Version = None, json: Json = False) -
         console.out_json(summary.model_dump(mode="json"))
     else:
         _print_summary(summary)
-
-
-def _print_findings(findings: tuple[Finding, ...]) -> None:
-    """Print the findings as a table."""
-    rows = [(f.level, f.rule, _known(f.episode), _known(f.channel), _known(f.index), f.message) for f in findings]
-    console.out_table(("level", "rule", "episode", "channel", "row", "what"), rows)
 
 
 def _print_summary(summary: Summary) -> None:
@@ -104,8 +75,3 @@ def _shape(shape: tuple[int, ...]) -> str:
 def _number(value: float | None) -> str:
     """Return four digits, or a dash."""
     return "-" if value is None else f"{value:.4g}"
-
-
-def _known(value: object) -> object:
-    """Return the value, or a dash."""
-    return "-" if value is None else value

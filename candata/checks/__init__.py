@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from candata import plugins
-from candata.checks._finding import LEVELS, Finding, Level, Rule
+from candata.checks._finding import LEVELS, Finding, Group, Level, Rule, grouped
 from candata.checks._view import View
 from candata.errors import DataError
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from candata.datasets import Dataset, RawPart
     from candata.scenes import Scene
 
-__all__ = ["LEVELS", "Finding", "Level", "Rule", "View", "check", "rule_names"]
+__all__ = ["LEVELS", "Finding", "Group", "Level", "Rule", "View", "check", "grouped", "meanings", "rule_names"]
 
 #: The file of this folder that is no rule: it makes what rules must find.
 NOT_PLUGINS = ("defects",)
@@ -28,6 +28,11 @@ NOT_PLUGINS = ("defects",)
 def rule_names() -> tuple[str, ...]:
     """Return the names of all rules, sorted."""
     return plugins.names(__name__)
+
+
+def meanings() -> dict[str, str]:
+    """Return what each rule says, by name."""
+    return {name: plugins.load(__name__, "RULE", name).meaning for name in rule_names()}
 
 
 def check(
@@ -82,7 +87,7 @@ def check(
         for name, rule in chosen.items():
             if rule.judge is not None and gathered[name]:
                 found += rule.judge(gathered[name])
-            elif rule.judge is not None and name in looked:
+            elif rule.judge is not None and rule.idle and name in looked:
                 found.append(Finding("unknown", name, rule.idle, problem=rule.idle))
     return tuple(sorted(_unknown_once(found), key=lambda f: LEVELS.index(f.level)))
 

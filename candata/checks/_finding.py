@@ -56,6 +56,39 @@ class Finding:
     remedy: str = ""
 
 
+@dataclass(frozen=True)
+class Group:
+    """Findings that are the same in words: one line for people.
+
+    Attributes
+    ----------
+    level, rule, channel, problem
+        What they share.
+    findings : tuple of Finding
+        At least one.
+    """
+
+    level: Level
+    rule: str
+    channel: str | None
+    problem: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def episodes(self) -> tuple[str, ...]:
+        """Episodes that show it, each once; empty where it is true of the set."""
+        return tuple(dict.fromkeys(f.episode for f in self.findings if f.episode is not None))
+
+
+def grouped(findings: Sequence[Finding]) -> tuple[Group, ...]:
+    """Return findings by what they share, the gravest first, then those of most episodes."""
+    groups: dict[tuple[Level, str, str | None, str], list[Finding]] = {}
+    for one in findings:
+        groups.setdefault((one.level, one.rule, one.channel, one.problem or one.message), []).append(one)
+    made = [Group(*key, tuple(some)) for key, some in groups.items()]
+    return tuple(sorted(made, key=lambda g: (LEVELS.index(g.level), -len(g.findings), g.rule)))
+
+
 def _part_fine(part: RawPart, deep: bool) -> Iterator[Finding]:
     """Find nothing in a part."""
     return iter(())
@@ -90,7 +123,7 @@ class Rule:
     scene : bool
         Whether it needs a scene: without one it is not checked.
     idle : str
-        Why nothing could be checked where `gather` returned None for every episode.
+        Why nothing could be checked where `gather` returned None for every episode; empty where nothing was to be.
     """
 
     meaning: str

@@ -24,7 +24,11 @@ def noise(values: Array) -> Array:
     normal (Rousseeuw and Croux 1993, eq. 1.3).
     """
     bend = np.abs(np.diff(values, 2, axis=0))
-    return np.asarray(np.nan_to_num(np.nanmedian(bend, axis=0)) / 0.6745 / np.sqrt(6)) if len(bend) else np.zeros(0)
+    if not len(bend):
+        return np.zeros(values.shape[1:])
+    # nanmedian takes a hundred times as long.
+    middle = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
+    return np.asarray(np.nan_to_num(middle) / 0.6745 / np.sqrt(6))
 
 
 def resolution(values: Array) -> float:

@@ -73,5 +73,4 @@ def _judge(seen: Sequence[_Counts]) -> Iterator[Finding]:
 
 RULE = Rule(
     meaning="contact is flagged where objects are moved", gather=_gather, judge=_judge, needs=("object_pose",),
-    idle="forces tell more, or there are no contact flags",
 )  # fmt: skip

@@ -66,7 +66,7 @@ def _gather(view: View) -> _Tips | None:
         force.names,
         np.atleast_1d((low == high).all(axis=1)),
         np.zeros(len(force.names), int) if flag is None else (np.nan_to_num(flag) > 0).sum(axis=0),
-        (force.touch & force.seen).any(axis=0),
+        np.atleast_1d((force.touch & force.seen).any(axis=0)),
         changes > 0.1 * np.maximum(np.isfinite(quiet).sum(axis=0), 1),
     )
 

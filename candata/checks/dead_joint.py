@@ -16,20 +16,23 @@ from candata.checks._view import View, rounded
 ASKED_SHARE, ASKED = 0.2, 0.02
 #: A joint that moves less than this share of what its command does, beyond noise, stands still.
 STILL = 0.03
-#: Way made of way commanded, over the set, below which a joint falls short, where so much is commanded.
-SHORT, FAR = 0.6, 0.1
+#: Distance to a held command, as a share of its way, from which a joint stops short, where so much is commanded.
+SHORT, FAR = 0.25, 0.1
+#: Time for which a command must be held, within this share of its way [s].
+HELD_S, HELD = 0.4, 0.02
 REMEDY = "check motor and encoder; leave the joint out, or mark its rows invalid"
 
 
 @dataclass(frozen=True)
 class _Ways:
-    """How far joints and their commands move in an episode; `quiet` is the joints' noise."""
+    """How far joints and commands move in an episode, the joints' noise, and how far from held commands they stop."""
 
     id: str
     names: tuple[str, ...]
     joint: np.ndarray
     command: np.ndarray
     quiet: np.ndarray
+    short: np.ndarray
 
 
 def _gather(view: View) -> _Ways | None:
@@ -40,7 +43,8 @@ def _gather(view: View) -> _Ways | None:
         return None
     names = view.elements("joint_position")
     mine, theirs = joint[:, [j for j, _ in driven]], command[:, [a for _, a in driven]]
-    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine))
+    short = _short(mine, theirs, round(HELD_S * view.rate_hz))
+    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine), short)
 
 
 def _way(values: np.ndarray) -> np.ndarray:
@@ -49,32 +53,44 @@ def _way(values: np.ndarray) -> np.ndarray:
     return np.asarray(np.nan_to_num(high - low))
 
 
+def _short(joint: np.ndarray, command: np.ndarray, rows: int) -> np.ndarray:
+    """Return the distance of joints to commands held for so many rows, its 0.9 quantile; NaN where none was held."""
+    if not 2 <= rows < len(command):
+        return np.full(joint.shape[1], np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(command, rows, axis=0)
+    held = windows.max(axis=-1) - windows.min(axis=-1) < HELD * _way(command)
+    apart = np.where(held, np.abs(command - joint)[rows - 1 :], np.nan)
+    return np.asarray(np.nanquantile(apart, 0.9, axis=0))
+
+
 def _judge(seen: Sequence[_Ways]) -> Iterator[Finding]:
-    """Yield joints that stand still while they are commanded, and joints that fall short."""
+    """Yield joints that stand still while they are commanded, and those that stop short of their commands."""
+    short: dict[str, float] = {}
     for name in dict.fromkeys(n for one in seen for n in one.names):
         mine = [(one, one.names.index(name)) for one in seen if name in one.names]
-        joint, command, quiet = (
-            np.array([getattr(one, k)[i] for one, i in mine]) for k in ("joint", "command", "quiet")
-        )
+        ways = np.array([(one.joint[i], one.command[i], one.quiet[i], one.short[i]) for one, i in mine]).T
+        joint, command, quiet, left = ways
         asked = command > max(ASKED, ASKED_SHARE * float(command.max()))
         still = asked & (joint < np.maximum(STILL * command, np.minimum(8 * quiet, 0.1 * command)))
-        moves = float(np.median(joint[asked] / command[asked])) if asked.any() else 1.0
         for k in np.flatnonzero(still):
             problem = f"a joint does not follow its command: {name}"
-            level = "error" if joint[k] == 0 or still.sum() == asked.sum() > 2 else "warning"
+            sure = joint[k] == 0 or still.sum() == asked.sum() > 2
             yield Finding(
-                "error" if level == "error" else "warning", "dead_joint",
+                "error" if sure else "warning", "dead_joint",
                 f"{problem}, it moves {joint[k]:.3g} where {command[k]:.3g} is commanded", mine[k][0].id,
                 "joint_position", None, problem, (),
                 rounded({"joint": name, "moved": joint[k], "commanded": command[k]}), REMEDY,
             )  # fmt: skip
-        if not still.any() and moves < SHORT and (command > FAR).sum() > 2:
-            problem = f"a joint falls short of its command: {name}"
-            yield Finding(
-                "info", "dead_joint", f"{problem}, it makes {moves:.0%} of the way in {asked.sum()} episodes", None,
-                "joint_position", None, problem, (), rounded({"joint": name, "share_of_way": moves}),
-                "blocked, limited, weak, or commanded in another unit",
-            )  # fmt: skip
+        far = np.isfinite(left) & (command > FAR)
+        if not still.any() and far.sum() > 2 and np.median(left[far] / command[far]) > SHORT:
+            short[name] = float(np.median(left[far] / command[far]))
+    if short:
+        problem = "joints stop short of commands that are held"
+        text = ", ".join(f"{name} by {share:.0%} of the way" for name, share in short.items())
+        yield Finding(
+            "info", "dead_joint", f"{problem}: {text}", None, "joint_position", None, problem, (), rounded(short),
+            "blocked by what they hold or by a limit, weak, or commanded in another unit",
+        )  # fmt: skip
 
 
 RULE = Rule(

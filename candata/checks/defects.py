@@ -291,12 +291,12 @@ def damaged(
     DataError
         When the episode lacks a channel that the defect is in.
     """
-    kind, raw = defect(name), _stored(episode)
+    kind, raw = defect(name), stored(episode)
     missing = [channel for channel in kind.channels if channel not in raw.arrays]
     if missing:
         raise DataError(f"{name} cannot be injected", expected=", ".join(kind.channels), found=f"no {missing[0]}")
     arrays = kind.damage(dict(raw.arrays), raw.meta().rate_hz, kind.severity if severity is None else severity, rng)
-    return replace(raw, arrays=arrays, stored_hash=hash_columns(raw.meta_json, arrays), rows=len(arrays["time_ns"]))
+    return with_arrays(raw, arrays)
 
 
 def with_derived_flags(raw: RawEpisode) -> RawEpisode:
@@ -304,12 +304,18 @@ def with_derived_flags(raw: RawEpisode) -> RawEpisode:
     if "fingertip_force" not in raw.arrays:
         return raw
     tips = fingertip_contact(raw.arrays["fingertip_force"])
-    arrays = dict(raw.arrays) | {"fingertip_contact": tips, "contact": np.asarray(tips.any(axis=1))}
-    return replace(raw, arrays=arrays, stored_hash=hash_columns(raw.meta_json, arrays))
+    return with_arrays(raw, dict(raw.arrays) | {"fingertip_contact": tips, "contact": np.asarray(tips.any(axis=1))})
 
 
-def _stored(episode: Episode | RawEpisode) -> RawEpisode:
-    """Return an episode as it would be stored."""
+def with_arrays(raw: RawEpisode, arrays: Mapping[str, NDArray], record: str | None = None) -> RawEpisode:
+    """Return the episode with other columns, and another record if one is given, hashed as it is then."""
+    text = record or raw.meta_json
+    rows = len(arrays.get("time_ns", ()))
+    return replace(raw, meta_json=text, arrays=dict(arrays), stored_hash=hash_columns(text, arrays), rows=rows)
+
+
+def stored(episode: Episode | RawEpisode) -> RawEpisode:
+    """Return an episode as it would be stored, sound."""
     if isinstance(episode, RawEpisode):
         return episode
     text = meta_json(episode.meta)
@@ -350,7 +356,7 @@ def inject(
     chosen = set(rng.choice(total, max(1, round(share * total)), replace=False).tolist()) if total else set()
     defect(name)
     for index, episode in enumerate(dataset):
-        yield damaged(episode, name, rng, severity) if index in chosen else _stored(episode)
+        yield damaged(episode, name, rng, severity) if index in chosen else stored(episode)
 
 
 def write(path: str | Path, episodes: Iterator[RawEpisode] | Sequence[RawEpisode], part_size: int = 16) -> Path:

@@ -17,7 +17,7 @@ def _finite(view: View) -> Iterator[Finding]:
     for name, array in view.raw.arrays.items():
         if array.dtype.kind != "f" or array.ndim == 0:
             continue
-        finite = np.isfinite(array).reshape(len(array), -1).all(axis=1)
+        finite = np.asarray(np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
         bad = valid_rows(view.raw, name) & ~finite
         if bad.any():
             text = f"{bad.sum()} of {len(array)} rows are not finite"

@@ -27,7 +27,9 @@ LATE_S = 0.05
 #: Agreement with the flags at the best lag, and what it must gain on no lag.
 AGREES, GAINS = 0.97, 0.02
 #: Correlation over all episodes at the best lag, and how many times that near zero it must be.
-HIGH, TIMES = 0.15, 1.4
+HIGH, TIMES = 0.25, 1.8
+#: Share of the episodes that must correlate better there than near zero.
+MOST = 0.7
 #: Fewest episodes with contact, and averaging of both [s].
 FEWEST, OVER_S = 3, 0.05
 REMEDY = "measure the delay of the force stream and move it (map or import with its own clock)"
@@ -115,8 +117,10 @@ def _judge(seen: Sequence[_Timing]) -> Iterator[Finding]:
         return
     mean = curves.mean(axis=0)
     k = int(np.argmax(mean))
-    near = float(mean[np.abs(LAGS_S) <= LATE_S].max())
-    if mean[k] > HIGH and abs(LAGS_S[k]) > LATE_S and mean[k] > TIMES * near:
+    about, zero = np.abs(LAGS_S - LAGS_S[k]) <= LATE_S / 2, np.abs(LAGS_S) <= LATE_S
+    near = float(mean[zero].max())
+    agree = float((curves[:, about].max(axis=1) > curves[:, zero].max(axis=1)).mean())
+    if mean[k] > HIGH and abs(LAGS_S[k]) > LATE_S and mean[k] > TIMES * near and agree >= MOST:
         problem = f"forces come {'after' if LAGS_S[k] > 0 else 'before'} the fingers are stopped"
         yield Finding(
             "warning", "force_delay", f"{problem}, by {1e3 * abs(LAGS_S[k]):.0f} ms (correlation {mean[k]:.2f}, within "

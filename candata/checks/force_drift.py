@@ -52,9 +52,9 @@ def _drift(time_s: Array, series: Array) -> float:
     """Return by how much a reading drifts along one line [N]; 0 where no line runs through the episode."""
     keep = np.flatnonzero(np.isfinite(series))
     keep = keep[np.unique(np.linspace(0, len(keep) - 1, min(LOOKED_AT, len(keep))).astype(int))] if len(keep) else keep
-    if len(keep) < 5 * SEGMENTS:
-        return 0.0
     t, x = time_s[keep], series[keep]
+    if len(keep) < 5 * SEGMENTS or np.ptp(x) < DRIFT_N:
+        return 0.0
     duration = time_s[-1] - time_s[0]
     within = max(TOLERANCE_N, 4 * _quiet(series[np.isfinite(series)]))
     first, last = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))

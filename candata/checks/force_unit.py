@@ -20,12 +20,14 @@ DOUBTFUL_N, IMPOSSIBLE_N = 60.0, 250.0
 FACTOR = 8.0
 #: Share of readings that the implied threshold must get right, and readings of each kind that it takes.
 RIGHT, FEWEST = 0.97, 5
+#: Share of an episode's largest forces that is a firm touch: noise in another unit passes the threshold too.
+FIRM = 0.2
 REMEDY = "give the unit in the map (`units: {fingertip_force: gf}`), or divide the forces"
 
 
 @dataclass(frozen=True)
 class _Size:
-    """What an episode tells: its id, the median force in contact [N], and the threshold its flags imply [N]."""
+    """What an episode tells: its id, the median force of firm touches [N], and the threshold its flags imply [N]."""
 
     id: str
     middle_n: float
@@ -48,17 +50,19 @@ def _gather(view: View) -> _Size | None:
         seen = force.seen & np.isfinite(flag)
         on, off = force.total[seen & (flag > 0)], force.total[seen & (flag == 0)]
         implied = _implied(on, off)
-    return _Size(view.id, float(np.median(size[touching])), implied, force.threshold_n)
+    firm = size[touching]
+    firm = firm[firm > FIRM * np.quantile(firm, 0.99)]
+    return _Size(view.id, float(np.median(firm)), implied, force.threshold_n)
 
 
 def _implied(on: np.ndarray, off: np.ndarray) -> float:
-    """Return the threshold [N] between readings with and without flag; NaN where none parts them."""
+    """Return the largest reading without a flag [N], at least: the threshold is no lower; NaN where none parts them."""
     if len(on) < FEWEST or len(off) < FEWEST:
         return np.nan
-    low, high = float(np.quantile(off, RIGHT)), float(np.quantile(on, 1 - RIGHT))
-    between = max(float(off[off <= max(high, low)].max(initial=0.0)), high if high > low else 0.0)
-    right = 0.5 * ((on > between * 0.999).mean() + (off <= between).mean())
-    return between if right > RIGHT - 0.02 else np.nan
+    least = float(np.quantile(on, 1 - RIGHT))
+    below = off[off <= least]
+    right = 0.5 * (RIGHT + len(below) / len(off))
+    return float(below.max()) if len(below) and right > RIGHT - 0.02 else np.nan
 
 
 def _judge(seen: Sequence[_Size]) -> Iterator[Finding]:

@@ -12,7 +12,7 @@ from candata.checks._geometry import LOOKED_AT, fits, placed
 from candata.checks._view import View
 
 #: Depths that are told, doubtful and wrong [m]: trackers are off by millimetres, soft contact gives by as much.
-TOLD_M, DOUBTFUL_M, WRONG_M = 0.003, 0.01, 0.02
+TOLD_M, DOUBTFUL_M, WRONG_M = 0.003, 0.02, 0.04
 #: Share of rows that are as deep.
 ROWS = 0.05
 REMEDY = "check frame, offset and scale of the object's pose, the zeros of the joints, and the model's size"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._signal import noise, smooth, spread
+from candata.checks._signal import noise, smooth
 from candata.checks._view import View, rounded
 from candata.checks.velocities import OVER_S, turning
 from candata.rotation import conjugate, normalise, rotate
@@ -26,12 +26,14 @@ OTHER = [3, 0, 1, 2]
 BETTER, WELL, WELL_RATE = 4.0, 0.06, 0.5
 #: Turn of the up direction [rad] at one height that is worth a look.
 TURNS = 0.2
+#: Least height of the up direction on the object's own z while it stands.
+UPRIGHT = 0.7
 #: Heights [m] that are one height.
 LEVEL_M = 0.0015
 #: Angle [rad] to the identity within which an orientation is the identity; share of episodes that must begin there.
 IDENTITY, MOST = 0.06, 0.8
-#: Fewest episodes at rest that show clusters.
-FEWEST = 6
+#: Fewest episodes at rest that show clusters, how steady they must lie [rad], and how far sides must be apart [rad].
+FEWEST, STEADY, APART = 5, 0.03, 0.1
 REMEDY = "list the columns in the map as px py pz qw qx qy qz"
 
 
@@ -103,6 +105,9 @@ def _spreads(pose: Array, up: Array) -> Array:
     level = np.isfinite(z) & (z >= low) & (z <= low + 2 * within)
     if level.sum() < 10:
         return np.array([np.nan, np.nan])
+    # Read as x y z w, a roll about x at one height looks like an object that stands on its head: that tells nothing.
+    if up[1][level][:, 2].mean() < UPRIGHT:
+        return np.array([np.nan, np.nan])
     return np.array([_stray(u[level]) for u in up])
 
 
@@ -116,12 +121,17 @@ def _stray(directions: Array) -> float:
 
 
 def _rest(view: View, pose: Array, up: Array) -> Array:
-    """Return the up directions at the end, where the object lies still for a tenth of a second; else NaN."""
+    """Return the up directions at the end, where the height is constant for a tenth of a second.
+
+    NaN where it is not, and for a reading in which the object still tumbles there.
+    """
     rows = max(4, round(0.1 * view.rate_hz))
-    end = pose[-rows:]
-    quiet = noise(pose)
-    still = np.ptp(end, axis=0) < np.maximum(8 * quiet, np.r_[[1e-3] * 3, [5e-3] * 4])
-    return up[:, -rows:].mean(axis=1) if len(pose) > 2 * rows and still.all() else np.full((2, 3), np.nan)
+    z = pose[-rows:, 2]
+    if len(pose) < 2 * rows or not np.isfinite(z).all() or np.ptp(z) > max(8 * noise(pose[:, 2:3])[0], LEVEL_M):
+        return np.full((2, 3), np.nan)
+    ends = up[:, -rows:]
+    steady = np.array([_stray(end) < STEADY for end in ends])
+    return np.where(steady[:, None], ends.mean(axis=1), np.nan)
 
 
 def _judge(seen: Sequence[list[_Turns]]) -> Iterator[Finding]:
@@ -133,9 +143,9 @@ def _judge(seen: Sequence[list[_Turns]]) -> Iterator[Finding]:
         for one in mine:
             if one.id in told:
                 yield _finding("error", one, *_turned(one))
+        yield from _clusters([one for one in mine if one.id not in told or len(told) < len(mine) / 2])
         if told:
             continue
-        yield from _clusters(mine)
         begin = np.array([one.first for one in mine])
         if (begin[:, 1] < IDENTITY).mean() >= MOST and not (begin[:, 0] < IDENTITY).any():
             problem = "quaternions may be x y z w"
@@ -181,13 +191,11 @@ def _single(mine: Sequence[_Turns], begin: Array) -> Iterator[Finding]:
 
 def _clusters(mine: Sequence[_Turns]) -> Iterator[Finding]:
     """Yield that the sides on which an object comes to rest are few only when read as x y z w."""
-    resting = [one for one in mine if np.isfinite(one.rest).all()]
+    resting = [one for one in mine if np.isfinite(one.rest[1]).all()]
     if len(resting) < FEWEST:
         return
-    apart = np.array([[_nearest(r, [o.rest[k] for o in resting if o is not one])
-                       for k, r in enumerate(one.rest)] for one in resting])  # fmt: skip
-    given, other = np.median(apart, axis=0)
-    if other < WELL and given > max(0.1, BETTER * other) and spread(apart[:, 1]) < WELL:
+    given, other = (_repeat(np.array([one.rest[k] for one in resting])) for k in (0, 1))
+    if other < WELL and given > max(APART, BETTER * other):
         problem = "quaternions are x y z w"
         yield Finding(
             "error", "quaternion_order", f"{problem}: the sides on which objects come to rest repeat within "
@@ -197,11 +205,12 @@ def _clusters(mine: Sequence[_Turns]) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _nearest(direction: Array, others: Sequence[Array]) -> float:
-    """Return the angle to the nearest of the others [rad]."""
-    unit = direction / np.linalg.norm(direction)
-    near = max(float(unit @ o / np.linalg.norm(o)) for o in others)
-    return float(np.arccos(np.clip(near, -1, 1)))
+def _repeat(directions: Array) -> float:
+    """Return the median angle of directions `(N, 3)` to the nearest other one [rad]; a tumbling one is far from all."""
+    unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    cosines = np.where(np.isfinite(unit @ unit.T), unit @ unit.T, -1.0)
+    np.fill_diagonal(cosines, -1.0)
+    return float(np.median(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))
 
 
 RULE = Rule(meaning="quaternions are w x y z", gather=_gather, judge=_judge, idle="no poses")

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 #: Fewest episodes that have a scale, and spreads (of the logarithm) by which one is apart from them.
 FEWEST, SPREADS = 5, 5.0
 #: Smallest factor that is looked at; nearness to a unit's factor, as a difference of logarithms.
-FACTOR, NEAR = 8.0, 0.5
+FACTOR, NEAR = 20.0, 0.5
 #: Share of a channel's elements that must be apart in the same way.
 MOST = 0.6
 REMEDY = "give the unit of the source in its map, and import these episodes again"

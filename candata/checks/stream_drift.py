@@ -13,7 +13,7 @@ from candata.checks._signal import spread
 from candata.checks._view import View, rounded
 
 #: Growth of the lag over an episode that is worth a look [s], and in rows.
-GROWS_S, GROWS_ROWS = 0.03, 1.5
+GROWS_S, GROWS_ROWS = 0.04, 1.5
 #: By how many spreads of the mean growth, and fewest episodes.
 SPREADS, FEWEST = 5.0, 4
 #: Drift beyond which a stated alignment is told [ppm]: quartz clocks keep within 100.

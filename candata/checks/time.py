@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from candata.checks._finding import Finding, Level, Rule
 from candata.checks._view import View
 
+#: Said where rows come together and then not for a while: gaps between them are no gaps of the recording.
+BURSTS = "rows come in bursts"
 #: Beyond this factor between median and nominal step, the unit or the rate is wrong, not the clock.
 WRONG_FACTOR = 2.0
 #: Beyond this relative difference the stated rate misleads whoever resamples by it.
@@ -36,17 +38,28 @@ def _time(view: View) -> Iterator[Finding]:
         )  # fmt: skip
         return
     median = float(np.median(steps))
-    yield from _rate(view, median)
-    yield from _gaps(view, steps, median)
+    found = list(_rate(view, median))
+    yield from found
+    if not any(finding.problem == BURSTS for finding in found):
+        yield from _gaps(view, steps, median)
 
 
 def _rate(view: View, median: float) -> Iterator[Finding]:
     """Yield a median step far from the nominal one."""
-    if view.meta is None or not view.meta.rate_hz > 0:
+    if view.stamps is None or view.meta is None or not view.meta.rate_hz > 0:
         return  # the rule on the schema tells
     rate_hz = view.meta.rate_hz
     ratio = median * 1e-9 * rate_hz
     if 1 - DOUBTFUL_SHARE <= ratio <= 1 + DOUBTFUL_SHARE:
+        return
+    mean = float(view.stamps[-1] - view.stamps[0]) / (len(view.stamps) - 1) * 1e-9 * rate_hz
+    if 1 / WRONG_FACTOR <= mean <= WRONG_FACTOR and not 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR:
+        text = f"most steps are {median * 1e-9:.3g} s, their mean {mean / rate_hz:.3g} s, stated {1 / rate_hz:.3g} s"
+        yield view.finding(
+            "warning", "time", BURSTS, text, "time_ns",
+            remedy="take the stamps of the source, not those of arrival; resample", mean_hz=rate_hz / mean,
+            median_hz=1e9 / median, stated_hz=rate_hz,
+        )  # fmt: skip
         return
     level: Level = "warning" if 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR else "error"
     text = f"median rate {1e9 / median:.4g} Hz, expected rate_hz = {rate_hz:.4g}"
