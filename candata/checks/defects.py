@@ -373,7 +373,7 @@ def write(path: str | Path, episodes: Iterator[RawEpisode] | Sequence[RawEpisode
 
 
 def unchecked(raw: RawEpisode) -> Episode:
-    """Return an Episode of stored arrays that was never checked: for writers only.
+    """Return an Episode of stored arrays that was never checked: for writers only. Its point cloud stays behind.
 
     Raises
     ------
@@ -382,7 +382,7 @@ def unchecked(raw: RawEpisode) -> Episode:
     """
     episode = object.__new__(Episode)
     known = {n: a for n, a in raw.arrays.items() if n.removesuffix(VALID_SUFFIX) in CHANNELS}
-    object.__setattr__(episode, "meta", raw.meta())
+    object.__setattr__(episode, "meta", raw.meta().model_copy(update={"point_cloud": None}))
     object.__setattr__(episode, "arrays", MappingProxyType(known))
     return episode
 

@@ -21,6 +21,8 @@ COVERED, ENOUGH, ALL = 7, 0.2, 0.4
 DRIFT_N, TOLERANCES = 0.25, 6.0
 #: Narrowest tolerance of the line [N].
 TOLERANCE_N = 0.01
+#: Share of the episode that readings must span.
+SPAN = 0.6
 #: A constant reading out of contact that is told [N].
 TARE_N = 0.3
 REMEDY = "tare the sensor again; subtract the reading out of contact as a line of time"
@@ -31,9 +33,13 @@ def _episode(view: View) -> Iterator[Finding]:
     force = forces(view)
     if force is None or view.time_s is None or len(force.xyz) < 5 * SEGMENTS:
         return
+    flag = flags(view, force.total.shape[1])
     drifting: dict[str, float] = {}
     for tip, name in enumerate(force.names):
         drifts = [_drift(view.time_s, force.xyz[:, tip, axis]) for axis in range(3)]
+        if flag is not None and not any(drifts):
+            free = np.where(flag[:, tip, None] == 0, force.xyz[:, tip], np.nan)
+            drifts = [_drift(view.time_s, free[:, axis]) for axis in range(3)]
         largest = max(drifts, key=abs)
         if largest:
             drifting[name] = largest
@@ -56,6 +62,8 @@ def _drift(time_s: Array, series: Array) -> float:
     if len(keep) < 5 * SEGMENTS or np.ptp(x) < DRIFT_N:
         return 0.0
     duration = time_s[-1] - time_s[0]
+    if t[-1] - t[0] < SPAN * duration:
+        return 0.0
     within = max(TOLERANCE_N, 4 * _quiet(series[np.isfinite(series)]))
     first, last = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))
     some = [rows[np.linspace(0, len(rows) - 1, min(24, len(rows))).astype(int)] for rows in (first, last)]

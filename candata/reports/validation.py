@@ -28,7 +28,8 @@ LISTED, RANGES = 40, 4
 DASH = "\N{EN DASH}"
 STYLE = (
     "<style>.tag{display:inline-block;padding:0 8px;border-radius:9px;font-size:12px;font-weight:650;"
-    "color:var(--paper);background:var(--of)}details{margin:0 0 12px}summary{cursor:pointer;padding:10px 0}"
+    "color:var(--paper);background:var(--of)}details.card{margin:0 0 10px;padding:4px 16px}"
+    "summary{cursor:pointer;padding:8px 0}details table{min-width:640px}"
     "summary b{font-weight:650}summary small{color:var(--muted);font-size:13px}.do{margin:0 0 8px}"
     ".share{display:inline-block;width:72px;height:6px;border-radius:3px;background:var(--rule);"
     "vertical-align:middle;margin-right:8px}.share i{display:block;height:6px;border-radius:3px;"
