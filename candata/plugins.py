@@ -14,6 +14,8 @@ from candata.errors import UnknownNameError
 def names(package: str) -> tuple[str, ...]:
     """Return the registered names of a folder, sorted, without importing its files.
 
+    Names that begin with `_`, and those that the folder lists as `NOT_PLUGINS`, are none.
+
     Parameters
     ----------
     package : str
@@ -21,7 +23,8 @@ def names(package: str) -> tuple[str, ...]:
     """
     folder = importlib.import_module(package)
     found = (m.name for m in pkgutil.iter_modules(folder.__path__))
-    return tuple(sorted(n for n in found if not n.startswith("_")))
+    others = getattr(folder, "NOT_PLUGINS", ())
+    return tuple(sorted(n for n in found if not n.startswith("_") and n not in others))
 
 
 @cache

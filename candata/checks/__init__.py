@@ -2,46 +2,160 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from candata import plugins
-from candata.checks._finding import Finding, Rule
+from candata.checks._finding import LEVELS, Finding, Group, Level, Rule, grouped
+from candata.checks._view import View
 from candata.errors import DataError
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset, RawPart
+    from candata.scenes import Scene
 
-__all__ = ["Finding", "Rule", "check"]
+__all__ = ["LEVELS", "Finding", "Group", "Level", "Rule", "View", "check", "grouped", "meanings", "rule_names"]
+
+#: The file of this folder that is no rule: it makes what rules must find.
+NOT_PLUGINS = ("defects",)
 
 
-def check(dataset: Dataset, progress: Callable[[], None] = lambda: None) -> tuple[Finding, ...]:
-    """Return everything the rules find in a version, part by part; nothing when it is sound.
+def rule_names() -> tuple[str, ...]:
+    """Return the names of all rules, sorted."""
+    return plugins.names(__name__)
 
-    Looks at what is stored, without making episodes of it, so that it reports what could not be made one.
+
+def meanings() -> dict[str, str]:
+    """Return what each rule says, by name."""
+    return {name: plugins.load(__name__, "RULE", name).meaning for name in rule_names()}
+
+
+def check(
+    dataset: Dataset,
+    progress: Callable[[], None] = lambda: None,
+    *,
+    rules: Sequence[str] | None = None,
+    deep: bool = False,
+    scene: Scene | None = None,
+) -> tuple[Finding, ...]:
+    """Return everything the rules find in a version, the gravest first; nothing wrong where it is sound.
+
+    Looks at what is stored, once and episode by episode, without making episodes of it, so that it reports what could
+    not be made one. What could not be checked is a finding of the level `unknown`, one a reason, with the number of
+    episodes.
 
     Parameters
     ----------
     dataset : Dataset
         Opened with `partial=True` where damage is to be listed.
     progress : callable
-        Called after each part.
+        Called after each episode.
+    rules : sequence of str, optional
+        Names of the rules to apply; all when omitted.
+    deep : bool
+        Hash every file, and read dense channels; otherwise files are compared by their size.
+    scene : Scene, optional
+        The world the episodes were recorded in: some rules need it.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such rule.
     """
-    rules = [plugins.load(__name__, "RULE", name) for name in plugins.names(__name__)]
+    chosen = {name: plugins.load(__name__, "RULE", name) for name in (rule_names() if rules is None else rules)}
+    gathered: dict[str, list[Any]] = defaultdict(list)
+    looked: set[str] = set()
     found: list[Finding] = []
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        # Statistics of rows without a value are NaN, which no comparison takes for a finding.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for part, views in _views(dataset, deep, scene):
+            for rule in chosen.values():
+                found += rule.part(part, deep)
+            try:
+                for view in views:
+                    found += _look(view, chosen, gathered, looked)
+                    progress()
+            except DataError as error:
+                if "hashes" in chosen:
+                    found.append(_unreadable(part, error))
+        for name, rule in chosen.items():
+            if rule.judge is not None and gathered[name]:
+                found += rule.judge(gathered[name])
+            elif rule.judge is not None and rule.idle and name in looked:
+                found.append(Finding("unknown", name, rule.idle, problem=rule.idle))
+    return tuple(sorted(_unknown_once(found), key=lambda f: LEVELS.index(f.level)))
+
+
+def _views(dataset: Dataset, deep: bool, scene: Scene | None) -> Iterator[tuple[RawPart, Iterator[View]]]:
+    """Yield each part with its episodes as far as they belong to the version, each id once."""
+    left_out = set(dataset.file.exclusions)
     for part in dataset.raw_parts():
-        found += _check_part(part, rules)
-        progress()
-    return tuple(found)
+        yield part, _of_part(part, left_out, deep, scene)
 
 
-def _check_part(part: RawPart, rules: list[Rule]) -> Iterator[Finding]:
-    """Yield what the rules find in one part; an unreadable part is left to the rule on files."""
-    for rule in rules:
-        yield from rule.part(part)
-    try:
-        for episode in part.episodes():
-            for rule in rules:
-                yield from rule.episode(episode)
-    except DataError as error:
-        yield Finding("error", "hashes", f"{part.relative(error.where.path)}: {error.found}")
+def _of_part(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None) -> Iterator[View]:
+    """Yield the episodes of a part that are not left out, and leave them out from there on."""
+    rows = part.rows()
+    for number in sorted({row["row_group"] for row in rows}):
+        for raw in part.group(number, rows):
+            if raw.id not in left_out:
+                left_out.add(raw.id)
+                yield View(part.whole(raw) if deep else raw, scene, deep)
+
+
+def _look(view: View, rules: dict[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
+    """Yield what the rules find in one episode, and keep what they gather."""
+    for name, rule in rules.items():
+        reason = _obstacle(view, rule)
+        if reason:
+            yield Finding("unknown", name, reason, view.id, problem=reason)
+            continue
+        yield from rule.episode(view)
+        if rule.gather is not None:
+            looked.add(name)
+            value = rule.gather(view)
+            if value is not None:
+                gathered[name].append(value)
+
+
+def _obstacle(view: View, rule: Rule) -> str:
+    """Return why a rule cannot look at an episode; nothing where it can."""
+    if rule.scene and view.scene is None:
+        return "no scene was given (--scene)"
+    missing = [name for name in rule.needs if name not in view.raw.arrays]
+    if missing:
+        return f"no {' and no '.join(missing)}"
+    if rule.needs and view.time_s is None:
+        return "time does not increase"
+    unusable = [name for name in rule.needs if name != "time_ns" and view.whole(name) is None]
+    return f"no valid rows of {' and '.join(unusable)}" if unusable else ""
+
+
+def _unreadable(part: RawPart, error: DataError) -> Finding:
+    """Return the finding that a part cannot be read; the rule on files speaks of what it can tell itself."""
+    return Finding(
+        "error", "hashes", f"{part.relative(error.where.path)}: {error.found}", problem="a file cannot be read",
+        remedy="restore the file from a copy",
+    )  # fmt: skip
+
+
+def _unknown_once(found: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield findings, with one for all episodes that a rule could not look at for the same reason."""
+    counts: dict[tuple[str, str], int] = defaultdict(int)
+    for finding in found:
+        if finding.level == "unknown":
+            counts[finding.rule, finding.problem] += finding.episode is not None
+        else:
+            yield finding
+    for (rule, reason), episodes in counts.items():
+        about = f" in {episodes} episode{'s' * (episodes != 1)}" if episodes else ""
+        yield replace(
+            Finding("unknown", rule, f"not checked{about}: {reason}", problem=reason),
+            evidence={"episodes": episodes} if episodes else {},
+        )

@@ -2,31 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
-    from candata.datasets import RawEpisode, RawPart
+    from candata.checks._view import View
+    from candata.datasets import RawPart
 
-Level = Literal["error", "warning"]
+Level = Literal["error", "warning", "info", "unknown"]
+#: Grades, the gravest first.
+LEVELS: tuple[Level, ...] = ("error", "warning", "info", "unknown")
+
+Evidence = float | int | str
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong, or doubtful, in a dataset.
+    """Something wrong, doubtful or worth knowing in a dataset, or something that could not be checked.
 
     Attributes
     ----------
     level : str
-        `error` (the data cannot be trusted) or `warning` (worth a look).
+        `error` (the data cannot be trusted), `warning` (worth a look), `info` (true and worth knowing) or `unknown`
+        (could not be checked; `problem` says why).
     rule : str
         File name of the rule.
     message : str
-        What was expected and what was found.
+        What was expected and what was found, with numbers.
     episode, channel : str or None
+        Where; None where it is true of the set, or of the whole episode.
     index : int or None
-        Where: row of the episode.
+        First row of the episode that shows it.
+    problem : str
+        The same in words without numbers: findings of one rule that share it are one line for people.
+    ranges : tuple of (float, float)
+        Times from the episode's first row that show it [s]; empty where it is the whole episode.
+    evidence : mapping of str to number or str
+        What was measured, a unit in each name.
+    remedy : str
+        What to do.
     """
 
     level: Level
@@ -35,14 +50,51 @@ class Finding:
     episode: str | None = None
     channel: str | None = None
     index: int | None = None
+    problem: str = ""
+    ranges: tuple[tuple[float, float], ...] = ()
+    evidence: Mapping[str, Evidence] = field(default_factory=dict)
+    remedy: str = ""
 
 
-def _part_fine(part: RawPart) -> Iterator[Finding]:
+@dataclass(frozen=True)
+class Group:
+    """Findings that are the same in words: one line for people.
+
+    Attributes
+    ----------
+    level, rule, channel, problem
+        What they share.
+    findings : tuple of Finding
+        At least one.
+    """
+
+    level: Level
+    rule: str
+    channel: str | None
+    problem: str
+    findings: tuple[Finding, ...]
+
+    @property
+    def episodes(self) -> tuple[str, ...]:
+        """Episodes that show it, each once; empty where it is true of the set."""
+        return tuple(dict.fromkeys(f.episode for f in self.findings if f.episode is not None))
+
+
+def grouped(findings: Sequence[Finding]) -> tuple[Group, ...]:
+    """Return findings by what they share, the gravest first, then those of most episodes."""
+    groups: dict[tuple[Level, str, str | None, str], list[Finding]] = {}
+    for one in findings:
+        groups.setdefault((one.level, one.rule, one.channel, one.problem or one.message), []).append(one)
+    made = [Group(*key, tuple(some)) for key, some in groups.items()]
+    return tuple(sorted(made, key=lambda g: (LEVELS.index(g.level), -len(g.findings), g.rule)))
+
+
+def _part_fine(part: RawPart, deep: bool) -> Iterator[Finding]:
     """Find nothing in a part."""
     return iter(())
 
 
-def _episode_fine(episode: RawEpisode) -> Iterator[Finding]:
+def _episode_fine(view: View) -> Iterator[Finding]:
     """Find nothing in an episode."""
     return iter(())
 
@@ -51,16 +103,34 @@ def _episode_fine(episode: RawEpisode) -> Iterator[Finding]:
 class Rule:
     """One way of looking at stored data; a file in this folder exports one as `RULE`.
 
+    A rule looks at parts, at episodes one by one, or at the set: then `gather` keeps a few numbers an episode and
+    `judge` sees them all once at the end. Rows are never kept, so memory grows with the episodes by these numbers only.
+
     Attributes
     ----------
     meaning : str
         One line for people.
     part : callable
-        Yields what is wrong with a part's files.
+        `(part, deep)` yields what is wrong with a part's files.
     episode : callable
         Yields what is wrong with an episode as stored, which may be anything.
+    gather : callable, optional
+        Returns what `judge` is to know of an episode; None where it tells nothing.
+    judge : callable, optional
+        Yields what is wrong with the set, from what was gathered (at least one).
+    needs : tuple of str
+        Channels without which an episode is not looked at: it counts as not checked.
+    scene : bool
+        Whether it needs a scene: without one it is not checked.
+    idle : str
+        Why nothing could be checked where `gather` returned None for every episode; empty where nothing was to be.
     """
 
     meaning: str
-    part: Callable[[RawPart], Iterator[Finding]] = _part_fine
-    episode: Callable[[RawEpisode], Iterator[Finding]] = _episode_fine
+    part: Callable[[RawPart, bool], Iterator[Finding]] = _part_fine
+    episode: Callable[[View], Iterator[Finding]] = _episode_fine
+    gather: Callable[[View], Any] | None = None
+    judge: Callable[[Sequence[Any]], Iterator[Finding]] | None = None
+    needs: tuple[str, ...] = ()
+    scene: bool = False
+    idle: str = ""

@@ -7,20 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._rows import valid_rows
-from candata.datasets import RawEpisode
+from candata.checks._view import View, valid_rows
+
+REMEDY = "import again with --allow-gaps: such rows are kept and marked invalid"
 
 
-def _finite(episode: RawEpisode) -> Iterator[Finding]:
+def _finite(view: View) -> Iterator[Finding]:
     """Yield each channel with NaN or infinity in valid rows."""
-    for name, array in episode.arrays.items():
-        if array.dtype.kind != "f":
+    for name, array in view.raw.arrays.items():
+        if array.dtype.kind != "f" or array.ndim == 0:
             continue
-        finite = np.isfinite(array).all(axis=tuple(range(1, array.ndim)))
-        bad = np.flatnonzero(valid_rows(episode, name) & ~finite)
-        if len(bad):
-            text = f"{len(bad)} of {len(array)} rows are not finite"
-            yield Finding("error", "finite", text, episode.id, name, int(bad[0]))
+        finite = np.asarray(np.isfinite(array).all(axis=tuple(range(1, array.ndim))))
+        bad = valid_rows(view.raw, name) & ~finite
+        if bad.any():
+            text = f"{bad.sum()} of {len(array)} rows are not finite"
+            yield view.finding("error", "finite", "values are not finite", text, name, bad, REMEDY,
+                               rows=int(bad.sum()))  # fmt: skip
 
 
 RULE = Rule(meaning="valid values are finite", episode=_finite)

@@ -1,42 +1,66 @@
-"""Rule: every file and every episode is what was written."""
+"""Rule: every file and every episode is what was written.
+
+Without `deep`, files are compared by their size and episodes by their content, as far as it lies in tables.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from candata.checks._finding import Finding, Rule
-from candata.datasets import RawEpisode, RawPart, get_cloud
+from candata.checks._view import View
+from candata.datasets import RawPart, get_cloud
+from candata.datasets.clouds import cloud_path
 from candata.datasets.durable import file_sha256, reason
 from candata.datasets.parts import EPISODES, MANIFEST
 from candata.errors import DataError, UsageError
 from candata.schema.episode import EpisodeMeta
+from candata.schema.manifest import FileEntry
+
+#: What to do about damage.
+RESTORE = "restore the file from a copy"
 
 
-def _files(part: RawPart) -> Iterator[Finding]:
+def _files(part: RawPart, deep: bool) -> Iterator[Finding]:
     """Yield files of a part that are missing or changed, and what they no longer agree on."""
     try:
         manifest = part.manifest()
     except DataError as error:
-        yield Finding("error", "hashes", _text(part, error))
+        yield _damage(_text(part, error))
         return
     for entry in manifest.files:
         path = part.folder / entry.path
         try:
-            found = file_sha256(path)
+            found = _difference(path, entry, deep)
         except OSError as error:
-            yield Finding("error", "hashes", f"{part.relative(path)}: {reason(error)}")
-            continue
-        if found != entry.sha256:
-            text = f"sha256 {found[:12]}, expected {entry.sha256[:12]}"
-            yield Finding("error", "hashes", f"{part.relative(path)}: {text}")
+            found = reason(error)
+        if found:
+            yield _damage(f"{part.relative(path)}: {found}")
     try:
         rows = part.rows()
     except DataError:
         return  # the file's own hash tells
     yield from _pairs(rows, dict(manifest.episodes))
-    yield from _clouds(part, rows)
+    yield from _clouds(part, rows, deep)
+
+
+def _damage(text: str) -> Finding:
+    """Return the finding of a damaged file."""
+    return Finding("error", "hashes", text, problem="a file is missing or changed", remedy=RESTORE)
+
+
+def _difference(path: Path, entry: FileEntry, deep: bool) -> str:
+    """Return how a file differs from its entry; nothing where it does not, by its size or in full."""
+    size = path.stat().st_size
+    if size != entry.bytes:
+        return f"{size} bytes, expected {entry.bytes}"
+    if not deep:
+        return ""
+    found = file_sha256(path)
+    return "" if found == entry.sha256 else f"sha256 {found[:12]}, expected {entry.sha256[:12]}"
 
 
 def _pairs(rows: list[dict[str, Any]], promised: dict[str, str]) -> Iterator[Finding]:
@@ -45,10 +69,10 @@ def _pairs(rows: list[dict[str, Any]], promised: dict[str, str]) -> Iterator[Fin
     for name in sorted(promised.keys() | stored.keys()):
         if promised.get(name) != stored.get(name):
             text = f"{EPISODES} and {MANIFEST} disagree on the content"
-            yield Finding("error", "hashes", text, episode=name)
+            yield Finding("error", "hashes", text, episode=name, problem=text, remedy=RESTORE)
 
 
-def _clouds(part: RawPart, rows: list[dict[str, Any]]) -> Iterator[Finding]:
+def _clouds(part: RawPart, rows: list[dict[str, Any]], deep: bool) -> Iterator[Finding]:
     """Yield point clouds that the part's episodes name and that are missing or damaged."""
     named: dict[str, str] = {}
     for row in rows:
@@ -59,18 +83,25 @@ def _clouds(part: RawPart, rows: list[dict[str, Any]]) -> Iterator[Finding]:
         if cloud:
             named.setdefault(cloud, row["id"])
     for cloud, episode in named.items():
+        if not deep and cloud_path(part.root, cloud).is_file():
+            continue
         try:
             get_cloud(part.root, cloud)
         except DataError as error:
-            yield Finding("error", "hashes", _text(part, error), episode=episode, channel="point_cloud")
+            problem = "a point cloud is missing or changed"
+            text = _text(part, error)
+            yield Finding("error", "hashes", text, episode, "point_cloud", problem=problem, remedy=RESTORE)
 
 
-def _content(episode: RawEpisode) -> Iterator[Finding]:
+def _content(view: View) -> Iterator[Finding]:
     """Yield content that no longer has the hash it was stored with."""
-    found = episode.content_hash()
-    if found != episode.stored_hash:
-        text = f"content {found[:12]}, expected {episode.stored_hash[:12]}"
-        yield Finding("error", "hashes", text, episode=episode.id)
+    raw = view.raw
+    if raw.dense and not view.deep:
+        return  # part of the content was not read
+    found = raw.content_hash()
+    if found != raw.stored_hash:
+        text = f"content {found[:12]}, expected {raw.stored_hash[:12]}"
+        yield view.finding("error", "hashes", "the content has changed", text, remedy=RESTORE)
 
 
 def _text(part: RawPart, error: DataError) -> str:

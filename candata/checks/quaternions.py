@@ -7,25 +7,29 @@ from collections.abc import Iterator
 import numpy as np
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._rows import valid_rows
-from candata.datasets import RawEpisode
+from candata.checks._view import View, valid_rows
 from candata.schema.channels import QUATERNION
 from candata.schema.episode import QUATERNION_TOLERANCE
 
+REMEDY = "normalise them at the source, and check which columns of the map are the quaternion's"
 
-def _unit(episode: RawEpisode) -> Iterator[Finding]:
+
+def _unit(view: View) -> Iterator[Finding]:
     """Yield each pose channel with a quaternion of another norm than 1 in valid rows."""
-    for name in QUATERNION.keys() & episode.arrays.keys():
-        array = episode.arrays[name]
+    for name in sorted(QUATERNION.keys() & view.raw.arrays.keys()):
+        array = view.raw.arrays[name]
         if array.ndim != 2 or array.shape[1] < QUATERNION[name].stop:
             continue
         part = array[:, QUATERNION[name]].astype(np.float64)
         finite = np.asarray(np.isfinite(part).all(axis=1))
         norm = np.linalg.norm(np.where(finite[:, None], part, 0.0), axis=1)
-        bad = np.flatnonzero(valid_rows(episode, name) & finite & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
-        if len(bad):
-            text = f"norm {norm[bad[0]]:.6g}, expected 1 +- {QUATERNION_TOLERANCE} ({len(bad)} rows)"
-            yield Finding("error", "quaternions", text, episode.id, name, int(bad[0]))
+        bad = valid_rows(view.raw, name) & finite & (np.abs(norm - 1) > QUATERNION_TOLERANCE)
+        if bad.any():
+            text = f"norm {norm[np.argmax(bad)]:.6g}, expected 1 +- {QUATERNION_TOLERANCE} ({bad.sum()} rows)"
+            yield view.finding(
+                "error", "quaternions", "a quaternion is not unit", text, name, bad, REMEDY,
+                rows=int(bad.sum()), median_norm=float(np.median(norm[bad])),
+            )  # fmt: skip
 
 
 RULE = Rule(meaning="quaternions w x y z have norm 1", episode=_unit)

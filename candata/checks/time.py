@@ -1,4 +1,4 @@
-"""Rule: time increases strictly, at about the rate that the episode states."""
+"""Rule: time increases strictly, at about the rate that the episode states, without rows that are missing."""
 
 from __future__ import annotations
 
@@ -8,48 +8,94 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.datasets import RawEpisode
-from candata.errors import UsageError
+from candata.checks._view import View
 
+#: Said where rows come together and then not for a while: gaps between them are no gaps of the recording.
+BURSTS = "rows come in bursts"
 #: Beyond this factor between median and nominal step, the unit or the rate is wrong, not the clock.
 WRONG_FACTOR = 2.0
 #: Beyond this relative difference the stated rate misleads whoever resamples by it.
 DOUBTFUL_SHARE = 0.1
 #: A step this many times the median is a gap that should be marked invalid.
 GAP_STEPS = 5.0
+#: A step this many times the median lacks a row, where the steps around it do not make up for it.
+LACKING_STEPS = 1.6
+#: Share of lacking rows that is worth more than a remark.
+LACKING_SHARE = 0.01
 
 
-def _time(episode: RawEpisode) -> Iterator[Finding]:
-    """Yield a clock that runs back, a rate that the record does not state, and gaps."""
-    time_ns = episode.arrays.get("time_ns")
-    if time_ns is None or time_ns.ndim != 1 or time_ns.dtype.kind != "i" or len(time_ns) < 2:
+def _time(view: View) -> Iterator[Finding]:
+    """Yield a clock that runs back, a rate that the record does not state, gaps and lacking rows."""
+    if view.stamps is None:
         return
-    stamps = time_ns.astype(np.int64)
-    steps = stamps[1:] - stamps[:-1]
-    back = np.flatnonzero(steps <= 0)
-    if len(back):
-        text = f"time does not increase: step {steps[back[0]]} ns ({len(back)} rows)"
-        yield Finding("error", "time", text, episode.id, "time_ns", int(back[0]) + 1)
+    steps = np.diff(view.stamps)
+    back = np.r_[False, steps <= 0]
+    if back.any():
+        text = f"step {steps[np.argmax(back) - 1]} ns ({back.sum()} rows)"
+        yield view.finding(
+            "error", "time", "time does not increase", text, "time_ns", back,
+            "sort the rows by time and drop repeated stamps", backward_rows=int(back.sum()),
+        )  # fmt: skip
         return
-    yield from _rate(episode, steps)
-
-
-def _rate(episode: RawEpisode, steps: NDArray[np.int64]) -> Iterator[Finding]:
-    """Yield a median step far from the nominal one, and steps that are gaps."""
-    try:
-        rate_hz = episode.meta().rate_hz
-    except (UsageError, ValueError):
-        return  # the rule on the schema tells
     median = float(np.median(steps))
+    found = list(_rate(view, median))
+    yield from found
+    if not any(finding.problem == BURSTS for finding in found):
+        yield from _gaps(view, steps, median)
+
+
+def _rate(view: View, median: float) -> Iterator[Finding]:
+    """Yield a median step far from the nominal one."""
+    if view.stamps is None or view.meta is None or not view.meta.rate_hz > 0:
+        return  # the rule on the schema tells
+    rate_hz = view.meta.rate_hz
     ratio = median * 1e-9 * rate_hz
-    if not 1 - DOUBTFUL_SHARE <= ratio <= 1 + DOUBTFUL_SHARE:
-        level: Level = "warning" if 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR else "error"
-        text = f"median rate {1e9 / median:.4g} Hz, expected rate_hz = {rate_hz:.4g}"
-        yield Finding(level, "time", text, episode.id, "time_ns")
-    gaps = np.flatnonzero(steps > GAP_STEPS * median)
-    if len(gaps):
-        text = f"gap of {steps[gaps[0]] * 1e-9:.3g} s ({len(gaps)} gaps over {GAP_STEPS:g} steps)"
-        yield Finding("warning", "time", text, episode.id, "time_ns", int(gaps[0]) + 1)
+    if 1 - DOUBTFUL_SHARE <= ratio <= 1 + DOUBTFUL_SHARE:
+        return
+    mean = float(view.stamps[-1] - view.stamps[0]) / (len(view.stamps) - 1) * 1e-9 * rate_hz
+    if 1 / WRONG_FACTOR <= mean <= WRONG_FACTOR and not 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR:
+        text = f"most steps are {median * 1e-9:.3g} s, their mean {mean / rate_hz:.3g} s, stated {1 / rate_hz:.3g} s"
+        yield view.finding(
+            "warning", "time", BURSTS, text, "time_ns",
+            remedy="take the stamps of the source, not those of arrival; resample", mean_hz=rate_hz / mean,
+            median_hz=1e9 / median, stated_hz=rate_hz,
+        )  # fmt: skip
+        return
+    level: Level = "warning" if 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR else "error"
+    text = f"median rate {1e9 / median:.4g} Hz, expected rate_hz = {rate_hz:.4g}"
+    yield view.finding(
+        level, "time", "the rate is another than the stated one", text, "time_ns",
+        remedy="correct rate_hz, or the unit of the time column", rate_hz=1e9 / median, stated_hz=rate_hz,
+    )  # fmt: skip
 
 
-RULE = Rule(meaning="time increases, at the stated rate", episode=_time)
+def _gaps(view: View, steps: NDArray[np.int64], median: float) -> Iterator[Finding]:
+    """Yield steps that are gaps, and single rows that lack."""
+    gap = steps > GAP_STEPS * median
+    if gap.any():
+        text = f"gap of {steps[np.argmax(gap)] * 1e-9:.3g} s ({gap.sum()} gaps over {GAP_STEPS:g} steps)"
+        yield view.finding(
+            "warning", "time", "time jumps ahead", text, "time_ns", np.r_[False, gap],
+            "cut the episode there: nothing is known of the time between", gaps=int(gap.sum()),
+            longest_s=float(steps.max() * 1e-9),
+        )  # fmt: skip
+    lacking = _lacking(steps, median) & ~gap
+    if lacking.any():
+        missing = int(np.round(steps[lacking] / median - 1).sum())
+        share = missing / (len(steps) + 1)
+        level: Level = "warning" if share > LACKING_SHARE and missing > 2 else "info"
+        yield view.finding(
+            level, "time", "rows are lacking", f"{missing} rows, by the steps of time ({share:.1%})", "time_ns",
+            np.r_[False, lacking], "look for what the recorder dropped; windows go over these places",
+            lacking_rows=missing, share=share,
+        )  # fmt: skip
+
+
+def _lacking(steps: NDArray[np.int64], median: float) -> NDArray[np.bool_]:
+    """Return `(T - 1,) bool`: long steps that are no jitter, which the steps beside them would make up for."""
+    padded = np.r_[median, steps, median]
+    excess = padded[:-2] + padded[1:-1] + padded[2:] - 3 * median
+    return np.asarray((steps > LACKING_STEPS * median) & (excess > (LACKING_STEPS - 1) * median))
+
+
+RULE = Rule(meaning="time increases, at the stated rate, and no rows are lacking", episode=_time)

@@ -1,0 +1,22 @@
+"""Which command drives which joint, as far as names tell."""
+
+from __future__ import annotations
+
+from candata.checks._view import View
+
+
+def pairs(view: View) -> tuple[tuple[int, int], ...]:
+    """Return `(column of joint_position, column of action)` of each driven joint.
+
+    By name; by place where an episode has as many commands as joints and names neither, or both alike.
+    """
+    if not {"joint_position", "action"} <= view.raw.arrays.keys() or view.meta is None:
+        return ()
+    joint, action = view.raw.arrays["joint_position"], view.raw.arrays["action"]
+    if joint.ndim != 2 or action.ndim != 2:
+        return ()
+    joints, actuators = view.meta.joint_names, view.meta.actuator_names
+    if len(joints) == joint.shape[1] and len(actuators) == action.shape[1]:
+        return tuple((j, actuators.index(name)) for j, name in enumerate(joints) if name in actuators)
+    same = joint.shape[1] == action.shape[1] and not joints and not actuators
+    return tuple((j, j) for j in range(joint.shape[1])) if same else ()

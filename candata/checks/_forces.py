@@ -1,0 +1,75 @@
+"""Forces and contact flags of an episode, side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.checks._view import View
+from candata.schema.contact import THRESHOLD_MARGIN_N
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+#: Threshold that is assumed where the record states none [N]: the schema's default.
+THRESHOLD_N = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """Forces of an episode.
+
+    Attributes
+    ----------
+    xyz : (T, F, 3) float64
+        Forces [N], NaN where invalid.
+    total : (T, F) float64
+        |Fx| + |Fy| + |Fz| [N], what the threshold is compared with.
+    threshold_n : float
+        Threshold, stated or assumed [N].
+    stated : bool
+        Whether the record states how flags came from forces.
+    names : tuple of str
+        Fingertips.
+    """
+
+    xyz: Array
+    total: Array
+    threshold_n: float
+    stated: bool
+    names: tuple[str, ...]
+
+    @property
+    def touch(self) -> Mask:
+        """`(T, F) bool`: above the threshold."""
+        return np.asarray(self.total > self.threshold_n + THRESHOLD_MARGIN_N)
+
+    @property
+    def seen(self) -> Mask:
+        """`(T, F) bool`: where there is a value."""
+        return np.isfinite(self.total)
+
+
+def forces(view: View) -> Forces | None:
+    """Return the forces of an episode; None where it has none."""
+    xyz = view.values("fingertip_force")
+    if xyz is None:
+        return None
+    rule = view.meta.contact_rule if view.meta else None
+    threshold = rule.threshold_n if rule else THRESHOLD_N
+    return Forces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, view.elements("fingertip_force"))
+
+
+def flags(view: View, count: int) -> Array | None:
+    """Return `(T, F) float64` contact flags of each fingertip, 0, 1 or NaN; None where there are none of F."""
+    found = view.values("fingertip_contact")
+    return found if found is not None and found.shape[1] == count else None
+
+
+def touched(view: View) -> Array | None:
+    """Return `(T,) float64` whether any fingertip touches, by flags, 0, 1 or NaN; None where there are none."""
+    tips = view.values("fingertip_contact")
+    if tips is not None:
+        return np.where(np.isfinite(tips).all(axis=1), np.nan_to_num(tips).max(axis=1), np.nan)
+    return view.values("contact")

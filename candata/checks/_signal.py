@@ -1,0 +1,110 @@
+"""What rules measure on a channel: noise, smoothing, lags, unit factors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+#: Factors between units that people mix up (CGPM SI brochure, 9th edition): what a value is multiplied by.
+UNITS = {
+    "thousandths (mm, mN, mrad)": 1000.0,
+    "hundredths (cm)": 100.0,
+    "gram-force": 1 / 9.80665e-3,
+    "kilogram-force": 1 / 9.80665,
+    "degrees": 180 / np.pi,
+}
+
+
+def noise(values: Array) -> Array:
+    """Return the spread of white noise in each column of `(T, N)`, by second differences.
+
+    Source: second differences of white noise have six times its variance; 0.6745 is the median of |x| for a unit
+    normal (Rousseeuw and Croux 1993, eq. 1.3).
+    """
+    bend = np.abs(np.diff(values, 2, axis=0))
+    if not len(bend):
+        return np.zeros(values.shape[1:])
+    # nanmedian takes a hundred times as long.
+    middle = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
+    return np.asarray(np.nan_to_num(middle) / 0.6745 / np.sqrt(6))
+
+
+def resolution(values: Array) -> float:
+    """Return the smallest step between values `(N,)` that occur; 0 where there are fewer than two."""
+    steps = np.diff(np.unique(values[np.isfinite(values)]))
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def smooth(values: Array, rows: int) -> Array:
+    """Return `(T, ...)` means over `rows` rows around each, the ends over what is there; NaN rows stay out."""
+    rows = max(1, min(rows, len(values)))
+    flat = values.reshape(len(values), -1)
+    seen = np.isfinite(flat)
+    start = np.maximum(np.arange(len(flat)) - rows // 2, 0)
+    end = np.minimum(np.arange(len(flat)) + (rows + 1) // 2, len(flat))
+    # Running sums about the mean: those of large values would lose the small changes.
+    about = np.where(seen.any(axis=0), np.nanmean(np.where(seen, flat, np.nan), axis=0), 0.0)
+    sums, counts = (np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
+                    for x in (np.where(seen, flat - about, 0.0), seen.astype(float)))  # fmt: skip
+    total = counts[end] - counts[start]
+    mean = (sums[end] - sums[start]) / np.maximum(total, 1) + about
+    return np.where(total > 0.5, mean, np.nan).reshape(values.shape)
+
+
+def correlation(first: Array, second: Array, lags: NDArray[np.int64]) -> Array:
+    """Return `(L, N)` the correlation of columns of first `(T, N)` with those of second, the second `lag` rows later.
+
+    NaN counts as its column's mean; a column that stands still correlates with nothing.
+    """
+    first, second = (np.where(np.isfinite(x), x, np.nanmean(x, axis=0)) for x in (first, second))
+    out = np.zeros((len(lags), first.shape[1]))
+    for k, lag in enumerate(lags):
+        a = first[max(0, -lag) : len(first) - max(0, lag)]
+        b = second[max(0, lag) : len(second) - max(0, -lag)]
+        if len(a) > 3:
+            a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+            size = np.sqrt((a * a).sum(axis=0) * (b * b).sum(axis=0))
+            out[k] = np.where(size > 0, (a * b).sum(axis=0) / np.where(size > 0, size, 1), 0.0)
+    return out
+
+
+def peak(values: Array) -> float:
+    """Return where `(N,)` is largest, between rows by the parabola through the three values there."""
+    k = int(np.argmax(values))
+    if k in (0, len(values) - 1):
+        return float(k)
+    left, top, right = values[k - 1 : k + 2]
+    bend = left - 2 * top + right
+    return float(k + 0.5 * (left - right) / bend) if bend < 0 else float(k)
+
+
+def unit_of(ratio: float, tolerance: float = 0.35) -> str:
+    """Return which unit's factor a ratio is, or one over it; nothing where it is near none.
+
+    Parameters
+    ----------
+    ratio : float
+        Found over expected, positive.
+    tolerance : float
+        Largest difference of logarithms; half the gap between a hundredth and a gram-force does not matter, as the
+        nearest is taken.
+    """
+    if not ratio > 0:
+        return ""
+    near = {name: min(abs(np.log(ratio / f)), abs(np.log(ratio * f))) for name, f in UNITS.items()}
+    best = min(near, key=lambda name: near[name])
+    return best if near[best] < tolerance else ""
+
+
+def middle(values: Array) -> float:
+    """Return the median of what is finite; NaN where nothing is."""
+    seen = values[np.isfinite(values)]
+    return float(np.median(seen)) if len(seen) else float("nan")
+
+
+def spread(values: Array) -> float:
+    """Return the robust standard deviation (1.4826 MAD) of what is finite; 0 where nothing is."""
+    seen = values[np.isfinite(values)]
+    return float(1.4826 * np.median(np.abs(seen - np.median(seen)))) if len(seen) else 0.0

@@ -1,0 +1,394 @@
+"""Defects that real recordings have, made on purpose: what `candata validate` must find.
+
+Each is a pure function of stored arrays: nothing is checked, so it makes what an `Episode` refuses, as a foreign
+writer might. `inject` damages a share of a dataset's episodes and gives them as stored episodes; `write` stores them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset, RawEpisode, append, create_dataset
+from candata.datasets.encode import hash_columns, meta_json
+from candata.errors import DataError, UnknownNameError
+from candata.schema.channels import CHANNELS, QUATERNION, VALID_SUFFIX
+from candata.schema.contact import fingertip_contact
+from candata.schema.episode import Episode
+from candata.schema.manifest import Lineage
+
+Arrays = dict[str, NDArray]
+#: `(arrays, rate_hz, severity, rng) -> arrays`: what is stored, damaged.
+Damage = Callable[[Arrays, float, float, np.random.Generator], Arrays]
+#: Gram-force a newton (standard gravity, CGPM 1901).
+GRAM_FORCE = 1 / 9.80665e-3
+
+
+@dataclass(frozen=True)
+class Defect:
+    """One way in which recordings are wrong.
+
+    Attributes
+    ----------
+    about : str
+        One line for people.
+    channels : tuple of str
+        Channels without which an episode cannot have it.
+    rules : tuple of str
+        Rules of `candata validate` of which at least one must find it.
+    severity : float
+        The usual size, in `unit`.
+    unit : str
+        What the size is measured in; "1" where it makes no difference.
+    milder : tuple of float
+        Smaller sizes, down to what nobody can find.
+    damage : callable
+        Makes it.
+    """
+
+    about: str
+    channels: tuple[str, ...]
+    rules: tuple[str, ...]
+    damage: Damage
+    severity: float = 1.0
+    unit: str = "1"
+    milder: tuple[float, ...] = ()
+
+
+def _changed(arrays: Arrays, **columns: NDArray) -> Arrays:
+    """Return arrays with other columns, in the type that they had."""
+    return arrays | {name: np.asarray(value).astype(arrays[name].dtype) for name, value in columns.items()}
+
+
+def _late(array: NDArray, rows: int) -> NDArray:
+    """Return an array that comes `rows` rows later; the first row is held before. Earlier where negative."""
+    if rows == 0:
+        return array
+    if rows < 0:
+        return np.concatenate([array[-rows:], np.repeat(array[-1:], -rows, axis=0)])[: len(array)]
+    return np.concatenate([np.repeat(array[:1], rows, axis=0), array])[: len(array)]
+
+
+def _rows(rate_hz: float, seconds: float) -> int:
+    """Return how many rows a time is."""
+    return round(rate_hz * seconds)
+
+
+def contact_inverted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which contact is flagged where there is none, and the other way round."""
+    names = [n for n in ("fingertip_contact", "contact") if n in arrays]
+    return arrays | {name: ~arrays[name].astype(bool) for name in names}
+
+
+def force_in_grams(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with forces times `severity`: gram-force by default."""
+    return _changed(arrays, fingertip_force=arrays["fingertip_force"] * severity)
+
+
+def force_late(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces come `severity` seconds late."""
+    return _changed(arrays, fingertip_force=_late(arrays["fingertip_force"], _rows(rate_hz, severity)))
+
+
+def force_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces drift from 0 to `severity` newton along the fingertips' normal (their last axis)."""
+    force = arrays["fingertip_force"].copy()
+    force[..., 2] += np.linspace(0, severity, len(force))[:, None]
+    return _changed(arrays, fingertip_force=force)
+
+
+def finger_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which one fingertip, the one that touches most, reads nothing."""
+    force = arrays["fingertip_force"].copy()
+    tip = int(np.argmax(np.nansum(np.abs(force), axis=(0, 2))))
+    force[:, tip] = 0
+    return _changed(arrays, fingertip_force=force)
+
+
+def force_saturated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces end at `1 - severity` of the largest component."""
+    force = arrays["fingertip_force"]
+    limit = (1 - severity) * float(np.nanmax(np.abs(force), initial=0.0))
+    return _changed(arrays, fingertip_force=np.clip(force, -limit, limit))
+
+
+def force_nan(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with NaN in a share `severity` of the forces' rows, at least one."""
+    force = arrays["fingertip_force"].copy()
+    rows = rng.choice(len(force), max(1, int(severity * len(force))), replace=False)
+    force[rows, int(rng.integers(force.shape[1]))] = np.nan
+    return _changed(arrays, fingertip_force=force)
+
+
+def pose_in_millimetres(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with the object's place times `severity`: millimetres by default."""
+    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[[severity] * 3, [1] * 4])
+
+
+def quaternion_not_unit(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose quaternions have the norm 1 + `severity`."""
+    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[[1] * 3, [1 + severity] * 4])
+
+
+def quaternion_swapped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose quaternions are x y z w."""
+    return arrays | {n: arrays[n][:, [0, 1, 2, 4, 5, 6, 3]] for n in QUATERNION if n in arrays}
+
+
+def joint_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which the joint that moves most stands still."""
+    joint = arrays["joint_position"].copy()
+    moves = int(np.argmax(np.ptp(joint, axis=0)))
+    joint[:, moves] = joint[0, moves]
+    return _changed(arrays, joint_position=joint)
+
+
+def rows_dropped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays that lack a share `severity` of their rows, stamps kept."""
+    keep = np.ones(len(arrays["time_ns"]), bool)
+    keep[rng.choice(len(keep), max(1, int(severity * len(keep))), replace=False)] = False
+    return {name: array[keep] for name, array in arrays.items()}
+
+
+def rows_dropped_unseen(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays that lack `severity` seconds in their middle, stamps made as if they did not."""
+    total = len(arrays["time_ns"])
+    lost = min(_rows(rate_hz, severity), total // 2)
+    at = int(rng.integers(total // 4, total // 2))
+    keep = np.r_[0:at, at + lost : total]
+    return {n: a[: len(keep)] if n == "time_ns" else a[keep] for n, a in arrays.items()}
+
+
+def time_jump(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose clock jumps ahead by `severity` seconds in the middle."""
+    time_ns = arrays["time_ns"].copy()
+    time_ns[len(time_ns) // 2 :] += int(severity * 1e9)
+    return arrays | {"time_ns": time_ns}
+
+
+def clock_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose joints and poses fall behind the commands, by `severity` seconds at the end."""
+    total = len(arrays["time_ns"])
+    rows = np.arange(total) - np.linspace(0, severity * rate_hz, total)
+    at = np.clip(np.round(rows).astype(int), 0, total - 1)
+    names = [n for n in ("joint_position", "joint_velocity", "object_pose", "fingertip_force") if n in arrays]
+    return arrays | {name: arrays[name][at] for name in names}
+
+
+def action_shifted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose commands are logged `severity` rows late."""
+    return _changed(arrays, action=_late(arrays["action"], int(severity)))
+
+
+def joint_beyond_limits(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which all joints are off by `severity` radian."""
+    return _changed(arrays, joint_position=arrays["joint_position"] + severity)
+
+
+def object_sunk(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with the object `severity` metres lower."""
+    return _changed(arrays, object_pose=arrays["object_pose"] - np.r_[0, 0, severity, 0, 0, 0, 0])
+
+
+def object_far(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with the object `severity` metres to the side."""
+    return _changed(arrays, object_pose=arrays["object_pose"] + np.r_[severity, 0, 0, 0, 0, 0, 0])
+
+
+def fall_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose object falls with `1 - severity` of gravity: heights scaled."""
+    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[1, 1, 1 - severity, 1, 1, 1, 1])
+
+
+def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with joints in degrees."""
+    return _changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))
+
+
+_FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")
+#: Name of a defect to what it is; the first ten are those of other validators' test.
+DEFECTS: Mapping[str, Defect] = MappingProxyType({
+    "contact_inverted": Defect("contact flags inverted", ("contact",), ("contact_flags", "contact_motion"),
+                               contact_inverted),
+    "force_in_grams": Defect("forces in gram-force", _FORCE, ("force_unit", "scale"), force_in_grams, GRAM_FORCE, "1",
+                             (30.0, 10.0, 3.0, 1.3)),
+    "force_late": Defect("forces late", _FORCE, ("force_delay", "contact_flags"), force_late, 0.2, "s",
+                         (0.1, 0.05, 0.025, 0.0125)),
+    "force_drift": Defect("tare of the forces drifts", _FORCE, ("force_drift",), force_drift, 2.0, "N",
+                          (1.0, 0.5, 0.25, 0.1)),
+    "finger_dead": Defect("one fingertip reads nothing", _FORCE, ("dead_finger",), finger_dead),
+    "force_saturated": Defect("forces end at a limit", _FORCE, ("saturation",), force_saturated, 0.5, "1",
+                              (0.3, 0.1, 0.03, 0.01)),
+    "force_nan": Defect("NaN in forces", _FORCE, ("finite",), force_nan, 0.05, "1", (0.0,)),
+    "pose_in_millimetres": Defect("poses in millimetres", _POSE, ("pose_unit", "scale", "free_fall"),
+                                  pose_in_millimetres, 1000.0, "1", (100.0, 10.0, 3.0)),
+    "quaternion_not_unit": Defect("quaternions not unit", _POSE, ("quaternions",), quaternion_not_unit, 0.1, "1",
+                                  (0.01, 0.002, 0.0005)),
+    "quaternion_swapped": Defect("quaternions x y z w", _POSE, ("quaternion_order",), quaternion_swapped),
+    "joint_dead": Defect("a joint never follows", _DRIVE, ("dead_joint",), joint_dead),
+    "rows_dropped": Defect("rows dropped", ("time_ns",), ("time",), rows_dropped, 0.05, "1", (0.02, 0.01, 0.0)),
+    "rows_dropped_unseen": Defect("rows dropped, stamps made even", _DRIVE, ("jumps",), rows_dropped_unseen, 0.3, "s",
+                                  (0.1, 0.05)),
+    "time_jump": Defect("the clock jumps ahead", ("time_ns",), ("time",), time_jump, 0.5, "s", (0.1, 0.03)),
+    "clock_drift": Defect("streams drift apart", _DRIVE, ("stream_drift",), clock_drift, 0.2, "s", (0.1, 0.05)),
+    "action_shifted": Defect("commands logged late", _DRIVE, ("command_lag",), action_shifted, 5.0, "rows", (2.0, 1.0)),
+    "joint_beyond_limits": Defect("joints beyond their limits", ("joint_position",), ("joint_limits",),
+                                  joint_beyond_limits, 0.5, "rad", (0.2, 0.1)),
+    "object_sunk": Defect("the object sinks into its support", _POSE, ("penetration",), object_sunk, 0.03, "m",
+                          (0.015, 0.008)),
+    "object_far": Defect("contact far from the object", ("object_pose", "fingertip_force"), ("proximity",), object_far,
+                         0.2, "m", (0.1, 0.05)),
+    "fall_scaled": Defect("free flight is no free fall", _POSE, ("free_fall",), fall_scaled, 0.5, "1",
+                          (0.2, 0.1, 0.05)),
+    "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),
+})  # fmt: skip
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all defects."""
+    return tuple(DEFECTS)
+
+
+def defect(name: str) -> Defect:
+    """Return a defect.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is none of this name.
+    """
+    if name not in DEFECTS:
+        raise UnknownNameError("defect", name, DEFECTS)
+    return DEFECTS[name]
+
+
+def damaged(
+    episode: Episode | RawEpisode, name: str, rng: np.random.Generator, severity: float | None = None
+) -> RawEpisode:
+    """Return an episode as it would be stored with a defect; its hash is that of what is stored.
+
+    Parameters
+    ----------
+    episode : Episode or RawEpisode
+        What to damage; left as it is.
+    name : str
+        The defect.
+    rng : numpy.random.Generator
+        Where chance has a say.
+    severity : float, optional
+        Its size, in the defect's unit; the usual one when omitted.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such defect.
+    DataError
+        When the episode lacks a channel that the defect is in.
+    """
+    kind, raw = defect(name), stored(episode)
+    missing = [channel for channel in kind.channels if channel not in raw.arrays]
+    if missing:
+        raise DataError(f"{name} cannot be injected", expected=", ".join(kind.channels), found=f"no {missing[0]}")
+    arrays = kind.damage(dict(raw.arrays), raw.meta().rate_hz, kind.severity if severity is None else severity, rng)
+    return with_arrays(raw, arrays)
+
+
+def with_derived_flags(raw: RawEpisode) -> RawEpisode:
+    """Return the episode with its contact flags derived from its forces as they are, as an import does."""
+    if "fingertip_force" not in raw.arrays:
+        return raw
+    tips = fingertip_contact(raw.arrays["fingertip_force"])
+    return with_arrays(raw, dict(raw.arrays) | {"fingertip_contact": tips, "contact": np.asarray(tips.any(axis=1))})
+
+
+def with_arrays(raw: RawEpisode, arrays: Mapping[str, NDArray], record: str | None = None) -> RawEpisode:
+    """Return the episode with other columns, and another record if one is given, hashed as it is then."""
+    text = record or raw.meta_json
+    rows = len(arrays.get("time_ns", ()))
+    return replace(raw, meta_json=text, arrays=dict(arrays), stored_hash=hash_columns(text, arrays), rows=rows)
+
+
+def stored(episode: Episode | RawEpisode) -> RawEpisode:
+    """Return an episode as it would be stored, sound."""
+    if isinstance(episode, RawEpisode):
+        return episode
+    text = meta_json(episode.meta)
+    digest = hash_columns(text, episode.arrays)
+    return RawEpisode(episode.meta.id, text, dict(episode.arrays), digest, 0, len(episode))
+
+
+def inject(
+    dataset: Dataset | Sequence[Episode],
+    name: str,
+    rng: np.random.Generator,
+    share: float = 1.0,
+    severity: float | None = None,
+) -> Iterator[RawEpisode]:
+    """Yield all episodes as stored, a share of them damaged.
+
+    Parameters
+    ----------
+    dataset : Dataset or sequence of Episode
+        What to damage; it is only read.
+    name : str
+        The defect.
+    rng : numpy.random.Generator
+        Chooses the episodes, and what the defect leaves to chance.
+    share : float
+        Share of the episodes to damage, at least one.
+    severity : float, optional
+        As for `damaged`.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such defect.
+    DataError
+        When a chosen episode lacks a channel that the defect is in.
+    """
+    total = len(dataset)
+    chosen = set(rng.choice(total, max(1, round(share * total)), replace=False).tolist()) if total else set()
+    defect(name)
+    for index, episode in enumerate(dataset):
+        yield damaged(episode, name, rng, severity) if index in chosen else stored(episode)
+
+
+def write(path: str | Path, episodes: Iterator[RawEpisode] | Sequence[RawEpisode], part_size: int = 16) -> Path:
+    """Return the folder of a new dataset that holds stored episodes, whatever is wrong with them.
+
+    Raises
+    ------
+    UsageError
+        When the folder holds something already.
+    """
+    root = create_dataset(path)
+    append(root, (unchecked(raw) for raw in episodes), Lineage(operation="defects"), part_size)
+    return root
+
+
+def unchecked(raw: RawEpisode) -> Episode:
+    """Return an Episode of stored arrays that was never checked: for writers only. Its point cloud stays behind.
+
+    Raises
+    ------
+    ValueError, UsageError
+        When its record cannot be read.
+    """
+    episode = object.__new__(Episode)
+    known = {n: a for n, a in raw.arrays.items() if n.removesuffix(VALID_SUFFIX) in CHANNELS}
+    object.__setattr__(episode, "meta", raw.meta().model_copy(update={"point_cloud": None}))
+    object.__setattr__(episode, "arrays", MappingProxyType(known))
+    return episode
+
+
+def repeated(raw: RawEpisode, name: str) -> RawEpisode:
+    """Return the same episode under another id: a duplicate."""
+    fields = json.loads(raw.meta_json) | {"id": name}
+    text = json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return replace(raw, id=name, meta_json=text, stored_hash=hash_columns(text, raw.arrays))

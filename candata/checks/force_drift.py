@@ -1,0 +1,117 @@
+"""Rule: out of contact a force reads zero, and does not drift."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.checks._finding import Finding, Rule
+from candata.checks._forces import Forces, flags, forces
+from candata.checks._signal import noise, spread
+from candata.checks._view import View
+
+Array = NDArray[np.float64]
+#: Rows that are looked at, evenly spread, and segments of the episode that a drift must run through.
+LOOKED_AT, SEGMENTS = 400, 8
+#: Segments in which enough readings lie on one line, the share of readings that is enough, and the share over all.
+COVERED, ENOUGH, ALL = 7, 0.2, 0.4
+#: Smallest drift over the episode [N], also in tolerances of the line.
+DRIFT_N, TOLERANCES = 0.25, 6.0
+#: Narrowest tolerance of the line [N].
+TOLERANCE_N = 0.01
+#: Share of the episode that readings must span.
+SPAN = 0.6
+#: A constant reading out of contact that is told [N].
+TARE_N = 0.3
+REMEDY = "tare the sensor again; subtract the reading out of contact as a line of time"
+
+
+def _episode(view: View) -> Iterator[Finding]:
+    """Yield fingertips whose reading runs along one line of time from the first row to the last."""
+    force = forces(view)
+    if force is None or view.time_s is None or len(force.xyz) < 5 * SEGMENTS:
+        return
+    flag = flags(view, force.total.shape[1])
+    drifting: dict[str, float] = {}
+    for tip, name in enumerate(force.names):
+        drifts = [_drift(view.time_s, force.xyz[:, tip, axis]) for axis in range(3)]
+        if flag is not None and not any(drifts):
+            free = np.where(flag[:, tip, None] == 0, force.xyz[:, tip], np.nan)
+            drifts = [_drift(view.time_s, free[:, axis]) for axis in range(3)]
+        largest = max(drifts, key=abs)
+        if largest:
+            drifting[name] = largest
+    if drifting:
+        names = ", ".join(f"{name} {drift:+.2g} N" for name, drift in drifting.items())
+        largest = max(map(abs, drifting.values()))
+        yield view.finding(
+            "error" if largest > 4 * DRIFT_N else "warning", "force_drift", "a force drifts", names,
+            "fingertip_force", None, REMEDY, drift_N=largest, fingertips=", ".join(drifting),
+        )  # fmt: skip
+    else:
+        yield from _tare(view, force)
+
+
+def _drift(time_s: Array, series: Array) -> float:
+    """Return by how much a reading drifts along one line [N]; 0 where no line runs through the episode."""
+    keep = np.flatnonzero(np.isfinite(series))
+    keep = keep[np.unique(np.linspace(0, len(keep) - 1, min(LOOKED_AT, len(keep))).astype(int))] if len(keep) else keep
+    t, x = time_s[keep], series[keep]
+    if len(keep) < 5 * SEGMENTS or np.ptp(x) < DRIFT_N:
+        return 0.0
+    duration = time_s[-1] - time_s[0]
+    if t[-1] - t[0] < SPAN * duration:
+        return 0.0
+    within = max(TOLERANCE_N, 4 * _quiet(series[np.isfinite(series)]))
+    first, last = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))
+    some = [rows[np.linspace(0, len(rows) - 1, min(24, len(rows))).astype(int)] for rows in (first, last)]
+    i, j = (a.ravel() for a in np.meshgrid(*some, indexing="ij"))
+    slopes = (x[j] - x[i]) / (t[j] - t[i])
+    steep = np.abs(slopes) * duration > max(DRIFT_N, TOLERANCES * within)
+    if not steep.any():
+        return 0.0
+    i, slopes = i[steep], slopes[steep]
+    near = np.abs(x - (x[i, None] + slopes[:, None] * (t - t[i, None]))) < within
+    parts = np.array_split(near, SEGMENTS, axis=1)
+    covered = np.sum([part.mean(axis=1) > ENOUGH for part in parts], axis=0)
+    ends = (parts[0].mean(axis=1) > ENOUGH) & (parts[-1].mean(axis=1) > ENOUGH)
+    # A reading that rests at zero before it rises in contact is no drift: that one runs from the first row on.
+    begins = np.concatenate(parts[:2], axis=1).mean(axis=1) > _level(x[: sum(p.shape[1] for p in parts[:2])], within)
+    good = (covered >= COVERED) & ends & begins & (near.mean(axis=1) > max(ALL, 1.3 * _level(x, within)))
+    return float(slopes[np.argmax(np.where(good, near.mean(axis=1), 0))] * duration) if good.any() else 0.0
+
+
+def _quiet(series: Array) -> float:
+    """Return the noise of a reading where it is quietest [N]: contact chatters."""
+    parts = [noise(part[:, None])[0] for part in np.array_split(series, SEGMENTS) if len(part) > 2]
+    # Readings rounded to steps hide noise below half a step: one step is then the least that can be told.
+    steps = np.diff(np.unique(series))
+    grain = float(steps.min()) if 0 < len(steps) < len(series) / 3 else 0.0
+    return max(float(np.quantile(parts, 0.2)), grain / 4)
+
+
+def _level(x: Array, within: float) -> float:
+    """Return the largest share of readings that lie on one constant."""
+    ordered = np.sort(x)
+    ends = np.searchsorted(ordered, ordered + 2 * within, side="right")
+    return float((ends - np.arange(len(x))).max() / len(x))
+
+
+def _tare(view: View, force: Forces) -> Iterator[Finding]:
+    """Yield fingertips that read a constant force where their flag says no contact."""
+    flag = flags(view, force.total.shape[1])
+    if flag is None:
+        return
+    for tip, name in enumerate(force.names):
+        free = force.xyz[(flag[:, tip] == 0) & force.seen[:, tip], tip]
+        size = float(np.linalg.norm(np.median(free, axis=0))) if len(free) >= 5 * SEGMENTS else 0.0
+        if size > TARE_N and max(map(spread, free.T)) < 0.3 * size:
+            yield view.finding(
+                "info", "force_drift", "a force is not zero out of contact", f"{name} reads {size:.2g} N",
+                "fingertip_force", None, "tare the sensor before recording", tare_N=size, fingertip=name,
+            )  # fmt: skip
+
+
+RULE = Rule(meaning="forces do not drift", episode=_episode, needs=("fingertip_force",))

@@ -1,0 +1,91 @@
+"""Rule: what touches is near: the fingertips that touch lie at the object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.checks._finding import Finding, Level, Rule
+from candata.checks._forces import flags, forces, touched
+from candata.checks._geometry import fits, placed
+from candata.checks._view import View
+from candata.scenes import Scene
+from candata.scenes.assemble import subtree
+
+#: Distances between touching fingertip and object that are told, doubtful and wrong [m].
+TOLD_M, DOUBTFUL_M, WRONG_M = 0.005, 0.015, 0.05
+#: Fewest rows with contact, and the share of them that must be as far.
+FEWEST, ROWS = 3, 0.5
+REMEDY = "check the frames of object and hand, the timing of contact against poses, and the order of fingertips"
+
+
+def _episode(view: View) -> Iterator[Finding]:
+    """Yield fingertips that are flagged, or feel a force, far from the object."""
+    scene, touch = view.scene, touched(view)
+    if scene is None:
+        return
+    reason = fits(view, scene)
+    if reason or not scene.file.fingertips:
+        yield view.finding("unknown", "proximity", reason or "the scene has no fingertips")
+        return
+    tips = _touching(view, scene)
+    if tips is None and touch is not None:
+        tips = np.repeat(touch[:, None] > 0, 1, axis=1)
+    if tips is None:
+        yield view.finding("unknown", "proximity", "it is not known when fingertips touch")
+        return
+    rows = np.flatnonzero(tips.any(axis=1))
+    groups = [_geoms(scene, tip) for tip in range(len(scene.file.fingertips))]
+    found = [(row, _distance(scene, data, groups, tips[row])) for row, data in placed(view, scene, rows)]
+    if len(found) < FEWEST:
+        return
+    apart = float(np.quantile([d for _, d in found], 1 - ROWS))
+    if apart > TOLD_M:
+        level: Level = "error" if apart > WRONG_M else "warning" if apart > DOUBTFUL_M else "info"
+        at = np.zeros(len(tips), bool)
+        at[[row for row, d in found if d > TOLD_M]] = True
+        yield view.finding(
+            level, "proximity", "contact without proximity", f"{1e3 * apart:.0f} mm between object and what touches it",
+            "fingertip_contact", at, REMEDY, distance_m=apart, rows=len(found),
+        )  # fmt: skip
+
+
+def _touching(view: View, scene: Scene) -> NDArray[np.bool_] | None:
+    """Return `(T, F) bool` which fingertips touch, by force or by flag; None where that is not known by fingertip."""
+    force = forces(view)
+    count = len(scene.file.fingertips)
+    if force is not None and force.total.shape[1] == count:
+        return force.touch & force.seen
+    flag = flags(view, count)
+    return None if flag is None else np.nan_to_num(flag) > 0
+
+
+def _geoms(scene: Scene, tip: int) -> list[int]:
+    """Return the colliding geoms of a fingertip: itself, or those of its body and what that carries."""
+    model, name = scene.model, scene.file.fingertips[tip]
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) < 0:
+        return [model.geom(name).id]
+    bodies = list(subtree(model, int(scene.fingertip_bodies[tip])))
+    touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    return np.flatnonzero(np.isin(model.geom_bodyid, bodies) & touch).tolist()
+
+
+def _distance(scene: Scene, data: mujoco.MjData, groups: list[list[int]], touching: NDArray[np.bool_]) -> float:
+    """Return the largest distance between a touching fingertip and the object [m]; of any, where it is not known which.
+
+    Looks no farther than 1 m.
+    """
+    objects = scene.object_geoms.tolist()
+    near = [
+        min((mujoco.mj_geomDistance(scene.model, data, g, o, 1.0, None) for g in geoms for o in objects), default=1.0)
+        for geoms in groups
+    ]
+    if len(touching) != len(near):
+        return float(min(near))
+    return float(max(d for d, t in zip(near, touching, strict=True) if t))
+
+
+RULE = Rule(meaning="what touches is near", episode=_episode, needs=("object_pose",), scene=True)
