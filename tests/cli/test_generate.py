@@ -40,7 +40,7 @@ def test_generated_sets_are_valid(toss, capsys):
     run(*words)
     capsys.readouterr()
     assert run("validate", out) == 0
-    assert capsys.readouterr().out == "2 episodes, no findings\n"
+    assert capsys.readouterr().out.startswith("2 episodes, no findings\n")
 
 
 def test_a_withheld_effect_is_not_printed(toss, capsys):
