@@ -23,6 +23,9 @@ os.environ["CANDATA_REGISTRY"] = str(Path(tempfile.gettempdir(), f"candata-tests
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")
 
+#: Rules that say whether a dataset is whole: what made-up numbers may be is none of theirs.
+WHOLE = ("hashes", "schema", "finite")
+
 ROOT = Path(__file__).resolve().parents[1]
 
 

@@ -20,12 +20,13 @@ MOVES, LEAST = 10.0, 0.02
 OVER_S = 0.03
 
 
-def lag(view: View, rows: slice = slice(None)) -> float:
+def lag(view: View, rows: slice = slice(None), joint: Array | None = None) -> float:
     """Return by how many rows joints come behind their commands in some rows; NaN where they do not tell.
 
     The lag of most correlation between the speeds, all joints that move together, between rows by a parabola.
+    `joint (T, J)` stands in for the recorded positions, if given.
     """
-    joint, command = view.values("joint_position"), view.values("action")
+    joint, command = view.values("joint_position") if joint is None else joint, view.values("action")
     driven = pairs(view)
     if joint is None or command is None or not driven:
         return np.nan

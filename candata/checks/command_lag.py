@@ -1,4 +1,4 @@
-"""Rule: joints move after their commands, by as much in each episode."""
+"""Rule: joints move after their commands: by as much in each episode, and as the scene's do."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from candata.checks._finding import Finding, Rule
+from candata.checks._finding import Finding, Level, Rule
 from candata.checks._lags import lag
 from candata.checks._signal import spread
 from candata.checks._view import View, rounded
@@ -16,18 +16,23 @@ from candata.checks._view import View, rounded
 LEADS = -0.5
 #: Share of episodes that must lead before the set does.
 MOST = 0.7
-#: An episode is apart by so many rows, and by so many spreads of the others; fewest others of its kind.
-APART, SPREADS, FEWEST = 0.75, 6.0, 5
+#: An episode is apart from others of its kind by so many rows and so many spreads; fewest of a kind, and of the set.
+APART, SPREADS, KIND, FEWEST = 0.75, 8.0, 3, 6
+#: A shift against the scene is whole rows to within this, with this spread over episodes.
+WHOLE, STEADY = 0.25, 0.25
+#: Rows of an episode that are replayed in the scene.
+REPLAYED = 400
 REMEDY = "check which command a row holds: `action: next` or `previous` in the map; move the commands"
 
 
 @dataclass(frozen=True)
 class _Lag:
-    """Rows by which joints come behind their commands in an episode."""
+    """Rows by which joints come behind their commands in an episode, and in the scene (NaN without one)."""
 
     id: str
     task: str
     rows: float
+    scene: float
     rate_hz: float
 
 
@@ -35,40 +40,81 @@ def _gather(view: View) -> _Lag | None:
     """Return the lag of an episode; None where its joints do not tell."""
     rows = lag(view)
     task = (view.meta.task if view.meta else None) or ""
-    return _Lag(view.id, task, rows, view.rate_hz) if np.isfinite(rows) else None
+    return _Lag(view.id, task, rows, _of_scene(view), view.rate_hz) if np.isfinite(rows) else None
+
+
+def _of_scene(view: View) -> float:
+    """Return the rows by which the scene's joints come behind the same commands; NaN where that cannot be played."""
+    scene, joint, command = view.scene, view.values("joint_position"), view.values("action")
+    if scene is None or joint is None or command is None or view.meta is None:
+        return np.nan
+    same = view.meta.joint_names == scene.file.joints and view.meta.actuator_names == scene.file.actuator_names
+    rate = abs(view.rate_hz / scene.file.rate_hz - 1) < 0.02
+    if not same or not rate or not np.isfinite(command).all() or not np.isfinite(joint[0]).all():
+        return np.nan
+    from candata.simulate import rollout
+
+    qpos = np.array(scene.model.qpos0, float)
+    qpos[scene.joint_qpos] = joint[0]
+    pose = view.whole("object_pose")
+    if scene.object_id is not None and pose is not None and np.isfinite(pose[0]).all():
+        qpos[scene.object_qpos : scene.object_qpos + 7] = pose[0]
+    some = command[:REPLAYED]
+    played = rollout(scene, some[None], qpos[None], np.zeros((1, scene.model.nv)), [()])
+    own = np.full_like(joint, np.nan)
+    own[: len(some)] = played.readings["joint_position"][0]
+    return lag(view, slice(0, len(some)), own)
 
 
 def _judge(seen: Sequence[_Lag]) -> Iterator[Finding]:
-    """Yield a set whose joints lead, and episodes whose lag is not that of the others of their kind."""
+    """Yield a set whose joints lead, or are shifted against the scene's, and episodes apart from their kind."""
     rows = np.array([one.rows for one in seen])
-    middle = float(np.median(rows))
+    middle, rate = float(np.median(rows)), seen[0].rate_hz
     if middle < LEADS and (rows < 0).mean() >= MOST:
         problem = "joints move before their commands"
-        yield Finding(
-            "warning" if middle > -1.5 else "error", "command_lag",
-            f"{problem}: by {-middle:.1f} rows ({-1e3 * middle / seen[0].rate_hz:.0f} ms)", None, "action", None,
-            problem, (), rounded({"lag_rows": middle, "episodes": len(seen)}), REMEDY,
+        yield _found(
+            "warning" if middle > -1.5 else "error", problem, f"by {-middle:.1f} rows ({-1e3 * middle / rate:.0f} ms)",
+            lag_rows=middle, episodes=len(seen),
         )  # fmt: skip
         return
-    for task in sorted({one.task for one in seen}):
-        yield from _apart([one for one in seen if one.task == task])
+    apart = np.array([one.rows - one.scene for one in seen if np.isfinite(one.scene)])
+    if len(apart) >= KIND and spread(apart) < STEADY:
+        yield from _shifted(float(np.median(apart)), rate, len(apart))
+    yield from _apart(seen)
+
+
+def _shifted(rows: float, rate_hz: float, episodes: int) -> Iterator[Finding]:
+    """Yield that joints come whole rows earlier than the scene's, or later: that may be a delay too."""
+    if abs(rows) < 1 - WHOLE or abs(rows - round(rows)) > WHOLE:
+        return
+    earlier = rows < 0
+    problem = f"joints react {'earlier' if earlier else 'later'} than the scene's, by whole rows"
+    detail = f"{abs(rows):.2f} rows ({1e3 * abs(rows) / rate_hz:.0f} ms)"
+    detail += ": commands are logged late" if earlier else ": a delay, or commands logged early"
+    yield _found("warning" if earlier else "info", problem, detail, shift_rows=rows, episodes=episodes)
 
 
 def _apart(seen: Sequence[_Lag]) -> Iterator[Finding]:
-    """Yield episodes whose lag differs from that of others of one kind, and is shorter."""
-    rows = np.array([one.rows for one in seen])
-    middle, scale = float(np.median(rows)), spread(rows)
-    if len(seen) <= FEWEST:
+    """Yield episodes whose lag is not that of the others of their kind."""
+    kinds = {task: [one.rows for one in seen if one.task == task] for task in {one.task for one in seen}}
+    some = [one for one in seen if len(kinds[one.task]) >= KIND]
+    if len(some) < FEWEST:
         return
-    apart = np.abs(rows - middle) > max(APART, SPREADS * max(scale, 0.1))
-    for k in np.flatnonzero(apart).tolist():
+    usual = {task: float(np.median(rows)) for task, rows in kinds.items()}
+    off = np.array([one.rows - usual[one.task] for one in some])
+    for k in np.flatnonzero(np.abs(off) > max(APART, SPREADS * spread(off))).tolist():
         problem = "commands are shifted against those of the other episodes"
-        sure = rows[k] < LEADS
-        yield Finding(
-            "warning" if sure else "info", "command_lag",
-            f"{problem}: joints come {rows[k]:.1f} rows behind, in the others {middle:.1f}", seen[k].id, "action", None,
-            problem, (), rounded({"lag_rows": rows[k], "others_rows": middle, "others_spread_rows": scale}), REMEDY,
+        one = some[k]
+        yield _found(
+            "warning", problem, f"joints come {one.rows:.1f} rows behind, in the others {usual[one.task]:.1f}", one.id,
+            lag_rows=one.rows, others_rows=usual[one.task], others_spread_rows=spread(off),
         )  # fmt: skip
+
+
+def _found(level: Level, problem: str, detail: str, episode: str | None = None, **evidence: float) -> Finding:
+    """Return a finding of the commands."""
+    text = f"{problem}: {detail}"
+    return Finding(level, "command_lag", text, episode, "action", None, problem, (), rounded(evidence), REMEDY)
 
 
 RULE = Rule(

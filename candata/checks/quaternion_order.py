@@ -144,8 +144,6 @@ def _judge(seen: Sequence[list[_Turns]]) -> Iterator[Finding]:
             if one.id in told:
                 yield _finding("error", one, *_turned(one))
         yield from _clusters([one for one in mine if one.id not in told or len(told) < len(mine) / 2])
-        if told:
-            continue
         begin = np.array([one.first for one in mine])
         if (begin[:, 1] < IDENTITY).mean() >= MOST and not (begin[:, 0] < IDENTITY).any():
             problem = "quaternions may be x y z w"
@@ -154,7 +152,7 @@ def _judge(seen: Sequence[list[_Turns]]) -> Iterator[Finding]:
                 "that order", None, channel, None, problem, (), rounded({"episodes": len(mine)}), REMEDY,
             )  # fmt: skip
         else:
-            yield from _single(mine, begin)
+            yield from _single([one for one in mine if one.id not in told])
 
 
 def _turned(one: _Turns) -> tuple[float, float, str] | tuple[()]:
@@ -178,8 +176,9 @@ def _finding(level: str, one: _Turns, given: float, other: float, what: str) -> 
     )  # fmt: skip
 
 
-def _single(mine: Sequence[_Turns], begin: Array) -> Iterator[Finding]:
+def _single(mine: Sequence[_Turns]) -> Iterator[Finding]:
     """Yield episodes that begin at 0 0 0 1 where nearly all others begin at 1 0 0 0."""
+    begin = np.array([one.first for one in mine]).reshape(-1, 2)
     usual, odd = begin[:, 0] < IDENTITY, begin[:, 1] < IDENTITY
     if usual.sum() < 3 or usual.sum() < MOST * (~odd).sum():
         return

@@ -38,6 +38,7 @@ from candata.gap.shrink import (
     measures,
     shares,
     support,
+    trust,
 )
 from candata.gap.signatures import library
 from candata.gap.starts import is_toss, starts
@@ -202,7 +203,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
     proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
-    named = _named(f, rng) if word in ("explained", "partly_explained") else ()
+    named = _named(f, trust(size), rng) if word in ("explained", "partly_explained") else ()
     repaired = f.problem.setting(chosen.members) if chosen and named else ()
     rest = _rest(f, word, repaired, left, rng)
     report = Report(
@@ -269,8 +270,8 @@ def _typical(f: _Findings, channel: str, element: str | None) -> tuple[float, st
     return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
 
 
-def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
-    """Return the chosen effects, the largest share first."""
+def _named(f: _Findings, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
+    """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
     fit = f.found.chosen
     if fit is None:
         return ()
@@ -289,7 +290,7 @@ def _named(f: _Findings, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
                 element=c.element,
                 share=share,
                 at_bound=at_bound and not _one_sided(c.neutral, u),
-                support=round(float(alone if np.isnan(backing) else backing), 3),
+                support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
             )
         )

@@ -17,8 +17,8 @@ Array = NDArray[np.float64]
 #: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
 #: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
-#: Most variants that are simulated because they act on an element whose readings stand out.
-ALSO = 8
+#: Most variants that are simulated because they act on an element whose readings stand out. Chosen: all of a joint.
+ALSO = 20
 #: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
 #: what is simulated, never what is named.
 STANDS_OUT = 1.5
@@ -43,8 +43,8 @@ def promising(
     -----
     What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
     fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
-    along with its effect where that effect as a whole gains. All effects that gain anything there on the
-    elements whose readings stand out most come along too, as a strong fault spreads beyond what it sits on.
+    along with its effect where that effect as a whole gains. All effects on the elements whose readings
+    stand out most come along too, as a strong fault spreads beyond what it sits on.
     """
     found: list[tuple[float, Candidate]] = []
     worst = _standing_out(problem, here)
@@ -53,8 +53,8 @@ def promising(
         variants = local_candidates(c, problem.replayer.scene)
         if not variants:
             continue
-        gains = [pair for pair in promises(problem, c, variants, response, base) if pair[0] > 0]
-        found += gains[:LOCAL_EACH]
+        gains = promises(problem, c, variants, response, base)
+        found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
         also += [(gain, v) for gain, v in gains if v.element in worst]
     chosen = [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}

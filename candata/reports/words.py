@@ -36,7 +36,7 @@ TERMS = {
     "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
     "gain": "how much the robust loss falls on held-out episodes, in floors",
     "share": "how much of the gain is lost when this effect alone is left out",
-    "support": "how often a candidate comes first when the episodes are resampled",
+    "support": "how often a candidate comes first when episodes are resampled; less where the named set leaves much",
     "p": "how likely chance alone would show a cell as strong, over all cells",
 }
 

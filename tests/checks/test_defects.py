@@ -93,6 +93,21 @@ def test_a_defect_against_the_scene_is_found(hand, hand_scene, judged, name):
     assert caught(judged, defects.inject(hand, name, rng()), name, hand_scene)
 
 
+@pytest.mark.parametrize("rows", [1.0, 2.0])
+def test_commands_logged_a_row_late_are_found_against_the_scene(hand, hand_scene, judged, rows):
+    (found,) = judged(defects.inject(hand, "action_shifted", rng(), severity=rows), hand_scene, ["command_lag"])
+    assert found.level == "warning"
+    # A tenth of a row: lags are read off correlations of noisy speeds.
+    assert found.evidence["shift_rows"] == pytest.approx(-rows, abs=0.1)
+
+
+def test_commands_of_single_episodes_logged_a_row_late_are_found_without_a_scene(hand_scene, judged):
+    sweeps = [e for e in simulated(hand_scene, 40, duration_s=1.6) if e.meta.task in ("free_sweep", "push")]
+    raws = [defects.stored(e) for e in sweeps]
+    raws[3] = defects.damaged(sweeps[3], "action_shifted", rng(), 1.0)
+    assert [f.episode for f in judged(raws, rules=["command_lag"])] == [sweeps[3].meta.id]
+
+
 def test_a_duplicate_is_found_and_names_its_original(hand, judged):
     (found,) = judged([*map(defects.stored, hand), defects.repeated(defects.stored(hand[3]), "again")])
     assert (found.rule, found.episode, found.evidence["same_as"]) == ("duplicates", "again", hand[3].meta.id)

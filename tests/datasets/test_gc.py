@@ -26,7 +26,7 @@ from candata.datasets import (
 from candata.datasets.tags import tag_path
 from candata.errors import DataError, SetupError, UsageError
 from candata.schema.manifest import Lineage, TagFile
-from tests.conftest import make_episode
+from tests.conftest import WHOLE, make_episode
 
 LINEAGE = Lineage(operation="test")
 DAY_S = 86_400.0
@@ -81,7 +81,7 @@ def test_what_the_kept_versions_do_not_reach_goes(root):
     assert size - sum(p.stat().st_size for p in root.rglob("*") if p.is_file()) == done.bytes > 0
     dataset = open_dataset(root)
     assert dataset.ids == ("a", "b", "c")
-    assert check(dataset) == ()
+    assert check(dataset, rules=WHOLE, deep=True) == ()
     assert len(list((root / "parts").iterdir())) == len(dataset.file.parts) == 2
     assert [p.name for p in (root / "versions").iterdir()] == ["000003.json"]
     assert append(root, [make_episode("d", seed=3)], LINEAGE).number == 4
@@ -168,7 +168,7 @@ def test_a_part_that_is_published_while_it_is_judged_stays(root, monkeypatch):
 
     monkeypatch.setattr(gc, "_collect", late)
     assert kinds(collect_garbage(root).removed) == []
-    assert check(open_dataset(root)) == ()
+    assert check(open_dataset(root), rules=WHOLE, deep=True) == ()
     assert "pending" in open_dataset(root).ids
 
 

@@ -10,6 +10,7 @@ from candata.checks import check
 from candata.datasets import append, create_dataset, kill_test, open_dataset, pending_parts
 from candata.errors import SetupError
 from candata.schema.manifest import Lineage
+from tests.conftest import WHOLE
 
 
 def test_every_acknowledged_episode_is_found_once_and_intact(tmp_path):
@@ -17,7 +18,7 @@ def test_every_acknowledged_episode_is_found_once_and_intact(tmp_path):
     assert (done.lost, done.doubled, done.damage) == (0, 0, ())
     assert done.passed
     assert done.acknowledged >= 2 * 4
-    assert check(open_dataset(tmp_path / "dataset")) == ()
+    assert check(open_dataset(tmp_path / "dataset"), rules=WHOLE, deep=True) == ()
     # Written but not published: at most one a killed writer.
     assert len(pending_parts(tmp_path / "dataset")) <= 4 + 3
 
@@ -27,7 +28,7 @@ def soak(folder, kills, seed):
     done = kill_test.kill_test(folder, kills=kills, roles=roles, grace_s=3.0, seed=seed)
     assert (done.lost, done.doubled, done.damage) == (0, 0, ())
     dataset = open_dataset(folder / "dataset")
-    assert check(dataset) == ()
+    assert check(dataset, rules=WHOLE, deep=True) == ()
     assert len(dataset.file.parts) < len(dataset)
     assert "compact" in [step.operation for step in dataset.lineage]
     return done

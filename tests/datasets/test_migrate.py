@@ -15,7 +15,7 @@ from candata.datasets.migrate import STEPS, migrate_dataset
 from candata.datasets.versions import format_of
 from candata.errors import DataError, SetupError, UsageError
 from candata.schema.manifest import FORMAT_VERSION, Lineage
-from tests.conftest import make_episode
+from tests.conftest import WHOLE, make_episode
 
 FROZEN = Path(__file__).parent / "frozen"
 
@@ -59,7 +59,7 @@ def test_the_frozen_dataset_opens_bit_for_bit(old):
     dataset = open_dataset(old)
     assert (dataset.name, dataset.digest) == ("frozen", digest)
     assert {e.meta.id: content_hash(e) for e in dataset} == hashes
-    assert check(dataset) == ()
+    assert check(dataset, rules=WHOLE, deep=True) == ()
     assert open_dataset(old, 1).ids == ("a", "b")
     assert [step.operation for step in dataset.lineage] == ["frozen", "more"]
     assert dataset.episode("a").meta.effects[0].parameters == {"damping_Nms_rad": 0.1}
@@ -73,7 +73,7 @@ def test_it_takes_new_episodes_and_a_compaction(old):
     append(old, [make_episode("d")], Lineage(operation="test"))
     found = {e.meta.id: content_hash(e) for e in open_dataset(old)}
     assert {name: found[name] for name in hashes} == hashes
-    assert check(open_dataset(old)) == ()
+    assert check(open_dataset(old), rules=WHOLE, deep=True) == ()
 
 
 def test_of_the_present_format_nothing_is_to_do(old, tmp_path):

@@ -16,6 +16,7 @@ from candata.datasets.relabelling import relabel
 from candata.datasets.tagging import delete_tag, set_tag
 from candata.datasets.tags import read_tags
 from candata.errors import DataError, UnknownNameError, UsageError
+from tests.conftest import WHOLE
 
 from .conftest import add
 
@@ -103,7 +104,7 @@ def test_a_filtered_dataset_shares_the_parts_and_is_a_whole_dataset(mixed, tmp_p
     assert {e.meta.id: content_hash(e) for e in kept} == {i: content_hash(mixed.episode(i)) for i in "ae"}
     for path in (tmp_path / "out/parts").rglob("*.parquet"):
         assert os.path.samefile(path, mixed.path / path.relative_to(tmp_path / "out"))
-    assert check(kept) == ()
+    assert check(kept, rules=WHOLE, deep=True) == ()
     assert kept.catalog()["id"].to_pylist() == ["a", "e"]
 
 
@@ -119,7 +120,7 @@ def test_where_there_are_no_links_the_parts_are_copied(mixed, tmp_path, monkeypa
     filter_dataset(mixed, "id = 'a'", tmp_path / "out")
     (path,) = (tmp_path / "out/parts").glob("*/steps.parquet")
     assert path.stat().st_nlink == 1
-    assert check(open_dataset(tmp_path / "out")) == ()
+    assert check(open_dataset(tmp_path / "out"), rules=WHOLE, deep=True) == ()
 
 
 def test_the_filtered_outlives_its_parent(mixed, tmp_path):
@@ -152,7 +153,7 @@ def test_merging_counts_equal_episodes_once(dataset, tmp_path):
     joined = open_dataset(tmp_path / "out")
     assert joined.ids == ("a", "b", "c", "d")
     assert diff(one, joined).removed == diff(one, joined).changed == ()
-    assert check(joined) == ()
+    assert check(joined, rules=WHOLE, deep=True) == ()
     assert [e.meta.id for e in joined] == list("abcd")
 
 
@@ -213,7 +214,7 @@ def test_point_clouds_come_along(dataset, episode, tmp_path):
     merge([data, open_dataset(tmp_path / "one")], tmp_path / "two")
     relabel(data, {"task": "x"}, None, tmp_path / "three")
     for name in ("one", "two", "three"):
-        assert check(open_dataset(tmp_path / name)) == ()
+        assert check(open_dataset(tmp_path / name), rules=WHOLE, deep=True) == ()
         assert len(list((tmp_path / name / "objects").iterdir())) == 1
 
 

@@ -19,6 +19,7 @@ from candata.datasets.versions import numbers
 from candata.errors import CandataError, DataError, SetupError, UnknownNameError, UsageError
 from candata.loaders.splits import load_split
 from candata.schema.registry import RemoteEntry
+from tests.conftest import WHOLE
 
 from .conftest import add
 
@@ -46,7 +47,7 @@ def test_what_was_pulled_is_what_was_pushed_to_the_byte(rich, store, tmp_path):
     assert (got.version, got.splits, got.tags, got.notes) == (2, ("default",), ("clean",), ())
     opened, copy = open_dataset(rich), open_dataset(tmp_path / "copy")
     assert load_split(copy) == load_split(opened)
-    assert check(copy) == ()
+    assert check(copy, rules=WHOLE, deep=True) == ()
     assert not (tmp_path / "copy/staging/pull").exists()
 
 

@@ -17,6 +17,7 @@ from candata.datasets.summary import summarise
 from candata.errors import DataError
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
+from tests.conftest import WHOLE
 
 LINEAGE = Lineage(operation="test")
 
@@ -49,7 +50,7 @@ def test_every_count_comes_back_whatever_the_shards(tmp_path, rows):
         assert episode["taxels"].dtype == np.int16
         assert content_hash(episode) == content_hash(original)
     assert np.array_equal(dataset.episode(f"e{len(rows) - 1}")["taxels"], written[-1]["taxels"])
-    assert check(dataset) == ()
+    assert check(dataset, rules=WHOLE, deep=True) == ()
 
 
 def test_the_store_reads_without_candata(tmp_path):
@@ -115,7 +116,7 @@ def test_damage_is_found_and_named(tmp_path, damage):
         shard.write_bytes(data[:1000] + bytes([data[1000] ^ 0xFF]) + data[1001:])
     else:
         head.write_text(head.read_text().replace('"int16"', '"uint8"'))
-    findings = check(open_dataset(root, partial=True))
+    findings = check(open_dataset(root, partial=True), rules=WHOLE, deep=True)
     assert any("taxels.zarr" in f.message for f in findings if f.rule == "hashes")
     with pytest.raises(DataError, match=r"taxels\.zarr|content"):
         open_dataset(root).episode("a")

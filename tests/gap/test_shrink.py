@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from candata.gap.shrink import gap
+from candata.gap.shrink import gap, trust
+from candata.schema.report import Gap
 
 SIZES = st.lists(st.floats(1.5, 20.0), min_size=8, max_size=24).map(np.array)
 
@@ -71,3 +72,14 @@ def test_without_a_name_nothing_closes():
     found = gap(np.full(8, 2.0), np.full(8, 2.0), np.random.default_rng(0), gap_left=False)
     assert (found.before, found.after, found.floor) == (2.0, 2.0, 1.0)
     assert (found.closed, found.low, found.high) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("after", "closed", "least", "most"),
+    [(1.0, 1.0, 1.0, 1.0), (0.98, 1.0, 1.0, 1.0), (1.1, 0.9, 0.5, 0.5), (1.04, 0.6, 0.8, 0.9), (4.0, 0.97, 0.9, 0.95),
+     (1.6, 0.5, 0.0, 0.05)],
+)  # fmt: skip
+def test_a_set_that_leaves_much_is_trusted_less(after, closed, least, most):
+    """By the smaller of floors and share that are left: neither a faint nor a large gap is held against it."""
+    found = trust(Gap(before=5.0, after=after, closed=closed))
+    assert least - 1e-9 <= found <= most + 1e-9
