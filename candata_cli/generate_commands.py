@@ -52,6 +52,7 @@ def generate_sim(
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
     file holds all three.
     """
+    from candata.datasets.versions import members_of
     from candata.effects import read_effects
     from candata.simulate.generate import Withheld, generate
     from candata_cli.console import note, progress
@@ -69,7 +70,7 @@ def generate_sim(
         )  # fmt: skip
     if hidden:
         note(f"withheld effect sealed in {hidden.seal}")
-    total = sum(part.episodes for part in version.parts)
+    total = len(members_of(out, version))
     say(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
 
 

@@ -299,7 +299,7 @@ def _publish(
     import tempfile
 
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
-    from candata.datasets.versions import newest
+    from candata.datasets.versions import members_of, newest
 
     def add(root: Path) -> VersionFile:
         parts = write_parts(root, _told(episodes), operation, part_size)
@@ -316,14 +316,9 @@ def _publish(
             staged = create_dataset(Path(folder) / "dataset", name=out.resolve().name)
             version = add(staged)
             staged.rename(out)
-    total = _count(version)
-    added = total - (_count(standing) if standing else 0)
+    total = len(members_of(out, version))
+    added = total - (len(members_of(out, standing)) if standing else 0)
     console.out(f"{out}: {added} episodes added, {total} in version {version.number}")
-
-
-def _count(version: VersionFile) -> int:
-    """Return the number of episodes in the parts of a version."""
-    return sum(part.episodes for part in version.parts)
 
 
 def _told(episodes: Iterable[Episode], every: int = 100) -> Iterator[Episode]:

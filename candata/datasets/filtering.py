@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import re
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
+from itertools import accumulate
 from pathlib import Path
 
 import pyarrow as pa
@@ -25,7 +30,16 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "autoinstall_known_extensions": "false",
     "lock_configuration": "true",
     "threads": "1",
+    "memory_limit": "1GB",
+    "temp_directory": "",  # what does not fit is refused, not spilled into the folder the user stands in
 }
+#: Longest that an expression may take [s]: 100,000 episodes take less than 0.1 s.
+LIMIT_S = 10.0
+#: Time to end for what was interrupted [s].
+_GRACE_S = 1.0
+#: Longest expression [characters], and how many brackets may be open in it: deep nesting keeps the parser busy
+#: for minutes, where nothing can stop it.
+LIMIT_LENGTH, LIMIT_OPEN = 10_000, 50
 
 
 def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
@@ -43,7 +57,7 @@ def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
     UnknownNameError
         When it names no column; lists them and the nearest.
     UsageError
-        When it is no single expression that is true or false of an episode.
+        When it is no single expression that is true or false of an episode, or takes longer than `LIMIT_S`.
     MissingExtraError
         When duckdb is not installed.
     DataError
@@ -70,14 +84,55 @@ def select(catalog: pa.Table, where: str) -> tuple[str, ...]:
         import duckdb
     except ImportError:
         raise MissingExtraError("duckdb", "query") from None
+    _require_short(where)
     database = duckdb.connect(":memory:", config=_CLOSED)
+
+    def ask() -> list[tuple[str]]:
+        with database:
+            return database.from_arrow(catalog).filter(duckdb.SQLExpression(where)).project("id").fetchall()
+
     try:
-        kept = database.from_arrow(catalog).filter(duckdb.SQLExpression(where)).project("id")
-        return tuple(row[0] for row in kept.fetchall())
+        where.encode()  # bytes of the command line that are no text come as lone surrogates
+        return tuple(row[0] for row in _in_time(ask, database.interrupt, where))
     except (duckdb.Error, UnicodeError) as error:
         raise _wrong(where, str(error)) from None
-    finally:
-        database.close()
+
+
+def _require_short(where: str) -> None:
+    """Refuse what the parser would need minutes for."""
+    if len(where) > LIMIT_LENGTH:
+        raise UsageError("the filter is too long", expected=f"at most {LIMIT_LENGTH} characters", found=str(len(where)))
+    deepest = max(accumulate((char == "(") - (char == ")") for char in where), default=0)
+    if deepest > LIMIT_OPEN:
+        raise UsageError(
+            "the filter is nested too deep", expected=f"at most {LIMIT_OPEN} open brackets", found=str(deepest)
+        )
+
+
+def _in_time(ask: Callable[[], list[tuple[str]]], interrupt: Callable[[], None], where: str) -> list[tuple[str]]:
+    """Return what `ask` returns, or refuse an expression that takes too long: some stop only long after they are told.
+
+    Asked in a thread that does not keep the process alive.
+    """
+    answer: Future[list[tuple[str]]] = Future()
+
+    def work() -> None:
+        try:
+            answer.set_result(ask())
+        except BaseException as error:  # handed on to whoever waits
+            answer.set_exception(error)
+
+    worker = threading.Thread(target=work, daemon=True)
+    worker.start()
+    try:
+        return answer.result(LIMIT_S)
+    except FutureTimeoutError:
+        interrupt()
+        worker.join(_GRACE_S)
+        raise UsageError(
+            "the filter takes too long", expected=f"at most {LIMIT_S:g} s", where=Where(path=f"filter {where[:200]}"),
+            fix="compare columns with values; a subselect over a large range has no place here",
+        ) from None  # fmt: skip
 
 
 def _wrong(where: str, said: str) -> UsageError:

@@ -116,7 +116,7 @@ def _listed(folder: Path) -> tuple[Path, ...]:
     try:
         value = yaml.safe_load(path.read_text(encoding="utf-8"))
         names = value["rosbag2_bagfile_information"]["relative_file_paths"]
-        names = [Path(str(name)).name for name in names]
+        names = [Path(name).name for name in names]
     except (OSError, UnicodeDecodeError, yaml.YAMLError, LookupError, TypeError, RecursionError, ValueError) as error:
         raise DataError(
             "the bag's metadata.yaml cannot be read",

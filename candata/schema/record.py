@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
+from reprlib import Repr
 from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from candata.errors import UsageError, Where
+
+#: Shows the start of a value: a small YAML file may unfold to one that no memory holds.
+_BRIEF = Repr()
+_BRIEF.maxlevel, _BRIEF.maxstring, _BRIEF.maxlong, _BRIEF.maxother = 3, 200, 200, 200
+_BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 20
 
 
 class Record(BaseModel):
@@ -31,7 +37,7 @@ class Record(BaseModel):
             field = ".".join(str(part) for part in first["loc"]) or "(whole file)"
             raise UsageError(
                 f"{Path(path).name} is not valid: {field}: {first['msg']}",
-                found=repr(first.get("input"))[:200],
+                found=_BRIEF.repr(first.get("input"))[:200],
                 where=Where(path=str(path)),
                 fix=f"correct the field {field}",
             ) from None

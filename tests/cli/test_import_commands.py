@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from candata.datasets import open_dataset
+from candata.datasets.filtering import filter_dataset
 from candata_cli import main as entry
 
 POSE = ["px", "py", "pz", "qw", "qx", "qy", "qz"]
@@ -78,6 +79,16 @@ def test_the_same_source_twice_adds_nothing(source, out, capsys):
     assert open_dataset(out).digest == digest
     assert run("import", "table", source(3), "--out", out, "--append") == 0
     assert capsys.readouterr().out == f"{out}: 1 episodes added, 3 in version 2\n"
+
+
+def test_what_a_version_leaves_out_is_not_counted(source, out, tmp_path, capsys):
+    pytest.importorskip("duckdb")
+    run("import", "table", source(), "--out", out)
+    filter_dataset(open_dataset(out), "id = 'run-0'", tmp_path / "some")
+    capsys.readouterr()
+    assert run("import", "table", source(3), "--out", tmp_path / "some", "--append") == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'some'}: 1 episodes added, 2 in version 2\n"
+    assert open_dataset(tmp_path / "some").ids == ("run-0", "run-2")
 
 
 def test_appending_to_nothing_makes_it(source, out):

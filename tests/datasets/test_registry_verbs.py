@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from candata.checks import check
-from candata.datasets import content_hash, history, open_dataset, put_cloud
+from candata.datasets import content_hash, filtering, history, open_dataset, put_cloud
 from candata.datasets.diff import diff
 from candata.datasets.filtering import COLUMNS, filter_dataset, matching
 from candata.datasets.merging import merge, merge_into
@@ -71,12 +71,28 @@ def test_every_column_may_be_named(mixed):
         ("meta = ''", "unknown column 'meta'"),
         ("\x00", "null|unknown|no expression"),
         ("rows > ?", "no expression"),
+        ("object = '\udcff'", "no expression"),  # bytes of a command line that are no text
+        ("true or " * 5_000 + "rows > 1", "too long"),
+        ("(" * 3_000, "too deep.*\n.*open brackets"),
     ],
 )
 def test_what_is_no_expression_is_one_clear_error(mixed, where, words):
     with pytest.raises(UsageError, match=f"(?i){words}") as told:
         matching(mixed, where)
-    assert "rows" in str(told.value)
+    assert "rows" in str(told.value) or "at most" in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "where",
+    [
+        "(select count(*) from range(1000000000000)) > 0",
+        "length(rpad('a', 20000000, 'b')) > 0",  # one call that an interruption does not end
+    ],
+)
+def test_an_expression_that_does_not_end_is_stopped(mixed, monkeypatch, where):
+    monkeypatch.setattr(filtering, "LIMIT_S", 0.05)
+    with pytest.raises(UsageError, match="takes too long"):
+        matching(mixed, where)
 
 
 def test_a_filtered_dataset_shares_the_parts_and_is_a_whole_dataset(mixed, tmp_path):

@@ -24,6 +24,7 @@ from tests.conftest import WHOLE
 from .conftest import add
 
 WORKER = Path(__file__).with_name("push_worker.py")
+PULL_WORKER = WORKER.with_name("pull_worker.py")
 
 
 def files(root: Path) -> dict[str, bytes]:
@@ -91,6 +92,27 @@ def test_a_push_killed_half_way_is_invisible_and_sends_only_the_rest(rich, entry
     assert sent.standing == len(there)
     pull(store, "rich", tmp_path / "copy")
     assert open_dataset(tmp_path / "copy").digest == open_dataset(rich).digest
+
+
+@pytest.mark.parametrize("whole", [0, 3])
+def test_a_pull_killed_in_a_file_is_no_dataset_yet_and_fetches_only_the_rest(rich, entry, store, tmp_path, whole):
+    push(rich, store, "rich")
+    out = tmp_path / "copy"
+    command = [sys.executable, PULL_WORKER, out, entry.model_dump_json(), "rich", str(whole)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "half\n"
+        process.kill()
+    with pytest.raises(CandataError):
+        open_dataset(out)
+    got = pull(store, "rich", out)
+    assert got.standing >= max(0, whole - 1)  # what was whole may not have had its name yet
+    there = files(out)
+    here = files(rich)
+    del here["versions/000001.json"]
+    assert there == here  # no half file was taken along into a part
+    assert check(open_dataset(out), rules=["hashes"]) == ()
+    assert list((out / "staging").iterdir()) == []
 
 
 def test_of_two_that_push_at_once_one_wins_and_the_other_is_told(rich, entry, store, episode, tmp_path):

@@ -78,3 +78,10 @@ def test_channels_have_known_units_and_one_order():
     assert {row.unit for row in CHANNELS.values()} <= {*TO_SI, "joint"}
     names = ["contact", "object_pose_valid", "time_ns", "object_pose"]
     assert canonical_order(names) == ["time_ns", "object_pose", "object_pose_valid", "contact"]
+
+
+def test_a_small_file_that_unfolds_without_end_is_refused_at_once():
+    value = ["x"]
+    for _ in range(60):  # what YAML's aliases make of 60 short lines: 9 ** 60 texts
+        value = [value] * 9
+    assert "file: Field required" in refusal(TableMap, {"a": value})
