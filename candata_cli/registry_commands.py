@@ -1,4 +1,4 @@
-"""Commands on named datasets: add, list, info, tag, diff, filter, merge, relabel, log."""
+"""Commands on named datasets: add, list, info, tag, split, diff, filter, merge, relabel, log."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ def register(app: typer.Typer) -> None:
     group.command("list")(list_datasets)
     group.command("info", epilog="Example: candata registry info day1@clean")(info)
     group.command("tag", epilog="Example: candata registry tag day1 clean --version 3")(tag)
+    group.command("split", epilog=_SPLIT)(split)
     group.command("diff", epilog="Example: candata registry diff day1@1 day1")(diff)
     group.command("filter", epilog=_FILTER)(filter_episodes)
     group.command("merge", epilog=_MERGE)(merge)
@@ -45,6 +46,12 @@ _MERGE = """\b
 Examples:
   candata registry merge sim real --out both
   candata registry merge day2 --out both --append
+"""
+_SPLIT = """\b
+Examples:
+  candata registry split day1 held_out_cups --by object --seed 3
+  candata registry split day1 --shares 0.9,0,0.1
+Train by it: candata train --data day1 --split held_out_cups --out runs/first
 """
 _RELABEL = """\b
 Example:
@@ -160,6 +167,45 @@ def tag(
         return
     made = set_tag(path, name, console.number(version) if version else wanted, move)
     console.out(f"{name}: version {made.version}, {made.digest[:12]}")
+
+
+def split(
+    dataset: Data,
+    name: Annotated[
+        str, typer.Argument(metavar="[SPLIT]", help="Name; `default` is taken where none is asked for.")
+    ] = ("default"),
+    shares: Annotated[str, typer.Option(metavar="A,B,C", help="Of train, val and test.")] = "0.8,0.1,0.1",
+    seed: Annotated[int, typer.Option(min=0, help="Of the draw.")] = 0,
+    by: Annotated[str | None, typer.Option(help="Keep together what agrees in object, scene, task or source.")] = None,
+    json: Json = False,
+) -> None:
+    """Draw train, val and test episodes and store who is where, to be pushed and pulled with the dataset."""
+    from typing import cast
+
+    from candata.datasets import open_dataset
+    from candata.datasets.registry import resolve
+    from candata.loaders.splits import GROUPS, By, make_split, save_split, split_digest
+
+    opened = open_dataset(*resolve(dataset))
+    made = make_split(opened, _shares(shares, GROUPS), seed, cast(By | None, by))
+    path = save_split(opened, made, name)
+    counts = {group: len(made.ids(group)) for group in GROUPS}
+    if json:
+        console.out_json({"split": name, "path": str(path), "digest": split_digest(made), **counts})
+        return
+    found = ", ".join(f"{group} {count}" for group, count in counts.items())
+    console.out(f"{name}: {found} of {len(opened)} episodes, {split_digest(made)[:12]}")
+
+
+def _shares(text: str, groups: tuple[str, ...]) -> dict[str, float]:
+    """Return the share of each group."""
+    from candata.errors import UsageError
+
+    try:
+        return dict(zip(groups, [float(word) for word in text.split(",")], strict=True))
+    except ValueError:
+        fix = "such as --shares 0.8,0.1,0.1"
+        raise UsageError("cannot read the shares", expected="three numbers", found=repr(text), fix=fix) from None
 
 
 def diff(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from candata.errors import DataError, Where
@@ -41,14 +43,22 @@ class Recording:
 
 @dataclass
 class Topic:
-    """What a recording holds of a topic: type, encoding, messages, first and last log time [ns], its first message."""
+    """What a recording holds of a topic: type, encoding, messages; with samples, log times [ns] and a first message."""
 
     kind: str
     encoding: str
     count: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
     sample: Any = None
+    logged_ns: array[int] = field(default_factory=lambda: array("q"))
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages a second by the middle step, which no pause changes; by the mean where most come in bursts."""
+        if len(self.logged_ns) < 2:
+            return 0.0
+        times = np.sort(np.asarray(self.logged_ns))
+        step = float(np.median(np.diff(times))) or float(times[-1] - times[0]) / (len(times) - 1)
+        return 1e9 / step if step > 0 else 0.0
 
 
 @dataclass(frozen=True)
@@ -218,8 +228,8 @@ class _File:
             return
         self.read += 1
         topic = self.bag.topics[channel.topic]
-        times = (message.log_time, message.log_time) if topic.count == 0 else (topic.first_ns, topic.last_ns)
-        topic.first_ns, topic.last_ns = min(times[0], message.log_time), max(times[1], message.log_time)
+        if self.samples:
+            topic.logged_ns.append(message.log_time)
         if channel.id not in self.takers:
             self.takers[channel.id] = self._taker(channel, topic)
         decode, takers = self.takers[channel.id]

@@ -23,8 +23,7 @@ def topics_text(bag: Bag) -> str:
     """Return a line a topic: name, type, messages, rate, stamps."""
     lines = []
     for name, topic in sorted(bag.topics.items()):
-        span_s = (topic.last_ns - topic.first_ns) * 1e-9
-        rate = f"{(topic.count - 1) / span_s:.1f} Hz" if topic.count > 1 and span_s > 0 else "-"
+        rate = f"{topic.rate_hz:.1f} Hz" if topic.rate_hz else "-"
         stamps = "" if not topic.count else ", stamped" if _stamped(topic) else ", unstamped"
         lines.append(f"{name}  {topic.kind or '(no schema)'}  {topic.count} messages  {rate}{stamps}")
     return "\n".join(lines) or "no topics"
@@ -41,8 +40,7 @@ def map_text(bag: Bag) -> str:
             unused.append(name)
             continue
         channels[channel] = _entry(name, topic)
-        span_s = (topic.last_ns - topic.first_ns) * 1e-9
-        rates.append((topic.count - 1) / span_s if span_s > 0 else 0.0)
+        rates.append(topic.rate_hz)
     if not channels:
         channels = {"object_pose": {"topic": "/pose", "fields": [f"pose.position.{axis}" for axis in "xyz"]}}
     value = {"rate_hz": float(round(max(rates, default=0.0)) or 100), "object": "NAME", "channels": channels}

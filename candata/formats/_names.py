@@ -33,10 +33,15 @@ def element_names(channel: str, columns: Sequence[str]) -> tuple[str, ...]:
 
 def fingertip_names(triples: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the fingertips' names: what the three columns of each share, `f0_x f0_y f0_z` -> `f0`."""
-    shared = tuple(_shared(triple) for triple in triples)
+    shared = tuple(_without_force(_shared(triple)) for triple in triples)
     if not all(shared) or len(set(shared)) < len(shared):
         return tuple(f"f{i}" for i in range(len(triples)))
     return element_names("fingertip_force", shared)
+
+
+def _without_force(name: str) -> str:
+    """Return a name without a last word `f`: `thumb.fx thumb.fy thumb.fz` share `thumb.f`, but the tip is `thumb`."""
+    return re.sub(rf"(?<=.)[{re.escape(_SEPARATORS)}]+f$", "", name, flags=re.IGNORECASE)
 
 
 def _after(column: str, word: str) -> str:

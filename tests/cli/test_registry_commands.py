@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError
+from candata.loaders.splits import load_split, make_split, split_digest, split_names
 from candata.schema.manifest import Lineage
 from candata_cli.main import build
 
@@ -189,3 +190,35 @@ def test_a_damaged_registry_is_an_error_of_data(day1, tmp_path):
     (tmp_path / "home/registry.json").write_text("{")
     assert isinstance(run("registry", "list").exception, DataError)
     assert run("registry", "info", "day1").exit_code == 0  # a folder needs no registry
+
+
+def test_a_split_is_drawn_stored_and_the_same_wherever_it_is_drawn(day1, tmp_path):
+    text = out("registry", "split", "first", "mine", "--seed", 3)
+    assert text.startswith("mine: train 1, val 1, test 1 of 3 episodes, ")
+    stored = load_split(open_dataset(day1), "mine")
+    assert stored == make_split(open_dataset(day1), seed=3)
+    assert out("registry", "split", day1, "mine", "--seed", 3) == text
+    found = json.loads(out("registry", "split", "first", "--by", "object", "--shares", "0.5,0,0.5", "--json"))
+    assert (found["split"], found["train"], found["val"], found["test"]) == ("default", 2, 0, 1)
+    assert found["digest"] == split_digest(load_split(open_dataset(day1)))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("--shares", "0.8,0.2"), "cannot read the shares"),
+        (("--shares", "a,b,c"), "cannot read the shares"),
+        (("--shares", "0.8,0.8,0"), "add up to 1"),
+        (("--shares", "nan,0.8,0"), "add up to 1"),
+        (("--by", "colour"), "unknown field to split by"),
+        (("--seed", "7"), "another split"),
+        (("--by", "object"), "too few episodes"),
+    ],
+)
+def test_a_split_that_cannot_be_drawn_is_refused_and_nothing_kept(day1, arguments, error):
+    out("registry", "split", "first", "mine")
+    before = load_split(open_dataset(day1), "mine")
+    result = run("registry", "split", "first", "mine", *arguments)
+    assert error in str(result.exception)
+    assert split_names(open_dataset(day1)) == ("mine",)
+    assert load_split(open_dataset(day1), "mine") == before

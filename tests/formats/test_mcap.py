@@ -275,6 +275,17 @@ def test_the_files_of_a_bag_are_one_recording_and_a_folder_of_bags_several(tmp_p
     assert [episode.meta.id for episode in read(folder, POSE_MAP)] == ["second", "first"]
 
 
+def test_a_pause_does_not_change_the_rate_that_is_offered(tmp_path):
+    """Vicon lost the vehicle for half a minute: the stream is still one of 100 Hz."""
+    early = poses()
+    late = [(stamp + 30 * 10**9, value) for stamp, value in early]
+    bag = write_ros2(tmp_path / "run.mcap", {"/pose": (POSES, early + late)})
+    with pytest.raises(UsageError) as caught:
+        read(bag)
+    assert "100 messages  100.0 Hz" in str(caught.value)
+    assert "rate_hz: 100.0" in caught.value.fix
+
+
 def test_without_a_map_the_topics_and_a_map_are_offered_and_that_map_works(tmp_path):
     topics = POSE_TOPIC | {"/j": (JOINTS, joints()), "/word": ("std_msgs/msg/String", [(START, {"data": "x"})])}
     bag = write_ros2(tmp_path / "run.mcap", topics)

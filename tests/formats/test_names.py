@@ -33,6 +33,8 @@ def test_a_shared_first_word_goes(channel, columns, names):
         ([("force_thumb_x", "force_thumb_y", "force_thumb_z")], ("thumb",)),
         ([("fx_thumb", "fy_thumb", "fz_thumb"), ("fx_index", "fy_index", "fz_index")], ("thumb", "index")),
         ([("a", "b", "c"), ("d", "e", "g")], ("f0", "f1")),
+        ([("tip.fx", "tip.fy", "tip.fz"), ("end.fx", "end.fy", "end.fz")], ("tip", "end")),
+        ([("tip_fx", "tip_fy", "tip_fz"), ("stiff_x", "stiff_y", "stiff_z")], ("tip", "stiff")),
     ],
 )
 def test_a_fingertip_is_what_its_columns_share(triples, names):
