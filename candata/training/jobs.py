@@ -157,7 +157,9 @@ def check_device(device: str) -> None:
 
 
 def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
-    """Refuse windows of another hand or shape than a checkpoint was made for; the number of points may differ.
+    """Refuse windows of another hand or shape than a checkpoint was made for.
+
+    The number of points may differ, also be none where the model reads no clouds; so may fingertips that it reads not.
 
     Raises
     ------
@@ -165,8 +167,12 @@ def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
         Names both.
     """
     facts = _facts(found)
-    facts["sizes"] |= {"points": kept.run.sizes["points"]} if found.clouds.shape[1] else {}
-    checkpoint.check_fits(kept.run, facts, kept.path)
+    run = kept.run
+    if found.clouds.shape[1] or run.config.get("cloud", "none") == "none":
+        facts["sizes"] |= {"points": run.sizes["points"]}
+    if not run.sizes["fingertips"]:
+        del facts["fingertip_names"]
+    checkpoint.check_fits(run, facts, kept.path)
 
 
 def _facts(found: Windows | Mixed) -> dict[str, Any]:

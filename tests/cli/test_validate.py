@@ -9,12 +9,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from candata.checks import defects
+from candata.checks import Finding, defects, grouped
 from candata.datasets import append, create_dataset
 from candata.errors import DataError, SceneError, SetupError, UnknownNameError, UsageError
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
-from candata_cli.validate_command import register
+from candata_cli.validate_command import _row, register
 
 app = typer.Typer()
 register(app)
@@ -75,6 +75,15 @@ def test_findings_are_one_line_a_kind_with_the_first_episodes(bad):
     assert "norm 1.1, expected 1" in line
     assert line.endswith("and 1 more]")
     assert remedy.startswith("to do: quaternions: ")
+
+
+def test_what_concerns_the_set_is_said_of_each_element():
+    told = [
+        Finding("info", "velocities", f"still: {name}", channel="joint_velocity", problem="still")
+        for name in ("left", "right")
+    ]
+    (group,) = grouped(told)
+    assert _row(group, 5) == ("info", "velocities", "joint_velocity", "the set", "still: left; right")
 
 
 def test_json_holds_every_finding_and_what_was_asked(bad):

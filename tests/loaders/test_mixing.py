@@ -210,6 +210,18 @@ def test_names_that_do_not_meet(two):
         mix(two, "sim:1")
 
 
+def test_fingertips_of_other_names_mix_where_no_channel_of_theirs_is_read(hand, store):
+    names = {"one": ("tip",), "other": ("end",)}
+    stored = [store(hand("a", 30, fingertip_names=tips), name=name) for name, tips in names.items()]
+    read = dict(history=3, horizon=2, stride=1)
+    channels = ("object_pose", "joint_position", "action")
+    feeds = dict(zip(names, (windows(one, channels=channels, **read) for one in stored), strict=True))
+    assert len(mix(feeds, "one:1/2,other:1/2").sources) == 2
+    feeds = dict(zip(names, (windows(one, **read) for one in stored), strict=True))
+    with pytest.raises(DataError, match="differ in their fingertip names"):
+        mix(feeds, "one:1/2,other:1/2")
+
+
 def test_sources_of_another_kind_are_refused(hand, store, two):
     sim = two["sim"]
 

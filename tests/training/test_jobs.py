@@ -323,3 +323,13 @@ def test_the_method_of_the_normaliser_is_chosen_once(trained, dataset):
         prepare(trained[1], Ask(init=trained[0], normaliser="std"), SETTINGS)
     with pytest.raises(UnknownNameError, match="did you mean 'quantile'"):
         prepare(trained[1], replace(MLP, normaliser="quantil"), SETTINGS)
+
+
+def test_data_without_clouds_are_evaluated_by_a_model_that_reads_none(tmp_path, trained, dataset):
+    folder, data = trained
+    bare = dataset("bare", cloud=False)
+    train(prepare(data, MLP, SETTINGS), tmp_path / "mlp")
+    found, _ = evaluate(tmp_path / "mlp", bare, Manner("all", 1, 1, 6))
+    assert found.episodes == 10
+    with pytest.raises(UsageError, match="made for other sizes"):
+        evaluate(folder, bare, Manner("all", 1, 1, 6))
