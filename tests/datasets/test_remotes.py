@@ -88,8 +88,9 @@ def test_a_push_killed_half_way_is_invisible_and_sends_only_the_rest(rich, entry
     assert not (tmp_path / "copy").exists()
 
     sent = push(rich, store, "rich")
-    assert sent.objects == len(store.sizes("rich/objects")) - len(there)
-    assert sent.standing == len(there)
+    # A request that was under way when its sender died may still arrive after the look.
+    assert sent.objects + sent.standing == len(store.sizes("rich/objects"))
+    assert len(there) <= sent.standing < len(store.sizes("rich/objects"))
     pull(store, "rich", tmp_path / "copy")
     assert open_dataset(tmp_path / "copy").digest == open_dataset(rich).digest
 
