@@ -100,3 +100,13 @@ def test_findings_say_when_and_what_to_do():
 
 def test_an_episode_that_is_nothing_is_said_to_be_so():
     assert "no rows" in findings("schema", raw(time_ns=TIME[:0], object_pose=pose()[:0]))[0].message
+
+
+@pytest.mark.parametrize(("lost", "told"), [(0, False), (2, False), (3, True), (20, True)])
+def test_much_that_is_marked_invalid_is_told(lost, told):
+    """More than a tenth of the rows: the values there are NaN, which is no error as they do not count."""
+    valid = np.arange(ROWS) >= lost
+    broken = np.where(valid[:, None], np.ones((ROWS, 2)), np.nan).astype(np.float32)
+    found = findings("gaps", raw(joint_velocity=broken, joint_velocity_valid=valid))
+    assert [(f.level, f.channel, f.evidence["rows"]) for f in found] == [("info", "joint_velocity", lost)] * told
+    assert not findings("finite", raw(joint_velocity=broken, joint_velocity_valid=valid))
