@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Iterable
@@ -17,7 +18,7 @@ def main(root: str, remote: str, name: str) -> None:
 
     def slow(key: str, chunks: Iterable[bytes], size: int) -> None:
         write(key, chunks, size)
-        print(key, flush=True)
+        os.write(1, f"{key}\n".encode())  # whole lines, whichever thread is first
         time.sleep(0.2)  # gives the test the time to kill it between two files
 
     store.write = slow  # type: ignore[method-assign]
