@@ -73,9 +73,10 @@ def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bo
             found = survey(data, lambda: advance(1), ids)
             summary = found.summary
     if html is not None:
-        from candata.reports.inspection import page, write_page
+        from candata.reports.inspection import page
+        from candata.reports.writing import write_text
 
-        write_page(html, page(found, episode))
+        write_text(html, page(found, episode))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
     if json:
         record = summary.model_dump(mode="json")
@@ -92,9 +93,9 @@ def _inspect_two(data: Dataset, other: Dataset, html: Path | None, json: bool) -
         found = compare(data, other, lambda: advance(1))
     if html is not None:
         from candata.reports.comparison import page
-        from candata.reports.inspection import write_page
+        from candata.reports.writing import write_text
 
-        write_page(html, page(found))
+        write_text(html, page(found))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
     if json:
         console.out_json(found.comparison.model_dump(mode="json"))

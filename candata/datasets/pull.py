@@ -7,19 +7,19 @@ import os
 import shutil
 import uuid
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.names import require_name
 from candata.datasets.parts import MANIFEST, RawPart, part_folder
 from candata.datasets.pull_plan import Plan, number_of, plan_of
-from candata.datasets.push import MOVERS
 from candata.datasets.remotes import (
     Bar,
     Store,
     corrupted,
+    move,
     no_bar,
     object_key,
     read_object,
@@ -221,14 +221,8 @@ def _require_room(root: Path, size: int) -> None:
 
 def _fetch(store: Store, name: str, root: Path, todo: list[_File], bar: Bar) -> None:
     """Fetch files, a few at a time."""
-    with bar(sum(one.bytes for one in todo)) as advance, ThreadPoolExecutor(MOVERS) as pool:
-        jobs = [pool.submit(_fetch_one, store, object_key(name, one.sha256), root, one, advance) for one in todo]
-        try:
-            for job in jobs:
-                job.result()
-        finally:
-            for job in jobs:
-                job.cancel()
+    with bar(sum(one.bytes for one in todo)) as advance:
+        move(partial(_fetch_one, store, object_key(name, one.sha256), root, one, advance) for one in todo)
 
 
 def _fetch_one(store: Store, key: str, root: Path, one: _File, advance: Callable[[int], None]) -> None:

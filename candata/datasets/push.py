@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from candata.datasets import durable
@@ -18,6 +18,7 @@ from candata.datasets.remotes import (
     CHUNK_BYTES,
     Bar,
     Store,
+    move,
     no_bar,
     object_key,
     parse,
@@ -31,9 +32,6 @@ from candata.datasets.versions import DATASET, numbers, read_dataset_file, read_
 from candata.errors import DataError, UsageError, Where
 from candata.schema.manifest import FileEntry, TagFile, VersionFile
 from candata.schema.registry import RemoteVersion
-
-#: Files that are moved at the same time: small ones wait for the network most of the time.
-MOVERS = 4
 
 
 @dataclass(frozen=True)
@@ -200,16 +198,8 @@ def _splits(root: Path) -> dict[str, _Object]:
 
 def _send(store: Store, name: str, todo: list[_Object], bar: Bar) -> None:
     """Send files, a few at a time."""
-    with bar(sum(one.bytes for one in todo)) as advance, ThreadPoolExecutor(MOVERS) as pool:
-        jobs = [
-            pool.submit(store.write, object_key(name, one.sha256), _checked(one, advance), one.bytes) for one in todo
-        ]
-        try:
-            for job in jobs:
-                job.result()
-        finally:
-            for job in jobs:
-                job.cancel()
+    with bar(sum(one.bytes for one in todo)) as advance:
+        move(partial(store.write, object_key(name, one.sha256), _checked(one, advance), one.bytes) for one in todo)
 
 
 def _checked(one: _Object, advance: Callable[[int], None]) -> Iterator[bytes]:

@@ -13,6 +13,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -25,6 +26,8 @@ from candata.schema.registry import RemoteEntry, RemoteVersion
 #: Most bytes of one JSON file that are read: what is larger is no file of candata's.
 LIMIT_BYTES = 256 * 2**20
 CHUNK_BYTES = 2**20
+#: Files that are moved at the same time: small ones wait for the network most of the time.
+MOVERS = 4
 
 #: Gives `advance(bytes)` while a number of bytes is moved.
 Bar = Callable[[int], AbstractContextManager[Callable[[int], None]]]
@@ -35,6 +38,18 @@ SomeRecord = TypeVar("SomeRecord", bound=Record)
 def no_bar(_total: int) -> AbstractContextManager[Callable[[int], None]]:
     """Return a bar that shows nothing."""
     return nullcontext(lambda _bytes: None)
+
+
+def move(tasks: Iterable[Callable[[], object]]) -> None:
+    """Run the tasks, a few at a time; the first error ends it, and what has not begun is dropped."""
+    with ThreadPoolExecutor(MOVERS) as pool:
+        jobs = [pool.submit(task) for task in tasks]
+        try:
+            for job in jobs:
+                job.result()
+        finally:
+            for job in jobs:
+                job.cancel()
 
 
 class Store(Protocol):

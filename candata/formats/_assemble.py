@@ -15,7 +15,7 @@ from candata.schema.contact import fingertip_contact
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 
 #: Largest number the schema's float32 holds; beyond it are only the fill values of other formats.
-_LARGEST = float(np.finfo(np.float32).max)
+LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def gather(
     for block in blocks:
         here = dataclasses.replace(where, channel=block.channel)
         values = block.values
-        gaps = ~(np.abs(values) <= _LARGEST)
+        gaps = ~(np.abs(values) <= LARGEST)
         if gaps.any():
             if not allow_gaps:
                 raise _gap_error(block, gaps, rows, here)

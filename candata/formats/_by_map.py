@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from candata.errors import Where
 from candata.formats import Reading
 from candata.formats._assemble import checked, gather
-from candata.formats._features import Pick, blocks, names_of, read_feature_map
+from candata.formats._features import Pick, blocks, names_of
+from candata.formats._map_file import read_map_file
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.exchange import FeatureMap
 
@@ -85,7 +86,7 @@ def digest_of(root: Path, files: Iterable[Path], reading: Reading) -> str:
     """
     told: list[object] = [reading.source, reading.scene, reading.object, reading.task]
     if reading.mapping is not None:
-        told.append(read_feature_map(reading.mapping).model_dump_json())
+        told.append(read_map_file(FeatureMap, reading.mapping).model_dump_json())
     lines = [repr(told)]
     for path in files:
         with path.open("rb") as file:

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from candata.errors import CandataError, DataError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Feature, picks, read_feature_map, wanted
+from candata.formats._features import Feature, picks, wanted
+from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_export, restored
 from candata.schema.episode import Episode
-from candata.schema.exchange import ExportFile
+from candata.schema.exchange import ExportFile, FeatureMap
 
 #: Attribute of the root group that holds the sidecar as JSON text.
 SIDECAR = "candata"
@@ -142,7 +143,7 @@ def _by_map(arrays: dict[str, NDArray], ends: Sequence[int], path: Path, reading
             where=Where(path=str(path)),
             fix="say it with --map FILE, such as `rate_hz: 10` and `channels: {joint_position: 'state[0:7]'}`",
         )
-    mapping = read_feature_map(reading.mapping)
+    mapping = read_map_file(FeatureMap, reading.mapping)
     features = [Feature(name, values.shape[1]) for name, values in arrays.items()]
     made = picks(mapping, features, reading.mapping)
     if mapping.rate_hz is None:

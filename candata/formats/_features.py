@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.formats._assemble import Block
-from candata.formats._mapping import fits, si_units, unfit
+from candata.formats._mapping import check_channels, fits, si_units, unfit
 from candata.formats._names import element_names, fingertip_names
-from candata.schema.channels import CHANNELS, DENSE, QUATERNION
+from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.exchange import FeatureMap
 from candata.units import TO_SI, to_si
 
@@ -62,25 +61,6 @@ class Pick:
     elements: tuple[str, ...]
 
 
-def read_feature_map(path: Path) -> FeatureMap:
-    """Return the record in a `--map` file.
-
-    Raises
-    ------
-    UsageError
-        When the file is missing, is no YAML, or a field is missing, unknown or wrong.
-    """
-    where = Where(path=str(path))
-    try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise UsageError("the map cannot be read", found=found, where=where) from None
-    except (yaml.YAMLError, RecursionError) as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
-    return FeatureMap.parse(value, path)
-
-
 def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple[Pick, ...]:
     """Return how every channel of a map is made; `path` is the map's, for messages.
 
@@ -93,18 +73,10 @@ def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple
         When two channels disagree about the number of joints or fingertips.
     """
     where = Where(path=str(path))
-    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
-    for name in (*mapping.channels, *mapping.units, *mapping.names):
-        if name not in known:
-            raise UnknownNameError("channel", name, known, where)
+    check_channels(dict.fromkeys((*mapping.channels, *mapping.units, *mapping.names)), where)
+    for name in (*mapping.units, *mapping.names):
         if name not in mapping.channels:
             raise UsageError(f"the map speaks of {name}, but does not say what it is made of", where=where)
-    if not {"object_pose", "joint_position"} & set(mapping.channels):
-        raise UsageError(
-            "the map needs one of object_pose, joint_position",
-            found=", ".join(mapping.channels) or "no channels",
-            where=where,
-        )
     by_name = {feature.name: feature for feature in features}
     made = tuple(_pick(mapping, name, by_name, path) for name in mapping.channels)
     _check_counts(made, path)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from candata.errors import DataError, Where
 from candata.formats import Reading
 from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Pick, blocks, picks, read_feature_map, wanted
+from candata.formats._features import Pick, blocks, picks, wanted
 from candata.formats._lerobot_layout import (
     BOOKKEEPING,
     INFO,
@@ -29,9 +29,10 @@ from candata.formats._lerobot_layout import (
     read_text,
 )
 from candata.formats._lerobot_names import ACTION, STATE, guess
+from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_export, restored
 from candata.schema.episode import Episode
-from candata.schema.exchange import ExportFile
+from candata.schema.exchange import ExportFile, FeatureMap
 
 #: Distance of a stamp from frame_index / fps up to which it counts as on the beat: lerobot's own tolerance_s [s].
 _ON_BEAT_S = 1e-4
@@ -91,7 +92,7 @@ def _restored(folder: Folder, sidecar: ExportFile, path: Path) -> Iterator[Episo
 def _by_map(folder: Folder, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
     path = reading.mapping or folder.root / INFO
-    mapping = read_feature_map(path) if reading.mapping else guess(folder.features, path)
+    mapping = read_map_file(FeatureMap, path) if reading.mapping else guess(folder.features, path)
     made = picks(mapping, folder.features, path)
     _say(folder, made, reading)
     rate_hz = mapping.rate_hz or folder.info.fps

@@ -28,5 +28,5 @@ def read_map_file(kind: type[R], path: Path) -> R:
         found = getattr(error, "strerror", None) or str(error)
         raise UsageError("the map cannot be read", found=found, where=where) from None
     except (yaml.YAMLError, RecursionError) as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split()), where=where) from None
+        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
     return kind.parse(value, path)

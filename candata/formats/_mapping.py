@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +72,25 @@ def read_map(path: Path) -> TableMap:
     return read_map_file(TableMap, path)
 
 
+def check_channels(channels: Iterable[str], where: Where) -> None:
+    """Raise unless the channels that a map makes are known, and one of them says where things are.
+
+    Raises
+    ------
+    UsageError
+        When one is not known, or there is neither object_pose nor joint_position.
+    """
+    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
+    made = list(channels)
+    for name in made:
+        if name not in known:
+            raise UnknownNameError("channel", name, known, where)
+    if not {"object_pose", "joint_position"} & set(made):
+        raise UsageError(
+            "the map needs one of object_pose, joint_position", found=", ".join(made) or "no channels", where=where
+        )
+
+
 def plans(mapping: TableMap, path: Path) -> tuple[Plan, ...]:
     """Return the plan of every channel of a map, in the map's order.
 
@@ -84,16 +103,7 @@ def plans(mapping: TableMap, path: Path) -> tuple[Plan, ...]:
         When two channels disagree about the number of joints or fingertips.
     """
     where = Where(path=str(path))
-    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
-    for name in mapping.channels:
-        if name not in known:
-            raise UnknownNameError("channel", name, known, where)
-    if not {"object_pose", "joint_position"} & set(mapping.channels):
-        raise UsageError(
-            "the map needs one of object_pose, joint_position",
-            found=", ".join(mapping.channels) or "no channels",
-            where=where,
-        )
+    check_channels(mapping.channels, where)
     _check_units(mapping, where)
     made = tuple(_plan(mapping, name, path) for name in mapping.channels)
     _check_counts(made, where)

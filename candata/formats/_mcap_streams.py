@@ -10,15 +10,14 @@ from numpy.typing import NDArray
 
 from candata import align
 from candata.errors import DataError, UnknownNameError, UsageError, Where
-from candata.formats._mapping import unit_factors
+from candata.formats._assemble import LARGEST
+from candata.formats._mapping import check_channels, unit_factors
 from candata.formats._mcap_bag import Bag, Recording, Row, Wanted
 from candata.formats._mcap_fields import Extract, extract, stamp_ns
-from candata.schema.channels import CHANNELS, DENSE, QUATERNION
+from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.episode import Alignment
 from candata.schema.topics import TopicEntry, TopicMap
 
-#: Largest number the schema's float32 holds; beyond it are only the fill values of other formats.
-_LARGEST = float(np.finfo(np.float32).max)
 #: Norms of recorded quaternions lie this close to 1, and are made 1; others are no rotations.
 _NORM_TOLERANCE = 0.01
 _FIT = "log time against header stamps"
@@ -61,14 +60,7 @@ def entries(mapping: TopicMap, where: Where) -> list[tuple[str, TopicEntry]]:
         When a channel is not known, there is neither object_pose nor joint_position, a channel that is one topic's has
         several, or names are given that it has no use for.
     """
-    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
-    for name in mapping.channels:
-        if name not in known:
-            raise UnknownNameError("channel", name, known, where)
-    if not {"object_pose", "joint_position"} & set(mapping.channels):
-        raise UsageError(
-            "the map needs one of object_pose, joint_position", found=", ".join(mapping.channels), where=where
-        )
+    check_channels(mapping.channels, where)
     if mapping.reference is not None and mapping.reference not in mapping.channels:
         raise UnknownNameError("reference channel", mapping.reference, mapping.channels, where)
     found = []
@@ -274,7 +266,7 @@ def _mark_gaps(
     note: Callable[[str], None],
 ) -> None:
     """Make readings that are not finite, or quaternions of zeros (nothing was seen), NaN as a whole, or refuse them."""
-    gaps = ~(np.abs(values) <= _LARGEST).all(axis=1)
+    gaps = ~(np.abs(values) <= LARGEST).all(axis=1)
     if channel in QUATERNION:
         gaps |= ~values[:, QUATERNION[channel]].any(axis=1)
     if not gaps.any():

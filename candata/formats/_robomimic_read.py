@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from candata.errors import CandataError, DataError, MissingExtraError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Feature, Pick, picks, read_feature_map, wanted
+from candata.formats._features import Feature, Pick, picks, wanted
+from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
 from candata.schema.channels import CHANNELS, DENSE
 from candata.schema.episode import Episode
@@ -226,7 +227,7 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
     """Yield the episodes as the map says, or the names."""
     shapes = _guarded(path, lambda: _shapes(data[names[0]]))
     features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
-    mapping = read_feature_map(reading.mapping) if reading.mapping else _guess(features, path)
+    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(features, path)
     made = picks(mapping, features, reading.mapping or path)
     rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
     if rate_hz is None:

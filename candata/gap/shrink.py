@@ -22,7 +22,7 @@ Index = NDArray[np.int64]
 #: Resamples of the episodes for gaps and support, and for parameters (each is a refit).
 RESAMPLES, REFITS = 2000, 100
 #: How much wider than the refits' spread an interval is: of one number, and of several, whose refits only follow the
-#: slopes of one place. Measured on 46 blind cases of one seed (43 numbers): with 1.8 for all, 20 of 21 single numbers
+#: slopes of one place. Measured on 46 blind cases of one seed (42 numbers): with 1.8 for all, 19 of 20 single numbers
 #: were covered and 9 of 22 of several.
 WIDER, WIDER_MANY = 1.4, 6.0
 #: Least half width as a share of the effect: episodes share commands and chaos, and slopes are no finer.

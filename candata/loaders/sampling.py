@@ -91,11 +91,6 @@ class Sampler:
         period, rest = divmod(steps * self.world * self.batch_size, len(source))
         return tuple(period * part + int((source[:rest] == number).sum()) for number, part in enumerate(self.parts))
 
-    @property
-    def steps_per_epoch(self) -> float:
-        """Steps in which as many windows are taken as there are."""
-        return sum(self.counts) / (self.batch_size * self.world)
-
     @cached_property
     def _lines(self) -> tuple[_Line, ...]:
         """The endless line of each source."""

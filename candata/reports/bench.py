@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from candata.reports.document import document, figure, plot, plotly
+from candata.reports.writing import write_text
 from candata.schema.bench import BenchFile, Bin, Row
 
 Spec = dict[str, Any]
@@ -32,11 +33,8 @@ def bench_text(found: BenchFile) -> str:
 
 def write_bench(found: BenchFile, out: Path) -> Path:
     """Return the path of `bench.html` after writing it beside `bench.json` into `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    (out / "bench.json").write_text(found.model_dump_json(indent=1) + "\n", encoding="utf-8")
-    path = out / "bench.html"
-    path.write_text(bench_page(found), encoding="utf-8")
-    return path
+    write_text(out / "bench.json", found.model_dump_json(indent=1) + "\n")
+    return write_text(out / "bench.html", bench_page(found))
 
 
 def bench_page(found: BenchFile) -> str:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
-from candata.errors import SetupError, Where
 from candata.reports import courses
 from candata.reports.courses import Spec
 from candata.reports.document import document, figure, plot, plotly
 from candata.reports.numbers import digits, percent
 from candata.reports.tables import pairs, table
+from candata.reports.writing import write_text
 from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
 
 DASH = "\N{EN DASH}"
@@ -31,26 +30,9 @@ def write_evaluation(found: Evaluation, tracks: Sequence[Track], out: Path) -> P
     SetupError
         When the folder cannot be written.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        _write(out / "evaluation.html", page(found, tracks))
-        _write(out / "evaluation.json", found.model_dump_json(indent=2) + "\n")
-    except OSError as error:
-        raise SetupError(
-            "the page cannot be written", found=error.strerror, where=Where(path=str(out)),
-            fix="free space, or choose another --out",
-        ) from None  # fmt: skip
+    write_text(out / "evaluation.html", page(found, tracks))
+    write_text(out / "evaluation.json", found.model_dump_json(indent=2) + "\n")
     return out / "evaluation.html"
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    staged = path.with_name(f".{path.name}.part")
-    try:
-        staged.write_text(text, encoding="utf-8")
-        os.replace(staged, path)
-    finally:
-        staged.unlink(missing_ok=True)
 
 
 def page(found: Evaluation, tracks: Sequence[Track]) -> str:

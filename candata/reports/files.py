@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import yaml
@@ -11,6 +10,7 @@ from candata.gap import Diagnosis
 from candata.gap.proposal import MOTION_FILE
 from candata.policies import write_motions
 from candata.reports.page import write_report
+from candata.reports.writing import write_text
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
 
@@ -24,11 +24,10 @@ def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
     `motion.parquet` stands beside them where a motion is proposed, `learned_residual.yaml` where a force was fitted to
     what no effect explains; those of an earlier diagnosis go. Each file appears whole or not at all.
     """
-    out.mkdir(parents=True, exist_ok=True)
     text = effects_text(diagnosis.effects)
     page = write_report(diagnosis.report, diagnosis.evidence, scene.model, out, text)
-    _replace(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n")
-    _replace(out / "effects.yaml", text)
+    write_text(out / "report.json", diagnosis.report.model_dump_json(indent=2) + "\n", "report")
+    write_text(out / "effects.yaml", text, "report")
     if diagnosis.motion:
         write_motions(out / MOTION_FILE, scene, diagnosis.motion)
     else:
@@ -36,17 +35,10 @@ def write_diagnosis(diagnosis: Diagnosis, scene: Scene, out: Path) -> Path:
     if diagnosis.stopgap is None:
         (out / STOPGAP).unlink(missing_ok=True)
     else:
-        _replace(out / STOPGAP, effects_text(diagnosis.stopgap))
+        write_text(out / STOPGAP, effects_text(diagnosis.stopgap), "report")
     return page
 
 
 def effects_text(effects: EffectsFile) -> str:
     """Return the text of `effects.yaml`: the repaired simulator."""
     return yaml.safe_dump(effects.model_dump(mode="json"), sort_keys=False)
-
-
-def _replace(path: Path, text: str) -> None:
-    """Write a file beside its place and move it there."""
-    staged = path.with_name(f".{path.name}.part")
-    staged.write_text(text)
-    os.replace(staged, path)

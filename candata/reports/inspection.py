@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from html import escape
-from pathlib import Path
 
 from candata.datasets.elements import JOINT_UNITS
 from candata.datasets.summary import ChannelSummary, Summary
 from candata.datasets.survey import Shown, Survey
-from candata.errors import SetupError, Where
 from candata.reports import space, traces
 from candata.reports.distributions import distributions
 from candata.reports.document import document, figure
@@ -28,28 +24,6 @@ DASH = "\N{EN DASH}"
 MOST_NAMES = 8
 #: Steps listed of a lineage, the last ones.
 MOST_STEPS = 20
-
-
-def write_page(path: Path, text: str) -> None:
-    """Write a page whole or not at all; folders on the way are made.
-
-    Raises
-    ------
-    SetupError
-        When the file cannot be written.
-    """
-    staged = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        staged.write_text(text, encoding="utf-8")
-        os.replace(staged, path)
-    except OSError as error:
-        with suppress(OSError):
-            staged.unlink()
-        raise SetupError(
-            "the page cannot be written", found=error.strerror, where=Where(path=str(path)),
-            fix="free space, or choose another --html",
-        ) from None  # fmt: skip
 
 
 def page(found: Survey, episode: str | None = None) -> str:

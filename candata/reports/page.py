@@ -17,6 +17,7 @@ from candata.reports import advice, exhibits, figures, heat, tables, words
 from candata.reports.document import document, figure
 from candata.reports.filmstrip import filmstrip
 from candata.reports.numbers import percent
+from candata.reports.writing import write_text
 from candata.schema.report import Report
 
 #: Colour of the headline for each verdict.
@@ -48,10 +49,7 @@ def write_report(
     effects_yaml : str
         Text of `effects.yaml`, shown with a button that copies it.
     """
-    path = Path(out) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page(report, evidence, model, effects_yaml), encoding="utf-8")
-    return path
+    return write_text(Path(out) / "report.html", page(report, evidence, model, effects_yaml), "report")
 
 
 def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:

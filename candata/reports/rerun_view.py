@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +14,12 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset, get_cloud
 from candata.datasets.elements import fingertip_labels, joint_labels
 from candata.datasets.summary import touches
-from candata.errors import MissingExtraError, SetupError, Where
+from candata.errors import MissingExtraError, SetupError
 from candata.plugins import names
 from candata.reports.posed import Posed, Poser, poser, shown_geoms
 from candata.reports.rerun_shapes import shape, xyzw
 from candata.reports.traces import command_joints, masked
+from candata.reports.writing import replacing
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import LIBRARY
 from candata.schema.episode import Episode
@@ -95,24 +95,13 @@ def _need_display() -> None:
 def _write(
     rr: Any, recording: Any, dataset: Dataset, episode: Episode, posing: Poser | None, out: Path
 ) -> tuple[str, ...]:
-    """Write the recording beside its place and move it there."""
-    staged = out.with_name(f".{out.name}.part")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        staged.touch()
-        recording.save(staged, default_blueprint=_blueprint(episode))
+    """Write the recording whole or not at all."""
+    with replacing(out, "recording") as draft:
+        draft.touch()
+        recording.save(draft, default_blueprint=_blueprint(episode))
         notes = tuple(_fill(rr, recording, dataset, episode, posing))
         recording.flush()
         recording.disconnect()
-        os.replace(staged, out)
-    except OSError as error:
-        raise SetupError(
-            "the recording cannot be written", found=error.strerror, where=Where(path=str(out)),
-            fix="free space, or choose another --out",
-        ) from None  # fmt: skip
-    finally:
-        with suppress(OSError):
-            staged.unlink()
     return notes
 
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Sequence
-from contextlib import suppress
 from html import escape
 from pathlib import Path
 
 from candata.checks import LEVELS, Finding, Group, Level, grouped, meanings
 from candata.datasets import Dataset
-from candata.errors import SetupError, Where
 from candata.reports.document import document
+from candata.reports.writing import write_text
 
 #: Level to its colour in `style.COLOURS`, and what it is called in numbers of one and more.
 TONES = {"error": "bad", "warning": "part", "info": "accent", "unknown": "none"}
@@ -64,21 +62,7 @@ def write_validation(
     SetupError
         When the file cannot be written.
     """
-    text = page(data, findings, scene=scene, deep=deep, rules=rules)
-    staged = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        staged.write_text(text, encoding="utf-8")
-        os.replace(staged, path)
-    except OSError as error:
-        raise SetupError(
-            "the page cannot be written", found=error.strerror, where=Where(path=str(path)),
-            fix="free space, or choose another --html",
-        ) from None  # fmt: skip
-    finally:
-        with suppress(OSError):
-            staged.unlink()
-    return path
+    return write_text(path, page(data, findings, scene=scene, deep=deep, rules=rules))
 
 
 def page(

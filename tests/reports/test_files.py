@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
+from candata.errors import SetupError
 from candata.gap import Diagnosis
 from candata.gap.evidence import Evidence
 from candata.reports import effects_text, write_diagnosis
@@ -106,7 +107,7 @@ def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one_whole(tmp_path, d
         raise OSError("no space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(SetupError, match="no space"):
         write_diagnosis(Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED),
                         scene, tmp_path)  # fmt: skip
     assert (tmp_path / "report.json").read_text() == before

@@ -14,6 +14,7 @@ from candata.datasets.survey import survey
 from candata.errors import SetupError
 from candata.reports import comparison, inspection
 from candata.reports.joint_units import readable
+from candata.reports.writing import write_text
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 
@@ -154,5 +155,5 @@ def test_two_datasets_on_one_page(dataset):
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):
     (tmp_path / "page.html").mkdir()
     with pytest.raises(SetupError, match="cannot be written"):
-        inspection.write_page(tmp_path / "page.html", "x")
+        write_text(tmp_path / "page.html", "x")
     assert [path.name for path in tmp_path.iterdir()] == ["page.html"]

@@ -1,0 +1,47 @@
+"""Files of reports: whole or not at all, and an error that a user can act on where they cannot be written."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from candata.errors import SetupError, Where
+
+
+@contextmanager
+def replacing(path: Path, what: str = "page") -> Iterator[Path]:
+    """Give a draft beside `path`, which takes its place at the end; folders on the way are made.
+
+    Raises
+    ------
+    SetupError
+        When `what` cannot be written.
+    """
+    draft = path.with_name(f".{path.name}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield draft
+        os.replace(draft, path)
+    except OSError as error:
+        raise SetupError(
+            f"the {what} cannot be written", found=error.strerror or str(error), where=Where(path=str(path)),
+            fix="free space, or name another place",
+        ) from None  # fmt: skip
+    finally:
+        with suppress(OSError):
+            draft.unlink()
+
+
+def write_text(path: Path, text: str, what: str = "page") -> Path:
+    """Return `path` after writing a text there.
+
+    Raises
+    ------
+    SetupError
+        When it cannot be written.
+    """
+    with replacing(path, what) as draft:
+        draft.write_text(text, encoding="utf-8")
+    return path
