@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from candata.datasets import encode
 from candata.datasets.dataset import Dataset
-from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
+from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
 from candata.datasets.history import derived
 from candata.errors import DataError, MissingExtraError, UnknownNameError, UsageError, Where
 from candata.schema.manifest import VersionFile
@@ -188,7 +188,7 @@ def _wrong(where: str, said: str) -> UsageError:
     )
 
 
-def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
+def filter_dataset(dataset: Dataset, where: str, out: Path, finish: Finish = nothing_more) -> VersionFile:
     """Return the version of a new dataset `out` that holds the episodes for which an expression holds.
 
     Parts are shared with the dataset, not rewritten: what the expression leaves out of a part that is kept still
@@ -202,6 +202,8 @@ def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
         Expression, as for `matching`.
     out : Path
         Folder of the new dataset.
+    finish : callable
+        Takes the new dataset before it appears; `candata.loaders.carry_splits` makes one.
 
     Raises
     ------
@@ -217,7 +219,7 @@ def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
             where=Where(path=f"filter {where}"), fix="see what there is: candata inspect",
         )  # fmt: skip
     details = {"where": where, "episodes": len(kept), "of": len(dataset)}
-    with new_dataset(out) as root:
+    with new_dataset(out, finish) as root:
         entries, excluded = [], set()
         for part in dataset.raw_parts():
             held = {name for name, _ in part.manifest().episodes}
