@@ -249,4 +249,4 @@ def test_episodes_that_lack_a_channel_are_named_with_a_filter_that_leaves_them_o
     words = shlex.split(command.replace("NEW", str(tmp_path / "new")))
     assert CliRunner().invoke(build(), words).exit_code == 0
     assert open_dataset(tmp_path / "new").ids == ("a", "b", "c")
-    assert len(windows(tmp_path / "new", channels=["object_pose"], history=2, horizon=2)) > 0
+    assert len(windows(tmp_path / "new", channels=["object_pose"], history=2, horizon=2, rate_hz=80)) > 0
