@@ -86,7 +86,7 @@ Examples:
 def register(app: typer.Typer) -> None:
     """Add `import` and `fetch`."""
     app.command("import", epilog=_EXAMPLES)(import_)
-    app.command("fetch")(fetch)
+    app.command("fetch", epilog="Example: candata fetch cube-tosses --out tosses")(fetch)
 
 
 def import_(

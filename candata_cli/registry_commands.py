@@ -23,8 +23,8 @@ def register(app: typer.Typer) -> None:
     """Add `registry` and its commands."""
     group = console.group(app, "registry", ABOUT)
     group.command("add", epilog="Example: candata registry add day1 recordings/day1")(add)
-    group.command("remove")(remove)
-    group.command("list")(list_datasets)
+    group.command("remove", epilog="Example: candata registry remove day1")(remove)
+    group.command("list", epilog="Example: candata registry list")(list_datasets)
     group.command("info", epilog="Example: candata registry info day1@clean")(info)
     group.command("tag", epilog="Example: candata registry tag day1 clean --version 3")(tag)
     group.command("split", epilog=_SPLIT)(split)
