@@ -17,7 +17,7 @@ SCENE = "xhand_tabletop"
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
-    app.command("demo")(demo)
+    app.command("demo", epilog="Example: candata demo --out out/demo --seed 1")(demo)
 
 
 def demo(

@@ -65,6 +65,8 @@ EpisodeId = Annotated[
 LOG, TABLE = "log", "table"
 #: What a foreign file may not say of its episodes.
 _LABELS = ("scene", "object", "task")
+#: Episodes that a note names.
+_NAMED = 5
 #: Options of `import log` that are not called as the recipe calls them.
 _OPTIONS = {
     "rate_hz": "--rate",
@@ -84,7 +86,7 @@ Examples:
 def register(app: typer.Typer) -> None:
     """Add `import` and `fetch`."""
     app.command("import", epilog=_EXAMPLES)(import_)
-    app.command("fetch")(fetch)
+    app.command("fetch", epilog="Example: candata fetch cube-tosses --out tosses")(fetch)
 
 
 def import_(
@@ -301,8 +303,10 @@ def _publish(
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
     from candata.datasets.versions import members_of, newest
 
+    read: set[str] = set()
+
     def add(root: Path) -> VersionFile:
-        parts = write_parts(root, _told(episodes), operation, part_size)
+        parts = write_parts(root, _told(episodes, read), operation, part_size)
         for points in clouds:
             put_cloud(root, points)
         return publish(root, parts, lineage())
@@ -318,12 +322,24 @@ def _publish(
             staged.rename(out)
     total = len(members_of(out, version))
     added = total - (len(members_of(out, standing)) if standing else 0)
+    _tell_left_out(out, read.intersection(version.exclusions))
     console.out(f"{out}: {added} episodes added, {total} in version {version.number}")
 
 
-def _told(episodes: Iterable[Episode], every: int = 100) -> Iterator[Episode]:
-    """Yield the episodes, with a line on stderr now and then."""
+def _tell_left_out(out: Path, ids: set[str]) -> None:
+    """Tell which episodes were read and yet are not in the version: an earlier one left them out."""
+    if ids:
+        named = ", ".join(sorted(ids)[:_NAMED]) + (", ..." if len(ids) > _NAMED else "")
+        console.note(
+            f"{len(ids)} episodes stay left out, as in the version before: {named}; to bring them back, "
+            f"import to a new dataset NEW, then: candata registry merge NEW --out {out} --append"
+        )
+
+
+def _told(episodes: Iterable[Episode], read: set[str], every: int = 100) -> Iterator[Episode]:
+    """Yield the episodes, with a line on stderr now and then; `read` takes their ids."""
     for count, episode in enumerate(episodes, start=1):
+        read.add(episode.meta.id)
         yield episode
         if count % every == 0:
             console.note(f"{count} episodes")

@@ -23,8 +23,8 @@ def register(app: typer.Typer) -> None:
     """Add `registry` and its commands."""
     group = console.group(app, "registry", ABOUT)
     group.command("add", epilog="Example: candata registry add day1 recordings/day1")(add)
-    group.command("remove")(remove)
-    group.command("list")(list_datasets)
+    group.command("remove", epilog="Example: candata registry remove day1")(remove)
+    group.command("list", epilog="Example: candata registry list")(list_datasets)
     group.command("info", epilog="Example: candata registry info day1@clean")(info)
     group.command("tag", epilog="Example: candata registry tag day1 clean --version 3")(tag)
     group.command("split", epilog=_SPLIT)(split)
@@ -241,13 +241,15 @@ def filter_episodes(
 ) -> None:
     """Print the ids of the episodes for which a condition holds, or make a dataset of them without rewriting data.
 
-    What is left out of a part still lies in its files and travels with a push; `candata compact` drops it.
+    Stored splits come along, less what is left out. What is left out of a part still lies in its files and travels
+    with a push; `candata compact` drops it.
     """
     from candata.datasets.filtering import filter_dataset, matching
+    from candata.loaders import carry_splits
 
     data = console.opened(dataset)
     if out is not None:
-        _made(out, filter_dataset(data, where, out), json)
+        _made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
         return
     ids = matching(data, where)
     if json:
@@ -265,15 +267,37 @@ def merge(
     prefix: Annotated[bool, typer.Option("--prefix", help="NAME- before each id; writes every episode anew.")] = False,
     json: Json = False,
 ) -> None:
-    """Make one dataset of several; equal episodes count once, one id for two contents is refused."""
+    """Make one dataset of several; equal episodes count once, one id for two contents is refused.
+
+    A split is carried where all of them store one of its name that holds all their episodes. With --append the splits
+    that stand there stay as they are.
+    """
     from candata.datasets.merging import merge as join
     from candata.datasets.merging import merge_into
     from candata.errors import UsageError
+    from candata.loaders import carry_splits
 
     if append and prefix:
         raise UsageError("--prefix does not go with --append", fix="merge with --prefix to a new folder first")
     data = [console.opened(text) for text in datasets]
-    _made(out, merge_into(data, out) if append else join(data, out, prefix), json)
+    if not append:
+        _made(out, join(data, out, prefix, carry_splits(data, console.note, prefix)), json)
+        return
+    _made(out, merge_into(data, out), json)
+    _tell_uncovered(out)
+
+
+def _tell_uncovered(out: Path) -> None:
+    """Tell which splits do not hold the episodes that were added: a split never changes."""
+    from candata.datasets import open_dataset
+    from candata.loaders import load_split, split_names
+
+    made = open_dataset(out)
+    for name in split_names(made):
+        split = load_split(made, name)
+        outside = len(set(made.ids).difference(split.train, split.val, split.test))
+        if outside:
+            console.note(f"the split {name} stays as it was drawn: {outside} of {len(made)} episodes are in none of it")
 
 
 def relabel(
@@ -283,9 +307,10 @@ def relabel(
     where: Annotated[str | None, typer.Option("--where", metavar="EXPRESSION", help="As for filter.")] = None,
     json: Json = False,
 ) -> None:
-    """Make a dataset in which some episodes bear other labels; LABEL= takes one away."""
+    """Make a dataset in which some episodes bear other labels; LABEL= takes one away. Stored splits come along."""
     from candata.datasets.relabelling import relabel as write
     from candata.errors import UsageError
+    from candata.loaders import carry_splits
 
     labels: dict[str, str | None] = {}
     for text in setting:
@@ -293,7 +318,8 @@ def relabel(
         if not equals:
             raise UsageError("--set takes LABEL=VALUE", found=text)
         labels[name] = value or None
-    _made(out, write(console.opened(dataset), labels, where, out), json)
+    data = console.opened(dataset)
+    _made(out, write(data, labels, where, out, carry_splits([data], console.note)), json)
 
 
 def _made(out: Path, version: VersionFile, json: bool) -> None:

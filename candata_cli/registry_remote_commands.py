@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.registry_commands import ABOUT, Data, Json
+from candata_cli.registry_commands import ABOUT, Json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,6 +25,11 @@ Examples:
   candata registry remotes add own s3://bucket --endpoint http://minio:9000 --allow-http
 Credentials are read from AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY and never kept.
 """
+_LIST = """\b
+Examples:
+  candata registry remotes list
+  candata registry remotes list lab
+"""
 
 
 def register(app: typer.Typer) -> None:
@@ -34,12 +39,12 @@ def register(app: typer.Typer) -> None:
     group.command("pull", epilog="Example: candata registry pull lab day1@clean --out day1")(pull)
     remotes = console.group(group, "remotes", "Where datasets are pushed to: a shared folder or S3.")
     remotes.command("add", epilog=_ADD)(add)
-    remotes.command("list")(list_remotes)
-    remotes.command("remove")(remove)
+    remotes.command("list", epilog=_LIST)(list_remotes)
+    remotes.command("remove", epilog="Example: candata registry remotes remove lab")(remove)
 
 
 def push(
-    dataset: Data,
+    dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Name or folder; all its versions are sent.")],
     remote: Remote,
     name: Annotated[str | None, typer.Option(help="What it is called there; by default as it is named.")] = None,
     move_tags: Annotated[bool, typer.Option("--move-tags", help="Let tags of the remote name other versions.")] = False,
@@ -110,7 +115,8 @@ def add(
     endpoint: Annotated[str | None, typer.Option(metavar="URL", help="S3 store of one's own: http(s)://host.")] = None,
     region: Annotated[str | None, typer.Option(help="Region of the bucket.")] = None,
     path_style: Annotated[
-        bool | None, typer.Option("--path-style/--virtual-host", help="Bucket in the path or in the host's name.")
+        bool | None,
+        typer.Option("--path-style/--virtual-host", help="Bucket in the path (usual with --endpoint) or host."),
     ] = None,
     allow_http: Annotated[bool, typer.Option("--allow-http", help="Plain http, in a network you trust.")] = False,
     anonymous: Annotated[bool, typer.Option("--anonymous", help="Read a public bucket without credentials.")] = False,

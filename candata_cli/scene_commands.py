@@ -25,8 +25,8 @@ Example:
 def register(app: typer.Typer) -> None:
     """Add the group `scene` to the application."""
     group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
-    group.command("list")(list_)
-    group.command("show")(show)
+    group.command("list", epilog="Example: candata scene list")(list_)
+    group.command("show", epilog="Example: candata scene show cube_toss")(show)
     group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
     group.command("export", epilog=_EXPORT)(export)
     app.add_typer(group, name="scene")

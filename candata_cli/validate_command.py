@@ -122,14 +122,9 @@ def _print(episodes: int, findings: Sequence[Finding]) -> None:
 
 
 def _row(group: Group, episodes: int) -> tuple[str, ...]:
-    """Return the cells of a group: the first finding's words, how many episodes, and the first of them.
-
-    What concerns the set is said in full: each finding is of another element, and none stands for the others.
-    """
+    """Return the cells of a group: what was found, how many episodes, and the first of them."""
     names = group.episodes
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     where = f" [{', '.join(names[:NAMED])}{more}]" if names else ""
     count = f"{len(names)} of {episodes}" if names else "the set"
-    words = [one.message for one in group.findings if not names or one is group.findings[0]]
-    more_words = [text.removeprefix(f"{group.problem}: ") for text in words[1:]]
-    return group.level, group.rule, group.channel or "-", count, "; ".join([words[0], *more_words]) + where
+    return group.level, group.rule, group.channel or "-", count, group.text + where

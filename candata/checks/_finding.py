@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
@@ -15,6 +16,11 @@ Level = Literal["error", "warning", "info", "unknown"]
 LEVELS: tuple[Level, ...] = ("error", "warning", "info", "unknown")
 
 Evidence = float | int | str
+
+#: A number that is no part of a name.
+_NUMBER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?![\w]|\.\d)")
+#: Kinds of findings that differ in more than numbers, of which a line tells.
+_TOLD = 3
 
 
 @dataclass(frozen=True)
@@ -78,6 +84,29 @@ class Group:
     def episodes(self) -> tuple[str, ...]:
         """Episodes that show it, each once; empty where it is true of the set."""
         return tuple(dict.fromkeys(f.episode for f in self.findings if f.episode is not None))
+
+    @property
+    def text(self) -> str:
+        """What was found, in one line: numbers that differ between the findings as `least..largest`.
+
+        Findings that differ in more than numbers, such as in a joint's name, follow each other, the most frequent
+        first. What concerns the set is said in full.
+        """
+        alike: dict[tuple[str, ...], list[list[str]]] = {}
+        for one in self.findings:
+            pieces = _NUMBER.split(one.message)
+            alike.setdefault(tuple(pieces[::2]), []).append(pieces[1::2])
+        told = [_merged(words, numbers) for words, numbers in sorted(alike.items(), key=lambda kind: -len(kind[1]))]
+        listed = told[:_TOLD] if self.episodes else told
+        more = f"; {len(told) - len(listed)} more" if len(told) > len(listed) else ""
+        return "; ".join([listed[0], *(text.removeprefix(f"{self.problem}: ") for text in listed[1:])]) + more
+
+
+def _merged(words: Sequence[str], numbers: Sequence[Sequence[str]]) -> str:
+    """Return words with numbers between them, each as `least..largest` where it differs."""
+    columns = [sorted(set(column), key=float) for column in zip(*numbers, strict=True)]
+    ranges = [column[0] if len(column) == 1 else f"{column[0]}..{column[-1]}" for column in columns]
+    return "".join(text for pair in zip(words, [*ranges, ""], strict=True) for text in pair)
 
 
 def grouped(findings: Sequence[Finding]) -> tuple[Group, ...]:

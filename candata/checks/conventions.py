@@ -24,6 +24,8 @@ FACTOR, NEAR, MOST = 8.0, 0.4, 0.6
 OPPOSITE, ROWS = -0.7, 10
 #: Share of the simulated range that the recorded one must lie outside of, and the share when its sign is turned.
 OUTSIDE, INSIDE = 0.9, 0.5
+#: Names that a line tells.
+NAMED = 6
 REMEDY = "bring both to one convention: units and order in the map, force and action as declared there"
 
 
@@ -109,12 +111,22 @@ def _stated(sim: Sequence[_Manner], real: Sequence[_Manner]) -> Iterator[Finding
         if not first or not second or set(first) & set(second):
             continue
         a, b = first.most_common(1)[0][0], second.most_common(1)[0][0]
-        if set(a.split(", ")) == set(b.split(", ")):
-            detail = f"simulated {a}; recorded {b}"
+        mine, other = a.split(", "), b.split(", ")
+        if set(mine) == set(other):
+            places = [pair for pair in zip(mine, other, strict=False) if pair[0] != pair[1]]
+            detail = f"simulated {_some([one for one, _ in places])}; recorded {_some([one for _, one in places])}"
             yield _differ("warning", channel, f"{key} are in another order", detail, simulated=a, recorded=b)
         else:
-            detail = f"simulated {a}; recorded {b}"
+            sides = {"simulated": [n for n in mine if n not in other], "recorded": [n for n in other if n not in mine]}
+            detail = "; ".join(f"only {side} {_some(names)}" for side, names in sides.items() if names)
+            detail = f"simulated {a}; recorded {b}" if len(mine) == len(other) == 1 else detail
             yield _differ("info", channel, f"the sources state another {key}", detail, simulated=a, recorded=b)
+
+
+def _some(names: Sequence[str]) -> str:
+    """Return the first names, and how many more there are."""
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more
 
 
 def _scaled(sim: Sequence[_Manner], real: Sequence[_Manner]) -> Iterator[Finding]:

@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -22,9 +22,17 @@ from candata.schema.manifest import Lineage, PartEntry, VersionFile
 _CLOUD = re.compile(r'"point_cloud":"([^"]*)"')
 
 
+#: Takes a dataset that is whole but for what stands beside its parts, such as splits, and puts that there.
+Finish = Callable[[Path], None]
+
+
+def nothing_more(root: Path) -> None:
+    """Put nothing beside the parts."""
+
+
 @contextmanager
-def new_dataset(out: Path) -> Iterator[Path]:
-    """Give an empty dataset beside `out`, which becomes `out` once the block ends well, and else is removed.
+def new_dataset(out: Path, finish: Finish = nothing_more) -> Iterator[Path]:
+    """Give an empty dataset beside `out`, which becomes `out` once the block and `finish` end well; else it is removed.
 
     Raises
     ------
@@ -36,6 +44,7 @@ def new_dataset(out: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
         staged = create_dataset(Path(folder) / "dataset", name=out.resolve().name)
         yield staged
+        finish(staged)
         refuse_standing(out)
         staged.rename(out)
         durable.sync(out.parent)

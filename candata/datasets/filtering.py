@@ -9,15 +9,19 @@ from concurrent.futures import Future
 from concurrent.futures import TimeoutError as FutureTimeoutError
 from itertools import accumulate
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pyarrow as pa
 
 from candata.datasets import encode
 from candata.datasets.dataset import Dataset
-from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
+from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
 from candata.datasets.history import derived
 from candata.errors import DataError, MissingExtraError, UnknownNameError, UsageError, Where
 from candata.schema.manifest import VersionFile
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
 
 #: Columns an expression may name; `effects` is JSON text. The others tell how the tables lie.
 COLUMNS = tuple(name for name in encode.EPISODE_COLUMNS.names if name not in ("row_group", "meta"))
@@ -40,6 +44,12 @@ _GRACE_S = 1.0
 #: Longest expression [characters], and how many brackets may be open in it: deep nesting keeps the parser busy
 #: for minutes, where nothing can stop it.
 LIMIT_LENGTH, LIMIT_OPEN = 10_000, 50
+#: Words that tell another thing each time and that the catalog of functions does not list as doing so.
+_FLEETING = frozenset(
+    ("age", "current_catalog", "current_date", "current_localtime", "current_localtimestamp", "current_role",
+     "current_time", "current_timestamp", "current_user", "localtime", "localtimestamp", "sample", "session_user",
+     "tablesample", "user", "version")
+)  # fmt: skip
 
 
 def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
@@ -57,7 +67,8 @@ def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
     UnknownNameError
         When it names no column; lists them and the nearest.
     UsageError
-        When it is no single expression that is true or false of an episode, or takes longer than `LIMIT_S`.
+        When it is no single expression that is true or false of an episode, takes longer than `LIMIT_S`, or tells
+        another thing another time, as `random()` and `now()` do.
     MissingExtraError
         When duckdb is not installed.
     DataError
@@ -93,6 +104,7 @@ def select(catalog: pa.Table, where: str) -> tuple[str, ...]:
 
     try:
         where.encode()  # bytes of the command line that are no text come as lone surrogates
+        _require_lasting(database, where)
         return tuple(row[0] for row in _in_time(ask, database.interrupt, where))
     except (duckdb.Error, UnicodeError) as error:
         raise _wrong(where, str(error)) from None
@@ -107,6 +119,28 @@ def _require_short(where: str) -> None:
         raise UsageError(
             "the filter is nested too deep", expected=f"at most {LIMIT_OPEN} open brackets", found=str(deepest)
         )
+
+
+def _require_lasting(database: DuckDBPyConnection, where: str) -> None:
+    """Refuse what tells something else tomorrow: the same filter of the same version gives the same episodes."""
+    import duckdb
+
+    data, tokens = where.encode(), duckdb.tokenize(where)
+    ends = [*(at for at, _ in tokens[1:]), len(data)]
+    names = (duckdb.token_type.identifier, duckdb.token_type.keyword)
+    found = [data[at:end].decode() for (at, kind), end in zip(tokens, ends, strict=False) if kind in names]
+    words = {text.strip(' \t\n"').lower() for text in found}
+    words -= {*COLUMNS}
+    fleeting = words & _FLEETING
+    if words - fleeting:  # asking costs 15 ms
+        asked = "select function_name from duckdb_functions() where stability <> 'CONSISTENT' and function_name in ?"
+        fleeting |= {name for (name,) in database.execute(asked, [sorted(words)]).fetchall()}
+    if fleeting:
+        raise UsageError(
+            f"{', '.join(sorted(fleeting))}: the filter would give other episodes another time",
+            expected="columns compared with values", where=Where(path=f"filter {where}"),
+            fix="a part drawn by chance, the same each time: candata registry split DATASET NAME --seed 3",
+        )  # fmt: skip
 
 
 def _in_time(ask: Callable[[], list[tuple[str]]], interrupt: Callable[[], None], where: str) -> list[tuple[str]]:
@@ -154,7 +188,7 @@ def _wrong(where: str, said: str) -> UsageError:
     )
 
 
-def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
+def filter_dataset(dataset: Dataset, where: str, out: Path, finish: Finish = nothing_more) -> VersionFile:
     """Return the version of a new dataset `out` that holds the episodes for which an expression holds.
 
     Parts are shared with the dataset, not rewritten: what the expression leaves out of a part that is kept still
@@ -168,6 +202,8 @@ def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
         Expression, as for `matching`.
     out : Path
         Folder of the new dataset.
+    finish : callable
+        Takes the new dataset before it appears; `candata.loaders.carry_splits` makes one.
 
     Raises
     ------
@@ -183,7 +219,7 @@ def filter_dataset(dataset: Dataset, where: str, out: Path) -> VersionFile:
             where=Where(path=f"filter {where}"), fix="see what there is: candata inspect",
         )  # fmt: skip
     details = {"where": where, "episodes": len(kept), "of": len(dataset)}
-    with new_dataset(out) as root:
+    with new_dataset(out, finish) as root:
         entries, excluded = [], set()
         for part in dataset.raw_parts():
             held = {name for name, _ in part.manifest().episodes}

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from candata.datasets.adding import write_parts
 from candata.datasets.dataset import Dataset
-from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
+from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
 from candata.datasets.history import derived
 from candata.datasets.parts import RawPart, entry_of, write_part
 from candata.datasets.versions import advance, digest_of, index_of, members_of, newest, publish, read_dataset_file
@@ -20,7 +20,7 @@ _OPERATION = "merge"
 _LISTED = 10
 
 
-def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False) -> VersionFile:
+def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False, finish: Finish = nothing_more) -> VersionFile:
     """Return the version of a new dataset `out` that holds the episodes of all of `datasets`.
 
     Parts are shared with them, not rewritten. The lineage names all of them and keeps theirs.
@@ -33,6 +33,8 @@ def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False) -> Versi
         Folder of the new dataset.
     prefix : bool
         Put the dataset's name before each id, `NAME-ID`: every episode is written anew.
+    finish : callable
+        Takes the new dataset before it appears; `candata.loaders.carry_splits` makes one.
 
     Raises
     ------
@@ -45,9 +47,9 @@ def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False) -> Versi
         raise UsageError("nothing to merge", expected="two datasets or more", found=str(len(datasets)))
     lineage = derived(_OPERATION, datasets, {"prefix": True} if prefix else {})
     if prefix:
-        return _merge_prefixed(datasets, out, lineage)
+        return _merge_prefixed(datasets, out, lineage, finish)
     members = _members(datasets)
-    with new_dataset(out) as root:
+    with new_dataset(out, finish) as root:
         entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, members, root)}
         for dataset in datasets:
             link_clouds(dataset, root)
@@ -143,7 +145,7 @@ def _rewritten(dataset: Dataset, part: RawPart, names: list[str], root: Path) ->
     return entry_of(root, write_part(root, dataset.episodes(names), producer).id)
 
 
-def _merge_prefixed(datasets: Sequence[Dataset], out: Path, lineage: Lineage) -> VersionFile:
+def _merge_prefixed(datasets: Sequence[Dataset], out: Path, lineage: Lineage, finish: Finish) -> VersionFile:
     """Return the merged version whose ids begin with the dataset's name."""
     twice = [name for name, count in Counter(dataset.name for dataset in datasets).items() if count > 1]
     if twice:
@@ -152,7 +154,7 @@ def _merge_prefixed(datasets: Sequence[Dataset], out: Path, lineage: Lineage) ->
             expected="different names",
             fix="merge without --prefix",
         )
-    with new_dataset(out) as root:
+    with new_dataset(out, finish) as root:
         for dataset in datasets:
             link_clouds(dataset, root)
         return publish(root, write_parts(root, _prefixed(datasets), _OPERATION), lineage)

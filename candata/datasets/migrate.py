@@ -26,7 +26,7 @@ Step = Callable[[Path], None]
 STEPS: Mapping[int, Step] = {}
 
 #: What a dataset consists of; catalogs, caches and staging are made again.
-_KEPT = (DATASET, "parts", "objects", "versions", "tags")
+_KEPT = (DATASET, "parts", "objects", "versions", "splits", "tags")
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from candata.datasets.dataset import Dataset
-from candata.datasets.deriving import link_clouds, link_part, new_dataset, publish_first
+from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
 from candata.datasets.filtering import matching
 from candata.datasets.history import derived
 from candata.datasets.parts import entry_of, write_part
@@ -20,7 +20,9 @@ LABELS = ("object", "task", "outcome", "scene")
 _OPERATION = "relabel"
 
 
-def relabel(dataset: Dataset, labels: Mapping[str, str | None], where: str | None, out: Path) -> VersionFile:
+def relabel(
+    dataset: Dataset, labels: Mapping[str, str | None], where: str | None, out: Path, finish: Finish = nothing_more
+) -> VersionFile:
     """Return the version of a new dataset `out` in which some episodes bear other labels.
 
     Parts that hold one of them are written anew, the others are shared. The content hash covers the labels, so
@@ -36,6 +38,8 @@ def relabel(dataset: Dataset, labels: Mapping[str, str | None], where: str | Non
         Expression as for `matching`; by default all episodes.
     out : Path
         Folder of the new dataset.
+    finish : callable
+        Takes the new dataset before it appears; `candata.loaders.carry_splits` makes one.
 
     Raises
     ------
@@ -55,7 +59,7 @@ def relabel(dataset: Dataset, labels: Mapping[str, str | None], where: str | Non
     if not chosen:
         raise DataError("no episode is meant", found=f"0 of {len(dataset)}", where=Where(path=f"where {where}"))
     details = {"set": dict(labels), "where": where, "episodes": len(chosen)}
-    with new_dataset(out) as root:
+    with new_dataset(out, finish) as root:
         link_clouds(dataset, root)
         entries = list(_entries(dataset, labels, chosen, root))
         kept = {entry.id for entry in entries}

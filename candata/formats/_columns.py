@@ -17,6 +17,8 @@ from candata.errors import DataError, UsageError, Where
 
 Columns = dict[str, NDArray]
 
+#: Endings of the tables that can be read.
+TABLES = (".parquet", ".csv", ".npz")
 #: pyarrow infers a CSV column's type from its first block; the whole file is one block up to this size.
 _CSV_BLOCK_BYTES = 1 << 30
 
@@ -38,7 +40,7 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
     DataError
         When the file is missing or cannot be read, lacks a column, or has no rows.
     """
-    readers = {".parquet": _parquet, ".csv": _csv, ".npz": _npz}
+    readers = dict(zip(TABLES, (_parquet, _csv, _npz), strict=True))
     reader = readers.get(path.suffix.lower())
     if reader is None:
         raise UsageError(

@@ -24,9 +24,10 @@ def read_map_file(kind: type[R], path: Path) -> R:
     where = Where(path=str(path))
     try:
         value: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise UsageError("the map cannot be read", found=found, where=where) from None
+    except UnicodeDecodeError:
+        raise UsageError("the map is no text", expected="a YAML file", found="other bytes", where=where) from None
+    except OSError as error:
+        raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
     except (yaml.YAMLError, RecursionError) as error:
         raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
     return kind.parse(value, path)

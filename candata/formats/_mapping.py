@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from candata.errors import DataError, UnknownNameError, UsageError, Where
+from candata.formats._columns import TABLES
 from candata.formats._map_file import read_map_file
 from candata.schema.channels import CHANNELS, DENSE, QUATERNION
 from candata.schema.scene import TableMap
@@ -67,8 +68,19 @@ def read_map(path: Path) -> TableMap:
     Raises
     ------
     UsageError
-        When the file is missing, is no YAML, or a field is missing, unknown or wrong.
+        When the file is missing, is the table itself or no YAML, or a field is missing, unknown or wrong.
     """
+    if path.is_dir() or (path.is_file() and path.suffix.lower() in TABLES):
+        table = "TABLE.parquet" if path.is_dir() else path.name
+        raise UsageError(
+            "a table is imported by a map, which says what each column is",
+            expected="a map.yaml", found="a folder" if path.is_dir() else "the table itself",
+            where=Where(path=str(path)),
+            fix="write map.yaml beside the table, then: candata import table map.yaml --out recordings; such as\n\n"
+            f"file: {table}\nsource: real\nepisode: COLUMN        # names the episode; leave out for one\n"
+            "time_s: COLUMN\nrate_hz: 80\nchannels:              # quaternions w x y z\n"
+            "  object_pose: [px, py, pz, qw, qx, qy, qz]\n  joint_position: [q_1, q_2]\n  action: [a_1, a_2]",
+        )  # fmt: skip
     return read_map_file(TableMap, path)
 
 

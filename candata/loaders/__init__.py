@@ -2,6 +2,7 @@
 
 from candata.loaders.augmentation import Augmentation, augment
 from candata.loaders.cache import Cache, open_cache
+from candata.loaders.carrying import carry_splits
 from candata.loaders.feed import Windows, windows
 from candata.loaders.gather import Feed, Gather, batches
 from candata.loaders.increments import integrate
@@ -29,6 +30,7 @@ __all__ = [
     "as_tensors",
     "augment",
     "batches",
+    "carry_splits",
     "common_channels",
     "find_split",
     "integrate",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,12 @@ POINT_CLOUD = "point_cloud"
 
 #: Channels that windows hold only when asked for: the clock, and taxels, of which a row is a hundred times the rest.
 NOT_BY_DEFAULT = {"time_ns", "taxels"}
+
+#: Labels by which episodes are told apart in a message, and how many of them or of ids it names.
+_LABELS, _NAMED = ("source", "scene", "object", "task"), 5
+
+#: Longest expression that a message proposes [characters].
+_LONGEST = 1000
 
 #: Channel to its shape without the time axis.
 Shapes = dict[str, tuple[int, ...]]
@@ -85,12 +92,14 @@ def _common_shape(dataset: Dataset, layouts: list[tuple[list[str], Shapes]], nam
     lacking = [episode for ids, layout in layouts if name not in layout for episode in ids]
     if lacking:
         held = sorted(set.intersection(*(set(layout) for _, layout in layouts)))
+        some = f"{', '.join(sorted(lacking)[:_NAMED])}{', ...' * (len(lacking) > _NAMED)}"
+        common = ", ".join(n for n in held if not n.endswith(VALID_SUFFIX))
         raise DataError(
             f"the dataset lacks the channel {name}",
             expected=f"{name} in all {len(dataset)} episodes",
-            found=f"{len(lacking)} without it; all have {', '.join(n for n in held if not n.endswith(VALID_SUFFIX))}",
+            found=f"{len(lacking)} without it ({some}); all have {common}",
             where=Where(path=str(dataset.path), episode=lacking[0], channel=name),
-            fix=_remedy(name),
+            fix=_leave_out(dataset, frozenset(lacking)) + _remedy(name),
         )
     shapes = Counter({layout[name]: len(ids) for ids, layout in layouts})
     if len(shapes) > 1:
@@ -104,6 +113,34 @@ def _common_shape(dataset: Dataset, layouts: list[tuple[list[str], Shapes]], nam
             fix="keep one hand a dataset",
         )
     return next(iter(shapes))
+
+
+def _leave_out(dataset: Dataset, ids: frozenset[str]) -> str:
+    """Return the command that makes a dataset without some episodes, for a message; nothing where none is left."""
+    if len(ids) == len(dataset):
+        return ""
+    where = _without(dataset, ids)
+    if len(where) > _LONGEST:
+        return "leave them out by candata registry filter; or "
+    quoted = shlex.quote(where) if set(where) & set('"$`!\\') else f'"{where}"'
+    return f"leave them out: candata registry filter {shlex.quote(str(dataset.path))} {quoted} --out NEW; or "
+
+
+def _without(dataset: Dataset, ids: frozenset[str]) -> str:
+    """Return what `registry filter` takes to leave some episodes out: by a label that tells, or else by id."""
+    table = dataset.catalog(["id", *_LABELS])
+    gone = [name in ids for name in table["id"].to_pylist()]
+    for label in _LABELS:
+        values = list(zip(table[label].to_pylist(), gone, strict=True))
+        kept = {value for value, out in values if not out}
+        if None not in kept and not kept & {value for value, out in values if out} and len(kept) <= _NAMED:
+            return f"{label} in ({_quoted(kept)})"
+    return f"id not in ({_quoted(ids)})"
+
+
+def _quoted(values: Iterable[str]) -> str:
+    """Return texts as SQL writes them."""
+    return ", ".join("'" + value.replace("'", "''") + "'" for value in sorted(values))
 
 
 def _remedy(name: str) -> str:

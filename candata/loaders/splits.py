@@ -28,12 +28,13 @@ By = Literal["object", "scene", "task", "source"]
 class Split(Record):
     """`splits/NAME.json`: episode ids of each group, and how they were drawn.
 
-    `dataset` and `digest` name the version it was drawn from; `by` is the field whose values were kept together.
+    `dataset` and `digest` name the version it was drawn from, or with `+` those whose splits were joined; `by` is the
+    field whose values were kept together. `seed` is None where joined splits had several.
     """
 
     dataset: str
     digest: str
-    seed: int
+    seed: int | None
     by: By | None = None
     fractions: dict[str, float]
     train: tuple[str, ...]

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
+from textwrap import shorten
 
 from candata.checks import LEVELS, Finding, Group, Level, grouped, meanings
 from candata.datasets import Dataset
@@ -23,6 +24,8 @@ SAYS = {
 }
 #: Episodes of a group that are listed, and time ranges of one.
 LISTED, RANGES = 40, 4
+#: Longest piece of evidence on the page [characters]; --json has all.
+EVIDENCE = 100
 DASH = "\N{EN DASH}"
 STYLE = (
     "<style>.tag{display:inline-block;padding:0 8px;border-radius:9px;font-size:12px;font-weight:650;"
@@ -155,7 +158,9 @@ def _row(finding: Finding) -> str:
     """Return one finding: episode, words, times, numbers."""
     when = ", ".join(f"{a:.3g}{DASH}{b:.3g} s" if b > a else f"{a:.3g} s" for a, b in finding.ranges[:RANGES])
     when += f" and {len(finding.ranges) - RANGES} more" if len(finding.ranges) > RANGES else ""
-    numbers = ", ".join(f"{name} {value}" for name, value in finding.evidence.items())
+    numbers = ", ".join(
+        f"{name} {shorten(str(value), EVIDENCE, placeholder=' ...')}" for name, value in finding.evidence.items()
+    )
     cells = (finding.episode or "the set", finding.message, when or "throughout", numbers or DASH)
     return f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from candata.checks import check, defects, grouped, rule_names
+from candata.checks import Finding, View, check, defects, grouped, rule_names
+from candata.checks.conventions import RULE
 from candata.datasets import RawEpisode, append, create_dataset, open_dataset, put_cloud
 from candata.datasets.encode import hash_columns
 from candata.errors import UnknownNameError
@@ -164,6 +166,64 @@ def test_no_rule_trips_over_whatever_is_stored(raw):
         for finding in check(Dataset, rules=rules):
             assert finding.message
             json.dumps([dict(finding.evidence), finding.ranges], allow_nan=False)
+
+
+def told(*messages, episodes=True, problem="far"):
+    found = [
+        Finding("info", "r", m, f"e{i}" if episodes else None, "c", problem=problem) for i, m in enumerate(messages)
+    ]
+    (group,) = grouped(found)
+    return group.text
+
+
+def test_a_group_tells_the_range_of_its_numbers_over_all_episodes():
+    assert told("far: 84 m off, expected below 10 m", "far: 3.5 m off, expected below 10 m") == (
+        "far: 3.5..84 m off, expected below 10 m"
+    )
+    assert told("far: -2e-05 of 1.5", "far: -3 of 1.5") == "far: -3..-2e-05 of 1.5"
+    assert (
+        told("far: index1 by 2 (50%), v2.1.0", "far: index1 by 1 (7%), v2.1.0")
+        == "far: index1 by 1..2 (7..50%), v2.1.0"
+    )
+
+
+def test_a_group_tells_the_first_kinds_of_words_and_counts_the_others():
+    many = [f"far: {name} by {n}" for name, count in zip("abcde", (1, 2, 1, 1, 1), strict=True) for n in range(count)]
+    assert told(*many) == "far: b by 0..1; a by 0; c by 0; 2 more"
+    assert told(*many[:2], "far: c by 4", "far: d by 4", episodes=False) == "far: a by 0; b by 0; c by 4; d by 4"
+
+
+@pytest.mark.parametrize(
+    ("simulated", "recorded", "expected"),
+    [
+        (
+            [*"abcdef", "g", "h"],
+            [*"abcdef", "h", "g"],
+            "joint_names are in another order: simulated g, h; recorded h, g",
+        ),
+        (
+            [*"abc", *(f"s{i}" for i in range(9))],
+            [*"abc", "r"],
+            "the sources state another joint_names: only simulated s0, s1, s2, s3, s4, s5 and 3 more; only recorded r",
+        ),
+        ([*"ab"], [*"abc"], "the sources state another joint_names: only recorded c"),
+        (["a"], ["b"], "the sources state another joint_names: simulated a; recorded b"),
+    ],
+)
+def test_names_that_the_sources_share_are_not_told(episode, simulated, recorded, expected):
+    def stored(name, source, names):
+        base = episode(name, source=source, seed=ord(name))
+        raw = defects.stored(base)
+        meta = json.loads(raw.meta_json) | {"joint_names": names}
+        return replace(raw, meta_json=json.dumps(meta))
+
+    seen = [
+        RULE.gather(View(stored(name, source, names)))
+        for name, source, names in zip(
+            "wxyz", ["sim"] * 2 + ["real"] * 2, [simulated] * 2 + [recorded] * 2, strict=True
+        )
+    ]
+    assert expected in [finding.message for finding in RULE.judge(seen)]
 
 
 def test_a_hash_is_that_of_what_is_stored(episode, rng):

@@ -12,6 +12,7 @@ from candata.formats.table import read_mapped
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 from candata.schema.scene import TableMap
+from tests.formats.made_bags import read
 
 
 def source(name):
@@ -75,6 +76,16 @@ def test_bags_with_nan_and_with_other_quantities_in_their_positions_are_told(jud
     other[:, 2] = rng.normal(84, 0.3, 200)
     found = judged([bag("sound", hover), bag("nan", np.full((200, 7), np.nan)), bag("pitch", other)])
     assert {(f.rule, f.episode) for f in found} == {("finite", "nan"), ("pose_unit", "pitch")}
+
+
+def test_real_bags_with_other_quantities_in_their_positions_are_told(judged, shared, tmp_path):
+    """The height in the estimates of pitch2bag and roll2bag is near 84; flybag's holds metres."""
+    (tmp_path / "bags").symlink_to(shared / "realdata" / "crazyflie_vicon_mcap", target_is_directory=True)
+    mapping = {"rate_hz": 10, "channels": {"object_pose": {"topic": "/cf_logpos", "clock": "log"}}}
+    names = ("pitch2bag", "roll2bag", "flybag")
+    episodes = [one for name in names for one in read(tmp_path / "bags" / name, mapping, allow_gaps=True)]
+    found = judged(map(defects.stored, episodes))
+    assert {(f.rule, f.episode) for f in found} == {("pose_unit", "pitch2bag"), ("pose_unit", "roll2bag")}
 
 
 def test_a_quadrotor_that_rolls_in_its_rig_holds_no_swapped_quaternion(judged):

@@ -87,8 +87,33 @@ def test_what_a_version_leaves_out_is_not_counted(source, out, tmp_path, capsys)
     filter_dataset(open_dataset(out), "id = 'run-0'", tmp_path / "some")
     capsys.readouterr()
     assert run("import", "table", source(3), "--out", tmp_path / "some", "--append") == 0
-    assert capsys.readouterr().out == f"{tmp_path / 'some'}: 1 episodes added, 2 in version 2\n"
+    printed = capsys.readouterr()
+    assert printed.out == f"{tmp_path / 'some'}: 1 episodes added, 2 in version 2\n"
+    assert printed.err.startswith("1 episodes stay left out, as in the version before: run-1; to bring them back")
     assert open_dataset(tmp_path / "some").ids == ("run-0", "run-2")
+
+
+def test_what_the_note_says_brings_a_left_out_episode_back(source, out, tmp_path, capsys):
+    pytest.importorskip("duckdb")
+    run("import", "table", source(), "--out", out)
+    some, new = tmp_path / "some", tmp_path / "new"
+    filter_dataset(open_dataset(out), "id = 'run-0'", some)
+    run("import", "table", source(), "--out", some, "--append")
+    command = capsys.readouterr().err.partition("candata ")[2].replace("NEW", str(new)).split()
+    assert run("import", "table", source(), "--out", new) == 0
+    assert run(*command) == 0
+    assert open_dataset(some).ids == ("run-0", "run-1")
+
+
+def test_a_table_without_its_map_asks_for_one(source, out, capsys):
+    table = source().parent / "run.parquet"
+    assert run("import", "table", table, "--out", out) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("a table is imported by a map, which says what each column is\n  expected: a map.yaml")
+    assert "file: run.parquet" in told
+    assert "candata import table map.yaml --out recordings" in told
+    assert run("import", "table", table.parent, "--out", out) == 2
+    assert capsys.readouterr().err.startswith("a table is imported by a map")
 
 
 def test_appending_to_nothing_makes_it(source, out):

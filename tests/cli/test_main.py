@@ -48,6 +48,16 @@ def test_no_command_prints_help_with_an_example_session(capsys):
     assert "Exit codes: 0 fine" in text
 
 
+def test_every_command_shows_an_example_of_itself():
+    def leaves(command, path=("candata",)):
+        for name, one in getattr(command, "commands", {}).items():
+            yield from leaves(one, (*path, name)) if hasattr(one, "commands") else [(" ".join((*path, name)), one)]
+
+    told = dict(leaves(typer.main.get_command(entry.build())))
+    assert len(told) > 30
+    assert [words for words, one in told.items() if words not in (one.epilog or "")] == []
+
+
 def test_a_file_with_register_is_a_command(with_command, capsys):
     with_command(lambda: typer.echo("here"))
     assert exit_code("planted") == 0

@@ -203,6 +203,19 @@ def test_a_split_is_drawn_stored_and_the_same_wherever_it_is_drawn(day1, tmp_pat
     assert found["digest"] == split_digest(load_split(open_dataset(day1)))
 
 
+def test_splits_come_along_and_an_appended_one_stays(day1, tmp_path, episode):
+    pytest.importorskip("duckdb")
+    out("registry", "split", "first", "mine", "--seed", 3)
+    told = run("registry", "filter", "first", "id <> 'a'", "--out", "two").stderr
+    assert told.startswith("the split mine is carried: ")
+    assert "; empty now: " in told
+    assert run("registry", "merge", "first", "two", "--out", "both").stderr.startswith("the split mine is carried")
+    assert load_split(open_dataset("both"), "mine").train == load_split(open_dataset(day1), "mine").train
+    append(day1, [episode("d", seed=9)], Lineage(operation="more"))
+    result = run("registry", "merge", "first", "--out", "both", "--append")
+    assert result.stderr == "the split mine stays as it was drawn: 1 of 4 episodes are in none of it\n"
+
+
 @pytest.mark.parametrize(
     ("arguments", "error"),
     [

@@ -86,6 +86,8 @@ def test_steps_lead_from_format_to_format(old, tmp_path):
     say(old, -1)
     (old / "cache").mkdir()
     (old / "cache" / "x").write_text("made again")
+    (old / "splits").mkdir()
+    (old / "splits" / "mine.json").write_text("who trained")
     before, taken = tree(old), []
 
     def step(to):
@@ -101,6 +103,7 @@ def test_steps_lead_from_format_to_format(old, tmp_path):
     new = open_dataset(tmp_path / "deep" / "new")
     assert {e.meta.id: content_hash(e) for e in new} == PROMISED[1][1]
     assert not (new.path / "cache").exists()
+    assert (new.path / "splits" / "mine.json").read_text() == "who trained"
     assert [p.name for p in (tmp_path / "deep").iterdir()] == ["new"]
 
 

@@ -95,6 +95,32 @@ def test_an_expression_that_does_not_end_is_stopped(mixed, monkeypatch, where):
         matching(mixed, where)
 
 
+@pytest.mark.parametrize(
+    "where",
+    [
+        "random() < 0.5",
+        '"Random"() < 0.5',
+        "id = 'ä' or random() < 0.5",
+        "uuid()::varchar > id",
+        "now() > timestamp '2026-01-01'",
+        "current_date > date '2026-01-01'",
+        "CURRENT_TIMESTAMP is not null",
+        "localtime is not null",
+        "age(timestamp '2026-01-01') > interval 1 day",
+        "current_setting('threads') = '1'",
+        "rows > (select x from range(300) t(x) using sample 1)",
+    ],
+)
+def test_a_filter_that_would_choose_others_another_time_is_refused(mixed, where):
+    with pytest.raises(UsageError, match=r"other episodes another time.*\n.*columns compared"):
+        matching(mixed, where)
+
+
+def test_words_of_text_and_functions_of_columns_alone_are_no_chance(mixed):
+    where = "object <> 'random()' and lower(object) <> $$now()$$ and date_trunc('day', date '2026-01-01') is not null"
+    assert matching(mixed, where + " -- random()") == mixed.ids
+
+
 def test_a_filtered_dataset_shares_the_parts_and_is_a_whole_dataset(mixed, tmp_path):
     version = filter_dataset(mixed, "id in ('a', 'e')", tmp_path / "out")
     kept = open_dataset(tmp_path / "out")

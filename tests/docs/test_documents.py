@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
+import typer
 import yaml
 
 from candata import plugins
 from candata.schema import scene
 from candata.schema.report import Verdict
+from candata_cli.main import build
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("examples/**/*.md")])
@@ -84,6 +86,26 @@ def test_the_readme_tells_every_verdict():
 
 def test_the_readme_lists_every_effect():
     assert first_column("effect") == set(plugins.names("candata.effects"))
+
+
+def rows_of(heading: str) -> list[list[str]]:
+    """Return the cells of the table whose header starts with `heading`, row by row."""
+    table = README.split(f"\n| {heading} |", 1)[1].split("\n\n", 1)[0]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
+
+
+def test_the_readme_lists_every_format_and_what_it_does():
+    told = {name.strip("`"): (bool(read), bool(write), "--v21" in write) for name, read, write in rows_of("format")}
+    formats = [plugins.load("candata.formats", "FORMAT", name) for name in plugins.names("candata.formats")]
+    assert told == {f.name: (f.read is not None, f.write is not None, "v21" in f.variants) for f in formats}
+
+
+def test_the_readme_lists_every_command():
+    code = " ".join(re.findall(r"`([^`]*)`", " ".join(row[0] for row in rows_of("command"))))
+    app = typer.main.get_command(build())
+    assert [name for name in app.commands if not re.search(rf"\b{name}\b", code)] == []
+    (verbs,) = (row[1] for row in rows_of("command") if "registry VERB" in row[0])
+    assert set(verbs.strip("`").split()) == set(app.commands["registry"].commands)
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

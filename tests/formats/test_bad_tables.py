@@ -226,3 +226,8 @@ def test_a_map_with_numbers_for_columns(columns, write):
     path = write(columns)
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"time_s": 1}))
     assert refusal(path).startswith("map.yaml is not valid: time_s: ")
+
+
+def test_a_map_that_is_no_text_says_what_is_expected(tmp_path):
+    (tmp_path / "map.yaml").write_bytes(b"PAR1\xe8")
+    assert "is no text\n  expected: a YAML file" in refusal(tmp_path / "map.yaml")

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import shlex
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 from candata.datasets import Dataset, append, create_dataset, open_dataset, put_cloud
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.loaders import Windows, windows
 from candata.schema.manifest import Lineage
+from candata_cli.main import build
 
 CHANNELS = ("object_pose", "joint_position", "action", "fingertip_force", "contact")
 
@@ -219,3 +223,30 @@ def test_two_hands_in_one_dataset_are_refused(hand, store):
     with pytest.raises(DataError, match="differ in their joint names"):
         windows(dataset, 2, 2, stride=1)
     assert len(windows(dataset, 2, 2, stride=1, channels=["object_pose"]))
+
+
+@pytest.mark.parametrize(
+    ("labels", "where"),
+    [
+        ({"source": "real"}, "source in ('sim')"),
+        ({"object": "a $5 'cup'"}, "object in ('box')"),
+        ({}, "id not in ('r1', 'r2')"),
+    ],
+)
+def test_episodes_that_lack_a_channel_are_named_with_a_filter_that_leaves_them_out(
+    hand, store, tmp_path, monkeypatch, labels, where
+):
+    pytest.importorskip("duckdb")
+    with_pose = [hand(name, 12, offset=n, object="box", task=None if n else "lift") for n, name in enumerate("abc")]
+    without = [hand(f"r{n}", 12, arrays={"object_pose": None}, **{"object": "box"} | labels) for n in (1, 2)]
+    data = store(*with_pose, *without)
+    with pytest.raises(DataError) as caught:
+        windows(data, channels=["object_pose"])
+    assert "2 without it (r1, r2)" in str(caught.value)
+    command = str(caught.value).partition("candata ")[2].partition("; or import")[0]
+    assert where in command
+    monkeypatch.setenv("CANDATA_REGISTRY", str(tmp_path / "registry.json"))
+    words = shlex.split(command.replace("NEW", str(tmp_path / "new")))
+    assert CliRunner().invoke(build(), words).exit_code == 0
+    assert open_dataset(tmp_path / "new").ids == ("a", "b", "c")
+    assert len(windows(tmp_path / "new", channels=["object_pose"], history=2, horizon=2, rate_hz=80)) > 0
