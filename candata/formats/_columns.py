@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import zipfile
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from candata.errors import DataError, UsageError, Where
+from candata.errors import CandataError, DataError, UsageError, Where
 
 Columns = dict[str, NDArray]
 
@@ -50,7 +50,9 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
     require_file(path)
     try:
         columns = reader(path, list(dict.fromkeys(wanted)))
-    except (pa.ArrowException, OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+    except CandataError:
+        raise
+    except Exception as error:  # pyarrow, zipfile and zlib raise nearly everything, by where the damage lies
         raise DataError(
             "the table cannot be read",
             expected=f"a {path.suffix[1:]} file",
@@ -70,7 +72,7 @@ def require_file(path: Path) -> None:
     DataError
         Says how the map's `file` is read.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, also where the name is too long
         raise DataError(
             "the table does not exist",
             found="no such file",

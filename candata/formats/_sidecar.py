@@ -111,7 +111,10 @@ def parse_json(value: str | bytes, path: object) -> Any:
         When it is no JSON; says where.
     """
     try:
-        return json.loads(value)
+        found = json.loads(value)
+        if (b"\\ud" if isinstance(value, bytes) else "\\ud") in value.lower():  # type: ignore[operator]
+            json.dumps(found, ensure_ascii=False).encode()  # refuses halves of characters
+        return found
     except (ValueError, RecursionError) as error:
         raise DataError(
             "the file is no JSON", found=str(error)[:200], where=Where(path=str(path)), fix="restore it from a copy"
