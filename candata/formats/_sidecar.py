@@ -155,7 +155,8 @@ def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, N
     dtype = "bool" if flag else CHANNELS[name].dtype
     if not math.prod(shape):
         return np.zeros((rows, *shape), dtype)
-    return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
+    with np.errstate(over="ignore", invalid="ignore"):  # what does not fit has another hash
+        return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
 
 
 def _altered(found: str, where: Where, expected: str | None = None) -> DataError:
