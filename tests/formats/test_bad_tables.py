@@ -274,6 +274,12 @@ def test_a_rate_that_no_device_has(columns, write, rate_hz):
     assert refusal(write(columns, rate_hz=rate_hz)).startswith("map.yaml is not valid: rate_hz: ")
 
 
+def test_a_rate_too_long_to_be_shown(columns, write):
+    path = write(columns)
+    path.write_text(path.read_text().replace("rate_hz: 100", "rate_hz: 0x" + "f" * 10_000))
+    assert "  found: a long int\n" in refusal(path)
+
+
 def test_a_map_with_numbers_for_columns(columns, write):
     path = write(columns)
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"time_s": 1}))
