@@ -247,7 +247,7 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    shapes = _guarded(path, _shapes, data[names[0]], path)
+    shapes = _guarded(path, lambda: _shapes(data[names[0]], path))
     features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
     mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(features, path)
     made = picks(mapping, features, reading.mapping or path)

@@ -168,6 +168,15 @@ def test_values_of_other_files_are_refused(others, tmp_path, how):
         read(path)
 
 
+def test_a_demonstration_that_leads_nowhere_is_refused(others):
+    def edit(file):
+        del file["data/demo_0"]
+        file["data/demo_0"] = h5py.SoftLink("/nothing")
+
+    with pytest.raises(DataError, match="the HDF5 file cannot be read"):
+        read(others(edit))
+
+
 def test_a_picture_is_no_channel(others):
     def edit(file):
         del file["data/demo_0/obs/robot0_joint_pos"]
