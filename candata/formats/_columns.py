@@ -162,6 +162,13 @@ def _npz(path: Path, wanted: list[str]) -> Columns:
                 where=Where(path=str(path)),
                 fix="save each column as an array of its own",
             )
+        if values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
+            raise DataError(
+                f"array {name} is no column",
+                expected="numbers, texts, or times with their unit",
+                found=str(values.dtype),
+                where=Where(path=str(path)),
+            )
     return columns
 
 

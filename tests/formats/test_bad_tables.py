@@ -248,6 +248,14 @@ def test_a_single_array_is_no_npz(columns, write):
     assert "found: one array without a name" in refusal(path, DataError)
 
 
+@pytest.mark.parametrize("kind", ["c16", "M8", "i4,f8"])
+@pytest.mark.parametrize("name", ["px", "t", "episode"])
+def test_an_array_of_what_is_no_value(columns, write, name, kind):
+    columns[name] = np.zeros(6, kind)
+    text = refusal(write(columns, "npz"), DataError)
+    assert text.startswith(f"array {name} is no column\n  expected: numbers, texts, or times with their unit\n")
+
+
 def test_an_npz_with_objects_is_not_unpickled(columns, write):
     columns["px"] = np.array([object()] * 6)
     assert refusal(write(columns, "npz"), DataError).startswith("the table cannot be read\n")
