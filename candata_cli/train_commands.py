@@ -211,9 +211,10 @@ def _yaml(path: Path | None) -> dict[str, Any] | None:
     import yaml
 
     from candata.errors import UsageError, Where
+    from candata.schema.yaml_text import parse_yaml
 
     try:
-        found = yaml.safe_load(path.read_text())
+        found = parse_yaml(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise UsageError(
             "--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))

@@ -8,6 +8,7 @@ import yaml
 
 from candata.errors import UsageError, Where
 from candata.schema.effect import EffectsFile
+from candata.schema.yaml_text import parse_yaml
 
 
 def read_effects(path: Path) -> EffectsFile:
@@ -19,7 +20,7 @@ def read_effects(path: Path) -> EffectsFile:
         When it is missing, no YAML, or not valid.
     """
     try:
-        return EffectsFile.parse(yaml.safe_load(path.read_text()), path)
+        return EffectsFile.parse(parse_yaml(path.read_text()), path)
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "it is no text"
         raise UsageError(f"no effects file: {why}", where=Where(path=str(path))) from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import zipfile
+import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet
 from numpy.typing import NDArray
 
-from candata.errors import DataError, UsageError, Where
+from candata.errors import CandataError, DataError, UsageError, Where
 
 Columns = dict[str, NDArray]
 
@@ -52,7 +52,9 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
     require_file(path)
     try:
         columns = reader(path, list(dict.fromkeys(wanted)))
-    except (pa.ArrowException, OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
+    except CandataError:
+        raise
+    except Exception as error:  # pyarrow, zipfile and zlib raise nearly everything, by where the damage lies
         raise DataError(
             "the table cannot be read",
             expected=f"a {path.suffix[1:]} file",
@@ -72,7 +74,7 @@ def require_file(path: Path) -> None:
     DataError
         Says how the map's `file` is read.
     """
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file, also where the name is too long
         raise DataError(
             "the table does not exist",
             found="no such file",
@@ -161,6 +163,13 @@ def _npz(path: Path, wanted: list[str]) -> Columns:
                 found=f"shape {values.shape}",
                 where=Where(path=str(path)),
                 fix="save each column as an array of its own",
+            )
+        if values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
+            raise DataError(
+                f"array {name} is no column",
+                expected="numbers, texts, or times with their unit",
+                found=str(values.dtype),
+                where=Where(path=str(path)),
             )
     return columns
 

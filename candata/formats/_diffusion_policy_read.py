@@ -90,6 +90,9 @@ def find_buffer(source: Path) -> Path:
 
 def _arrays(root: Any, path: Path) -> dict[str, NDArray]:
     """Return every array of numbers in `data`, as `(N, n)`."""
+    odd = next((p for p in path.rglob("*") if not (p.is_dir() or p.is_file())), None)
+    if odd is not None:
+        raise DataError("the buffer holds what is no file", found=odd.name, where=Where(path=str(odd)))
     limit = _LARGEST_GAIN * sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) + _SLACK_BYTES
     made = {}
     for name, array in sorted(root["data"].arrays()):
@@ -106,7 +109,15 @@ def _arrays(root: Any, path: Path) -> dict[str, NDArray]:
 def _ends(root: Any, arrays: dict[str, NDArray], path: Path) -> list[int]:
     """Return where the episodes end; every array is as long as the last end."""
     found = root["meta"]["episode_ends"]
-    ends = [int(n) for n in np.asarray(found[:]).reshape(-1)] if found.size < 1 << 30 else []
+    rows = max(map(len, arrays.values()), default=0)
+    if found.size > rows:
+        raise DataError(
+            "episode_ends lists more episodes than there are rows",
+            expected=f"at most {rows}",
+            found=str(found.size),
+            where=Where(path=str(path)),
+        )
+    ends = [int(n) for n in np.asarray(found[:]).reshape(-1)]
     if not ends or ends[0] <= 0 or any(b <= a for a, b in itertools.pairwise(ends)):
         raise DataError("episode_ends does not rise", found=str(ends[:5]), where=Where(path=str(path)))
     odd = [f"{name}: {len(values)}" for name, values in arrays.items() if len(values) != ends[-1]]

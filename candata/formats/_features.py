@@ -22,6 +22,8 @@ from candata.units import TO_SI, to_si
 _XYZW = (0, 1, 2, 6, 3, 4, 5)
 #: Last words of a column's name that say what it holds and not which joint it belongs to.
 _ENDINGS = (".pos", ".vel", ".effort", ".torque")
+#: Columns that a channel may take of one feature; only pictures have more.
+_MOST_COLUMNS = 10_000
 
 
 @dataclass(frozen=True)
@@ -137,6 +139,11 @@ def _part(text: str, by_name: Mapping[str, Feature], where: Where) -> tuple[str,
     if name not in by_name:
         raise UnknownNameError("feature", name, by_name, where)
     feature = by_name[name]
+    if feature.width > _MOST_COLUMNS:
+        raise UsageError(
+            f"{name} is too wide for a channel", expected=f"at most {_MOST_COLUMNS} columns", found=str(feature.width),
+            where=where,
+        )  # fmt: skip
     if name == text or found is None:
         return name, tuple(range(feature.width))
     columns = [column for word in found.group(2).split(",") for column in _columns(word.strip(), feature, where)]

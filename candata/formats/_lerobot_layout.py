@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -131,10 +132,10 @@ def read_text(path: Path) -> str:
     DataError
         When it is missing or no text.
     """
+    if not path.is_file():
+        raise missing(path)
     try:
         return path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise missing(path) from None
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(path, error) from None
 
@@ -271,7 +272,7 @@ def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
                 f"{what} does not agree with the list of episodes", root / INFO, f"{found} as listed", str(claimed)
             )
     for file in dict.fromkeys(entry.file for entry in entries):
-        if not file.is_file():
+        if not os.path.isfile(file):  # unlike Path.is_file, also where the name is too long
             raise missing(file)
 
 

@@ -83,7 +83,8 @@ def _restored(folder: Folder, sidecar: ExportFile, path: Path) -> Iterator[Episo
             where=Where(path=str(path)),
             fix="remove meta/candata.json to import what is there by its names",
         )
-    keys = {one.column: one.key for one in sidecar.columns if one.key in folder.info.features}
+    known = {feature.name for feature in folder.features}
+    keys = {one.column: one.key for one in sidecar.columns if one.key in known}
     for entry, arrays in _arrays(folder, tuple(keys.values())):
         own = sidecar.episodes[entry.index]
         yield restored(own, {column: arrays[key] for column, key in keys.items()}, entry.file)

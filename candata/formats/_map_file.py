@@ -9,6 +9,7 @@ import yaml
 
 from candata.errors import UsageError, Where
 from candata.schema.record import Record
+from candata.schema.yaml_text import parse_yaml
 
 R = TypeVar("R", bound=Record)
 
@@ -23,11 +24,18 @@ def read_map_file(kind: type[R], path: Path) -> R:
     """
     where = Where(path=str(path))
     try:
-        value: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+        value: Any = parse_yaml(_text(path))
     except UnicodeDecodeError:
         raise UsageError("the map is no text", expected="a YAML file", found="other bytes", where=where) from None
     except OSError as error:
         raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
-    except (yaml.YAMLError, RecursionError) as error:
+    except yaml.YAMLError as error:
         raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
     return kind.parse(value, path)
+
+
+def _text(path: Path) -> str:
+    """Return the text of a map; a device or a pipe may never end."""
+    if path.exists() and not path.is_file():
+        raise OSError(0, "no regular file")
+    return path.read_text(encoding="utf-8")

@@ -18,6 +18,7 @@ from candata.formats._mcap_decode import decoded, decoder, type_name
 from candata.formats._mcap_fields import LATEST_NS, Extract
 from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
+from candata.schema.yaml_text import parse_yaml
 
 METADATA = "metadata.yaml"
 #: First bytes of other files that bags come in, what they are, and what to do.
@@ -124,10 +125,10 @@ def _listed(folder: Path) -> tuple[Path, ...]:
     """Return the files that a bag's `metadata.yaml` names."""
     path = folder / METADATA
     try:
-        value = yaml.safe_load(path.read_text(encoding="utf-8"))
+        value = parse_yaml(path.read_text(encoding="utf-8"))
         names = value["rosbag2_bagfile_information"]["relative_file_paths"]
         names = [Path(name).name for name in names]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, LookupError, TypeError, RecursionError, ValueError) as error:
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, LookupError, TypeError, ValueError) as error:
         raise DataError(
             "the bag's metadata.yaml cannot be read",
             expected="rosbag2_bagfile_information: relative_file_paths",
@@ -146,8 +147,9 @@ def _require_mcap(path: Path) -> None:
     try:
         with path.open("rb") as file:
             head = file.read(len(MAGIC))
-    except OSError as error:
-        raise DataError("the recording cannot be read", found=error.strerror, where=where) from None
+    except (OSError, ValueError) as error:
+        found = getattr(error, "strerror", None) or str(error)
+        raise DataError("the recording cannot be read", found=found, where=where) from None
     if head == MAGIC:
         return
     found, fix = next(((words, fix) for start, words, fix in _OTHERS if head.startswith(start)), (repr(head), None))

@@ -59,7 +59,9 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     """
     path = find_file(source)
     with _opened(path) as file:
+        _guarded(path, _refuse_outside, file, path)
         data = _guarded(path, lambda: file["data"])
+        _guarded(path, _refuse_outside, data, path)
         names = _guarded(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
@@ -151,7 +153,7 @@ def _export(data: Any, path: Path) -> ExportFile | None:
 def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _Demo:
     """Return a demonstration with the datasets that are wanted."""
     group = data[name]
-    shapes = _shapes(group)
+    shapes = _shapes(group, path)
     rows = _rows(group, shapes, name, path)
     value = group.attrs.get(SIDECAR)
     lacking = [key for key in wanted_names if key not in shapes]
@@ -166,10 +168,30 @@ def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _D
     return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
 
 
-def _shapes(group: Any) -> dict[str, tuple[int, ...]]:
+def _refuse_outside(group: Any, path: Path) -> None:
+    """Raise where a link or a dataset of a group takes its values from other files, which may be anyone's."""
+    import h5py
+
+    for key in group:
+        outside = isinstance(group.get(key, getlink=True), h5py.ExternalLink)
+        one = None if outside else group.get(key)
+        if outside or (isinstance(one, h5py.Dataset) and (one.external or one.is_virtual)):
+            raise DataError(
+                "the file takes values from other files",
+                expected="datasets that lie in the file itself",
+                found=f"{group.name.rstrip('/')}/{key}",
+                where=Where(path=str(path)),
+                fix="copy the datasets into one file first, with h5repack or h5py",
+            )
+
+
+def _shapes(group: Any, path: Path) -> dict[str, tuple[int, ...]]:
     """Return the shape of every dataset of numbers in a demonstration, by its path; two levels deep."""
     found = {}
+    _refuse_outside(group, path)
     for key, value in group.items():
+        if hasattr(value, "items"):
+            _refuse_outside(value, path)
         inner = {f"{key}/{name}": one for name, one in value.items()} if hasattr(value, "items") else {key: value}
         for name, one in inner.items():
             if hasattr(one, "shape") and one.ndim and one.dtype.kind in "fiub":
@@ -225,7 +247,7 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    shapes = _guarded(path, lambda: _shapes(data[names[0]]))
+    shapes = _guarded(path, lambda: _shapes(data[names[0]], path))
     features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
     mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(features, path)
     made = picks(mapping, features, reading.mapping or path)

@@ -111,7 +111,10 @@ def parse_json(value: str | bytes, path: object) -> Any:
         When it is no JSON; says where.
     """
     try:
-        return json.loads(value)
+        found = json.loads(value)
+        if (b"\\ud" if isinstance(value, bytes) else "\\ud") in value.lower():  # type: ignore[operator]
+            json.dumps(found, ensure_ascii=False).encode()  # refuses halves of characters
+        return found
     except (ValueError, RecursionError) as error:
         raise DataError(
             "the file is no JSON", found=str(error)[:200], where=Where(path=str(path)), fix="restore it from a copy"
@@ -152,7 +155,8 @@ def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, N
     dtype = "bool" if flag else CHANNELS[name].dtype
     if not math.prod(shape):
         return np.zeros((rows, *shape), dtype)
-    return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
+    with np.errstate(over="ignore", invalid="ignore"):  # what does not fit has another hash
+        return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
 
 
 def _altered(found: str, where: Where, expected: str | None = None) -> DataError:

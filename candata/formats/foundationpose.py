@@ -188,6 +188,8 @@ def _number(path: Path) -> int:
 def _bytes(path: Path) -> bytes:
     """Return a file's bytes."""
     try:
+        if path.exists() and not path.is_file():  # a device may never end
+            raise OSError(0, "no regular file")
         return path.read_bytes()
     except OSError as error:
         raise DataError("the frame cannot be read", found=error.strerror, where=Where(path=str(path))) from None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,8 @@ from candata.schema.scene import TableMap
 
 #: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
 _RATE_FACTOR = 300.0
+#: Beyond it a time in ns is no int64.
+_LATEST_NS = float(2**63)
 
 
 def read(source: Path, allow_gaps: bool = False) -> Iterator[Episode]:
@@ -136,6 +138,13 @@ def _groups(
         yield None, np.arange(total)
         return
     labels = columns[mapping.episode]
+    if labels.dtype.kind not in "biufMUSO" or any(not isinstance(label, Hashable) for label in labels):
+        raise DataError(
+            f"column {mapping.episode} does not name an episode",
+            expected="numbers or texts",
+            found=f"{labels[0]!r}"[:80],
+            where=Where(path=str(path)),
+        )
     missing = [k for k, v in enumerate(labels) if v is None or v != v] if labels.dtype.kind in "fO" else []
     if missing:
         raise DataError(
@@ -157,14 +166,17 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
     missing: NDArray[np.bool_]
     if values.dtype.kind == "M":
         missing = np.isnat(values)
-        time_ns = values.astype("datetime64[ns]").astype(np.int64)
+        stamps = values.astype("datetime64[ns]")
+        time_ns, far = stamps.astype(np.int64), ~missing & (stamps.astype(values.dtype) != values)
     elif values.dtype.kind in "iu":
-        missing = np.zeros(len(values), bool)
-        time_ns = values.astype(np.int64) * round(factor * 1e9)
+        missing, whole = np.zeros(len(values), bool), round(factor * 1e9)
+        far = np.abs(values.astype(np.float64)) * whole >= _LATEST_NS
+        time_ns = np.where(far, 0, values).astype(np.int64) * whole
     else:
         seconds = numbers(values, column, path) * factor
         missing = ~np.isfinite(seconds)
-        time_ns = np.rint(np.where(missing, 0.0, seconds) * 1e9).astype(np.int64)
+        far = ~missing & (np.abs(seconds) >= _LATEST_NS * 1e-9)
+        time_ns = np.rint(np.where(missing | far, 0.0, seconds) * 1e9).astype(np.int64)
     if missing.any():
         raise DataError(
             "time is missing",
@@ -172,6 +184,14 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
             found=f"{missing.sum()} rows without",
             where=Where(path=str(path), channel="time_ns", index=int(np.argmax(missing))),
             fix="drop the rows that have no time",
+        )
+    if far.any():
+        raise DataError(
+            "time lies further away than ns can say",
+            expected="within 292 years of zero",
+            found=str(values[far][0]),
+            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(far))),
+            fix=f"give the unit of the time column, such as units: {{{column}: ns}}",
         )
     return time_ns
 

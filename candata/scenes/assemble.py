@@ -17,6 +17,7 @@ from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.plugins import load, names
 from candata.scenes.contract import BuiltinScene
 from candata.schema.scene import SceneFile, Servo
+from candata.schema.yaml_text import parse_yaml
 
 LIBRARY = "candata.scenes.library"
 _FORCE, _FRAME, _TOUCH = "candata_force_", "candata_frame_", "candata_touch_"
@@ -198,7 +199,7 @@ def _from_file(path: Path) -> Scene:
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     try:
-        raw = yaml.safe_load(path.read_text())
+        raw = parse_yaml(path.read_text())
     except yaml.YAMLError as error:
         raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
     file = SceneFile.parse(raw, path)

@@ -7,7 +7,7 @@ from typing import Literal
 from candata.schema.episode import EpisodeMeta
 from candata.schema.manifest import Lineage
 from candata.schema.record import Record
-from candata.schema.scene import Positive
+from candata.schema.scene import Rate
 
 #: Version of the sidecar; a reader refuses one it does not know.
 SIDECAR_VERSION = 1
@@ -21,7 +21,7 @@ class FeatureMap(Record):
     unit a channel, or a list of one a column, where it is not SI.
     """
 
-    rate_hz: Positive | None = None
+    rate_hz: Rate | None = None
     scene: str | None = None
     object: str | None = None
     task: str | None = None

@@ -16,6 +16,14 @@ _BRIEF.maxlevel, _BRIEF.maxstring, _BRIEF.maxlong, _BRIEF.maxother = 3, 200, 200
 _BRIEF.maxdict = _BRIEF.maxlist = _BRIEF.maxtuple = 20
 
 
+def _brief(value: Any) -> str:
+    """Return the start of a value as text."""
+    try:
+        return _BRIEF.repr(value)[:200]
+    except ValueError:  # Python writes no number of thousands of digits
+        return f"a long {type(value).__name__}"
+
+
 class Record(BaseModel):
     """A frozen, validated value that refuses fields it does not know."""
 
@@ -37,7 +45,7 @@ class Record(BaseModel):
             field = ".".join(str(part) for part in first["loc"]) or "(whole file)"
             raise UsageError(
                 f"{Path(path).name} is not valid: {field}: {first['msg']}",
-                found=_BRIEF.repr(first.get("input"))[:200],
+                found=_brief(first.get("input")),
                 where=Where(path=str(path)),
                 fix=f"correct the field {field}",
             ) from None

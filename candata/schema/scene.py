@@ -9,6 +9,8 @@ from pydantic import Field
 from candata.schema.record import Record
 
 Positive = Annotated[float, Field(gt=0)]
+#: Rows a second; within it times in ns hold what a step says.
+Rate = Annotated[float, Field(gt=1e-6, lt=1e9)]
 NonNegative = Annotated[float, Field(ge=0)]
 
 
@@ -37,7 +39,7 @@ class SceneFile(Record):
     """`scene.yaml`: an MJCF or URDF and the roles of what is in it."""
 
     model: str
-    rate_hz: Positive
+    rate_hz: Rate
     object: str | None = None
     joints: tuple[str, ...] = ()
     actuators: tuple[str, ...] | dict[str, Servo] = ()
@@ -60,7 +62,7 @@ class TableMap(Record):
     source: Literal["real", "sim"] = "real"
     episode: str | None = None
     time_s: str
-    rate_hz: Positive
+    rate_hz: Rate
     scene: str | None = None
     object: str | None = None
     task: str | None = None

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag
 
 from candata.schema.record import Record
-from candata.schema.scene import Positive
+from candata.schema.scene import Positive, Rate
 
 #: `header`: the stamp in the message. `log`: when it was recorded. `publish`: when it was sent. `fitted`: the stamp in
 #: the message, moved onto the recorder's clock by a straight line through both.
@@ -70,7 +70,7 @@ class TopicMap(Record):
     topic, an entry, or a list of entries whose values stand side by side.
     """
 
-    rate_hz: Positive
+    rate_hz: Rate
     channels: dict[str, Annotated[_Topic | _Entry | Annotated[Entries, Tag("entries")], Discriminator(_form)]] = Field(
         min_length=1
     )
@@ -95,7 +95,7 @@ class FramesMap(Record):
     to world, 4 x 4 by rows; without it poses stay in the camera's frame.
     """
 
-    rate_hz: Positive
+    rate_hz: Rate
     camera_pose: Annotated[tuple[Row4, ...], Field(min_length=4, max_length=4)] | None = None
     stamps: Literal["s", "ms", "us", "ns"] | None = None
     source: Literal["real", "sim"] | None = None

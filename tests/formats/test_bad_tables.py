@@ -1,6 +1,10 @@
 """Every wrong map and table is refused with one message: what, expected, found, where, what to do."""
 
+import zipfile
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet
 import pytest
 import yaml
 
@@ -127,6 +131,21 @@ def test_time_missing_or_in_another_unit(columns, write):
     assert "units: {t: ms}" in text
 
 
+@pytest.mark.parametrize(
+    "stamps",
+    [
+        np.full(6, 1e300),
+        np.full(6, 2**62),
+        np.full(6, 2**64 - 1, np.uint64),
+        np.full(6, 2**40, "datetime64[s]"),
+    ],
+)
+def test_time_beyond_what_ns_can_say(columns, write, stamps):
+    columns["t"] = stamps
+    text = refusal(write(columns, "npz"), DataError)
+    assert text.startswith("time lies further away than ns can say\n  expected: within 292 years of zero\n")
+
+
 def test_quaternions_that_are_not_unit(columns, write):
     columns["qw"][4] = 0.5
     assert refusal(write(columns), DataError) == (
@@ -162,6 +181,27 @@ def test_an_episode_without_a_name(columns, write):
 def test_an_empty_table(columns, write, kind):
     text = refusal(write({k: v[:0] for k, v in columns.items()}, kind), DataError)
     assert text == f"the table is empty\n  expected: at least 1 row\n  where: run.{kind}"
+
+
+@pytest.mark.parametrize("label", [[1, 2], [], {"a": 1}])
+def test_an_episode_that_is_no_name(columns, write, label):
+    path = write(columns)
+    table = pa.table(columns | {"episode": pa.array([label] * 6)})
+    pa.parquet.write_table(table, path.parent / "run.parquet")
+    text = refusal(path, DataError)
+    assert text.startswith("column episode does not name an episode\n  expected: numbers or texts\n")
+
+
+def test_an_npz_whose_columns_are_damaged(columns, write):
+    path = write(columns, "npz")
+    file = path.parent / "run.npz"
+    np.savez_compressed(file, **columns)
+    with zipfile.ZipFile(file) as packed:
+        start = packed.getinfo("px.npy").header_offset + 30 + len("px.npy") + 20
+    raw = bytearray(file.read_bytes())
+    raw[start : start + 8] = b"\xff" * 8
+    file.write_bytes(raw)
+    assert refusal(path, DataError).startswith("the table cannot be read\n")
 
 
 def test_columns_of_different_length(columns, write):
@@ -208,6 +248,14 @@ def test_a_single_array_is_no_npz(columns, write):
     assert "found: one array without a name" in refusal(path, DataError)
 
 
+@pytest.mark.parametrize("kind", ["c16", "M8", "i4,f8"])
+@pytest.mark.parametrize("name", ["px", "t", "episode"])
+def test_an_array_of_what_is_no_value(columns, write, name, kind):
+    columns[name] = np.zeros(6, kind)
+    text = refusal(write(columns, "npz"), DataError)
+    assert text.startswith(f"array {name} is no column\n  expected: numbers, texts, or times with their unit\n")
+
+
 def test_an_npz_with_objects_is_not_unpickled(columns, write):
     columns["px"] = np.array([object()] * 6)
     assert refusal(write(columns, "npz"), DataError).startswith("the table cannot be read\n")
@@ -220,6 +268,24 @@ def test_a_file_that_is_not_there_or_of_another_kind(columns, write):
         digest(path)
     text = refusal(write(columns, file="run.xlsx"))
     assert text.startswith("unknown kind of table\n  expected: a file that ends in .parquet, .csv, .npz\n")
+
+
+def test_a_name_too_long_and_a_map_that_is_no_file(columns, write):
+    assert refusal(write(columns, file="x" * 5000 + ".csv"), DataError).startswith("the table does not exist\n")
+    folder = write(columns).parent / "folder"
+    folder.mkdir()
+    assert refusal(folder).startswith("the map cannot be read\n  found: no regular file\n")
+
+
+@pytest.mark.parametrize("rate_hz", [1e-300, 1e12, float("inf")])
+def test_a_rate_that_no_device_has(columns, write, rate_hz):
+    assert refusal(write(columns, rate_hz=rate_hz)).startswith("map.yaml is not valid: rate_hz: ")
+
+
+def test_a_rate_too_long_to_be_shown(columns, write):
+    path = write(columns)
+    path.write_text(path.read_text().replace("rate_hz: 100", "rate_hz: 0x" + "f" * 10_000))
+    assert "  found: a long int\n" in refusal(path)
 
 
 def test_a_map_with_numbers_for_columns(columns, write):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -80,6 +81,11 @@ def test_a_map_reads_buffers_of_others(others, mapped):
 def test_what_is_wrong_is_said(others, mapped, tmp_path):
     with pytest.raises(UsageError, match="--map FILE"):
         read(others())
+    with pytest.raises(DataError, match="more episodes than there are rows"):
+        read(others(range(1, 60)), mapping=mapped)
+    os.mkfifo(others() / "data" / "pipe")
+    with pytest.raises(DataError, match="holds what is no file"):
+        read(tmp_path / "pusht.zarr", mapping=mapped)
     for ends in [(), (0, 5), (5, 3)]:
         with pytest.raises(DataError, match="episode_ends does not rise"):
             read(others(ends), mapping=mapped)

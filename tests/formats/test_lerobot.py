@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -302,6 +303,34 @@ def test_an_export_without_its_sidecar_is_read_by_names(exported):
     for channel in wanted.arrays:
         assert np.array_equal(first[channel], wanted[channel])
     assert first.meta.joint_names == ("a", "b")
+
+
+def test_an_export_whose_numbers_are_called_texts_is_refused(tmp_path):
+    FORMAT.write([make_episode("e0")], tmp_path, Writing("set", "d" * 64))
+    path = tmp_path / "meta/info.json"
+    info = json.loads(path.read_text())
+    info["features"]["time_ns"]["dtype"] = "string"
+    path.write_text(json.dumps(info))
+    with pytest.raises(DataError, match="the data are not what was exported"):
+        read(tmp_path)
+
+
+def test_a_task_of_half_characters_is_refused(made):
+    root = made(version="v2.1")
+    path = root / "meta/episodes.jsonl"
+    path.write_text(path.read_text().replace("grasp it", "\\ud800"))
+    with pytest.raises(DataError, match="the file is no JSON"):
+        read(root)
+
+
+def test_a_path_too_long_and_an_info_that_is_no_file(made):
+    root = made(info={"data_path": "a" * 5000 + ".parquet"})
+    with pytest.raises(DataError, match="is missing"):
+        read(root)
+    (root / "meta/info.json").unlink()
+    os.mkfifo(root / "meta/info.json")
+    with pytest.raises(DataError, match=r"info\.json is missing"):
+        read(root)
 
 
 @settings(max_examples=25)

@@ -141,6 +141,51 @@ def test_a_dataset_larger_than_its_file_is_refused(others):
         read(others(edit))
 
 
+@pytest.mark.parametrize("how", ["link", "demo", "virtual", "external"])
+def test_values_of_other_files_are_refused(others, tmp_path, how):
+    with h5py.File(tmp_path / "secret.h5", "w") as file:
+        file["x"] = np.ones((5, 7))
+        file["demo/obs/robot0_joint_pos"] = np.ones((5, 7))
+    (tmp_path / "raw").write_bytes(bytes(5 * 7 * 8))
+
+    def edit(file):
+        name = "data/demo_2/obs/robot0_joint_pos"
+        del file["data/demo_2" if how == "demo" else name]
+        if how == "link":
+            file[name] = h5py.ExternalLink("../secret.h5", "/x")
+        elif how == "demo":
+            file["data/demo_2"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "/demo")
+        elif how == "virtual":
+            layout = h5py.VirtualLayout((5, 7), "f8")
+            layout[:] = h5py.VirtualSource(tmp_path / "secret.h5", "x", (5, 7))
+            file.create_virtual_dataset(name, layout)
+        else:
+            file.create_dataset(name, (5, 7), "f8", external=[(str(tmp_path / "raw"), 0, h5py.h5f.UNLIMITED)])
+
+    (tmp_path / "in").mkdir()
+    path = write_others(tmp_path / "in" / "lift.hdf5", edit)
+    with pytest.raises(DataError, match="the file takes values from other files"):
+        read(path)
+
+
+def test_a_demonstration_that_leads_nowhere_is_refused(others):
+    def edit(file):
+        del file["data/demo_0"]
+        file["data/demo_0"] = h5py.SoftLink("/nothing")
+
+    with pytest.raises(DataError, match="the HDF5 file cannot be read"):
+        read(others(edit))
+
+
+def test_a_picture_is_no_channel(others):
+    def edit(file):
+        del file["data/demo_0/obs/robot0_joint_pos"]
+        file["data/demo_0/obs/robot0_joint_pos"] = np.zeros((5, 100, 101), np.uint8)
+
+    with pytest.raises(UsageError, match="too wide for a channel"):
+        read(others(edit))
+
+
 def test_no_file_no_hdf5_and_two_files(tmp_path, others):
     with pytest.raises(DataError, match="no such file"):
         read(tmp_path / "none.hdf5")
