@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from candata.datasets import durable
+from candata.datasets.gc import collect_staging
 from candata.datasets.remotes import CHUNK_BYTES
 from candata.errors import SetupError, Where
 
@@ -86,6 +87,13 @@ class FolderStore:
             return durable.create_once(self._dataset(key), self._root / key, data)
         except OSError as error:
             raise self._failed(error, key) from None
+
+    def tidy(self, name: str) -> None:
+        """Remove what killed pushes of the dataset `name` left, once it is a week old."""
+        try:
+            collect_staging(self._root / name)
+        except OSError as error:
+            raise self._failed(error, name) from None
 
     def _dataset(self, key: str) -> Path:
         """Return the folder that holds everything of the key's dataset, and what is being written."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -326,3 +329,29 @@ def test_a_share_that_is_not_mounted(tmp_path):
 def test_a_file_address_is_a_folder(tmp_path):
     (tmp_path / "a b").mkdir()
     assert open_remote(RemoteEntry(url=(tmp_path / "a b").as_uri())).url == str(tmp_path / "a b")
+
+
+def test_what_killed_pushes_left_on_a_share_goes_once_it_is_old(rich, tmp_path):
+    share = tmp_path / "share"
+    for name, days in (("a" * 32, 8), ("b" * 32, 0)):
+        draft = share / "x" / "staging" / name
+        draft.mkdir(parents=True)
+        os.utime(draft, times=(time.time() - days * 86_400,) * 2)
+    push(rich, open_remote(RemoteEntry(url=str(share))), "x")
+    assert [path.name for path in (share / "x" / "staging").iterdir()] == ["b" * 32]
+
+
+def test_two_that_pull_into_one_folder_at_once_both_succeed(rich, store, tmp_path):
+    push(rich, store, "x")
+    read = store.read
+
+    def slow(key):
+        time.sleep(0.01)  # lets the two overlap
+        yield from read(key)
+
+    store.read = slow
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [pool.submit(pull, store, "x", tmp_path / "out") for _ in range(2)]
+        done = [job.result() for job in jobs]
+    assert sorted(one.objects > 0 for one in done) == [False, True]
+    assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
