@@ -355,3 +355,43 @@ def test_two_that_pull_into_one_folder_at_once_both_succeed(rich, store, tmp_pat
         done = [job.result() for job in jobs]
     assert sorted(one.objects > 0 for one in done) == [False, True]
     assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
+
+
+@pytest.mark.parametrize("left", ["nothing", "a mount point"])
+@pytest.mark.parametrize("moved", range(0, 12, 3))
+def test_a_share_that_goes_midway_is_said_and_never_made_anew(rich, tmp_path, left, moved):
+    share, away = tmp_path / "share", tmp_path / "away"
+    share.mkdir()
+
+    def goes(verb):
+        """A store whose share goes after so many calls of a verb."""
+        store = open_remote(RemoteEntry(url=str(share)))
+        real, calls, lock = getattr(store, verb), [0], threading.Lock()
+
+        def counted(*arguments):
+            with lock:
+                if calls[0] == moved:
+                    share.rename(away)
+                    if left == "a mount point":
+                        share.mkdir()
+                calls[0] += 1
+            return real(*arguments)
+
+        setattr(store, verb, counted)
+        return store
+
+    def back():
+        if share.exists():
+            share.rmdir()  # fails where anything was written to it
+        away.rename(share)
+
+    with pytest.raises(SetupError, match="the folder of the remote"):
+        push(rich, goes("write"), "x")
+    back()
+    whole = open_remote(RemoteEntry(url=str(share)))
+    push(rich, whole, "x")
+    with pytest.raises(SetupError, match="the folder of the remote has gone"):
+        pull(goes("read"), "x", tmp_path / "out")
+    back()
+    pull(whole, "x", tmp_path / "out")
+    assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
