@@ -35,10 +35,11 @@ def export(
     v21: Annotated[bool, typer.Option("--v21", help="lerobot: the layout of v2.1 instead of v3.0.")] = False,
 ) -> None:
     """Write a version of a dataset in a foreign format; what the format cannot hold is said."""
-    import tempfile
     from functools import partial
 
     from candata.datasets import get_cloud
+    from candata.datasets.drafts import draft_beside, place
+    from candata.datasets.durable import sync_tree
     from candata.errors import UnknownNameError, UsageError, Where
     from candata.formats import Writing
     from candata.plugins import load, names
@@ -53,14 +54,14 @@ def export(
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     data = console.opened(dataset, version)
     writing = Writing(
-        data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, dataset)
+        data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, data.path)
     )
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
-        staged = Path(folder) / "export"
+    with draft_beside(out) as folder:
+        staged = folder / "export"
         staged.mkdir()
         known[format_name].write(_Counted(data), staged, writing)
-        staged.rename(out)
+        sync_tree(staged)
+        place(staged, out)
     console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")
 
 

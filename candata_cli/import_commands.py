@@ -178,7 +178,7 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
         tools={"candata": __version__},
         details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
     )
-    _publish(out, reader.read(source, reading), lineage.operation, lambda: lineage, clouds=clouds)
+    _publish(out, append, reader.read(source, reading), lineage.operation, lambda: lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:
@@ -215,7 +215,7 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
             made.append((imported.digest, imported.details))
             yield imported.episode
 
-    _publish(out, episodes(), "import log", lineage, part_size=1)
+    _publish(out, append, episodes(), "import log", lineage, part_size=1)
 
 
 def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[Imported]:
@@ -270,7 +270,7 @@ def fetch(
         tools={"candata": __version__},
         details={"origin": source.origin, "licence": source.licence, "licence_text": fetched.notice},
     )
-    _publish(out, fetched.episodes, lineage.operation, lambda: lineage)
+    _publish(out, append, fetched.episodes, lineage.operation, lambda: lineage)
 
 
 def _refuse_standing(out: Path, append: bool) -> None:
@@ -287,6 +287,7 @@ def _refuse_standing(out: Path, append: bool) -> None:
 
 def _publish(
     out: Path,
+    append: bool,
     episodes: Iterable[Episode],
     operation: str,
     lineage: Callable[[], Lineage],
@@ -295,12 +296,12 @@ def _publish(
 ) -> None:
     """Write all episodes as one version and print what was added; a failure leaves no trace.
 
-    A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all. `lineage` and
-    `clouds` are asked once all episodes were read.
+    A new dataset is made beside `out` and renamed, so that `out` appears whole or not at all; one that another
+    process made meanwhile is added to only where that was asked for. `lineage` and `clouds` are asked once all
+    episodes were read.
     """
-    import tempfile
-
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
+    from candata.datasets.drafts import draft_beside, place
     from candata.datasets.versions import members_of, newest
 
     read: set[str] = set()
@@ -311,15 +312,15 @@ def _publish(
             put_cloud(root, points)
         return publish(root, parts, lineage())
 
-    standing = newest(out) if out.exists() else None
-    if out.exists():
+    adds = append and out.exists()
+    standing = newest(out) if adds else None
+    if adds:
         version = add(out)
     else:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
-            staged = create_dataset(Path(folder) / "dataset", name=out.resolve().name)
+        with draft_beside(out) as folder:
+            staged = create_dataset(folder / "dataset", name=out.resolve().name)
             version = add(staged)
-            staged.rename(out)
+            place(staged, out)
     total = len(members_of(out, version))
     added = total - (len(members_of(out, standing)) if standing else 0)
     _tell_left_out(out, read.intersection(version.exclusions))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +12,10 @@ from pathlib import Path
 from candata.datasets import durable
 from candata.datasets.clouds import cloud_path
 from candata.datasets.dataset import Dataset
+from candata.datasets.drafts import draft_beside, place, refuse_standing
 from candata.datasets.names import require_files, require_hash, require_part
 from candata.datasets.parts import MANIFEST, RawPart, entry_of, part_folder
 from candata.datasets.versions import advance, create_dataset, digest_of, index_of
-from candata.errors import UsageError, Where
 from candata.schema.manifest import Lineage, PartEntry, VersionFile
 
 _CLOUD = re.compile(r'"point_cloud":"([^"]*)"')
@@ -40,26 +39,11 @@ def new_dataset(out: Path, finish: Finish = nothing_more) -> Iterator[Path]:
         When `out` stands.
     """
     refuse_standing(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as folder:
-        staged = create_dataset(Path(folder) / "dataset", name=out.resolve().name)
+    with draft_beside(out) as folder:
+        staged = create_dataset(folder / "dataset", name=out.resolve().name)
         yield staged
         finish(staged)
-        refuse_standing(out)
-        staged.rename(out)
-        durable.sync(out.parent)
-
-
-def refuse_standing(out: Path) -> None:
-    """Refuse an output that stands.
-
-    Raises
-    ------
-    UsageError
-        When it does.
-    """
-    if out.exists() or out.is_symlink():
-        raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
+        place(staged, out)
 
 
 def link_part(part: RawPart, root: Path) -> PartEntry:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -19,6 +20,8 @@ from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.record import Record
 
 STAGING = "staging"
+#: Folder in it where a pull keeps whole files until their part is whole.
+PULLING = "pull"
 
 #: What file systems without hard links answer.
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS)
@@ -33,6 +36,12 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def sync_tree(folder: Path) -> None:
+    """Force a folder and all in it to the disk."""
+    for one in [*folder.rglob("*"), folder]:
+        sync(one)
 
 
 def ensure_folder(path: Path) -> Path:
@@ -64,6 +73,18 @@ def staged(root: Path) -> Iterator[Path]:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Wait until no other process is in this block for the same folder; where folders cannot be locked, go on."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)  # released by the system, even when the process is killed
+        yield
+    finally:
+        os.close(handle)
 
 
 @contextmanager

@@ -129,6 +129,13 @@ def collect_garbage(
     return Collection((*retired, *removed), tuple(waiting), notes)
 
 
+def collect_staging(root: Path, grace_s: float = GRACE_S) -> None:
+    """Remove what stopped writers left in `root/staging`, once it is older than the grace period [s]."""
+    found = list(_staging(root))
+    if found:
+        _collect(root, found, _clock(root) - grace_s, dry_run=False)
+
+
 def _collect(root: Path, found: list[Garbage], before: float, dry_run: bool) -> list[Garbage]:
     """Remove what has not changed since `before`; return what went."""
     return [one for one in found if _changed(root / one.path) < before and _remove(root, [one], dry_run, before)]
@@ -174,7 +181,7 @@ def _staging(root: Path) -> Iterator[Garbage]:
     """Yield what stopped writers left, in the dataset and in its cache."""
     for home in (root / durable.STAGING, root / "cache" / durable.STAGING):
         for path in _entries(home):
-            if _UUID.fullmatch(path.name) and _own_folder(path):
+            if (_UUID.fullmatch(path.name) or path.name == durable.PULLING) and _own_folder(path):
                 yield _garbage(root, "staging", path)
 
 

@@ -6,15 +6,14 @@ A format version changes when older code would misread what newer code writes. T
 
 from __future__ import annotations
 
-import os
 import shutil
-import uuid
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.dataset import open_dataset
+from candata.datasets.drafts import draft_beside, place, refuse_standing
 from candata.datasets.versions import DATASET, format_of, numbers, version_path
 from candata.errors import CandataError, DataError, UsageError, Where
 from candata.schema.manifest import FORMAT_VERSION
@@ -77,26 +76,20 @@ def migrate_dataset(
     if old == target:
         return Migration(old, target, False)
     _refuse(root, home, old, target, steps)
-    draft = home.parent / f".{home.name}-{uuid.uuid4().hex[:12]}"
-    try:
-        with durable.writing(home):
-            home.parent.mkdir(parents=True, exist_ok=True)
-            _copy(root, draft)
-            for version in range(old, target):
-                steps[version](draft)
-            _check(draft, root, target)
-            _sync(draft)
-            os.rename(draft, home)
-            durable.sync(home.parent)
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+    with durable.writing(home), draft_beside(home) as folder:
+        draft = folder / "dataset"
+        _copy(root, draft)
+        for version in range(old, target):
+            steps[version](draft)
+        _check(draft, root, target)
+        durable.sync_tree(draft)
+        place(draft, home)
     return Migration(old, target, True)
 
 
 def _refuse(root: Path, home: Path, old: int, target: int, steps: Mapping[int, Step]) -> None:
     """Refuse a target that exists or lies in the source, and a format from which no step leads on."""
-    if home.exists() or home.is_symlink():
-        raise UsageError("the folder exists already", where=Where(path=str(home)), fix="choose another --out")
+    refuse_standing(home)
     if home.resolve().is_relative_to(root.resolve()):
         raise UsageError("the new dataset would lie inside the old one", where=Where(path=str(home)))
     missing = next((version for version in range(old, target) if version not in steps), None)
@@ -134,9 +127,3 @@ def _check(draft: Path, root: Path, target: int) -> None:
         raise DataError("the migration failed", found=error.problem, where=Where(path=str(root))) from None
     if found != target or (numbers(root) and not version_path(draft, numbers(root)[-1]).is_file()):
         raise DataError("the migration failed", expected=f"format {target}", found=f"format {found}")
-
-
-def _sync(folder: Path) -> None:
-    """Force a whole tree to the disk."""
-    for one in [*folder.rglob("*"), folder]:
-        durable.sync(one)

@@ -121,6 +121,12 @@ def pull(store: Store, name: str, out: str | Path, version: int | str | None = N
     require_name("dataset", name)
     plan = plan_of(store, name, number_of(store, name, version))
     _prepare(root, store, name, plan)
+    with durable.alone(root):  # a second pull waits, and finds what the first has fetched
+        return _pull(store, name, root, plan, bar)
+
+
+def _pull(store: Store, name: str, root: Path, plan: Plan, bar: Bar) -> Pulled:
+    """Fetch what the folder lacks and publish the version."""
     files = _missing(root, plan)
     todo = [one for one in files if not _stands(one)]
     _require_room(root, sum(one.bytes for one in todo))
@@ -182,7 +188,7 @@ def _diverged(root: Path, there: VersionFile, here: VersionFile) -> DataError:
 
 def _waiting(root: Path) -> Path:
     """Return the folder where files wait until their part is whole; the same for each pull, so that it goes on."""
-    return root / durable.STAGING / "pull"
+    return root / durable.STAGING / durable.PULLING
 
 
 def _missing(root: Path, plan: Plan) -> list[_File]:

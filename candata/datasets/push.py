@@ -105,6 +105,7 @@ def push(path: str | Path, store: Store, name: str, bar: Bar = no_bar, move_tags
     wanted = _objects(root, versions.values(), records.values()) | _splits(root)
     present = store.sizes(f"{name}/objects")
     todo = [one for one in wanted.values() if present.get(one.sha256) != one.bytes]
+    store.tidy(name)
     _send(store, name, todo, bar)
     store.create(f"{name}/{DATASET}", head)
     for number, record in records.items():

@@ -107,6 +107,9 @@ class S3Store:
                 return False
         return True
 
+    def tidy(self, name: str) -> None:
+        """Do nothing: what is half sent cannot be seen on S3; the bucket's own rules end broken uploads."""
+
     @contextmanager
     def _told(self, key: str) -> Iterator[None]:
         """Turn what obstore raises into errors of ours, in one line; a missing file stays FileNotFoundError."""

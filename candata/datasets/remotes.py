@@ -74,6 +74,9 @@ class Store(Protocol):
     def create(self, key: str, data: bytes) -> bool:
         """Keep a file unless one stands; return whether this call made it."""
 
+    def tidy(self, name: str) -> None:
+        """Remove what killed pushes of the dataset `name` left and nobody can still be writing."""
+
 
 def open_remote(entry: RemoteEntry) -> Store:
     """Return the store behind a remote of the registry.

@@ -168,7 +168,7 @@ def find_version(root: Path, version: int | str | None) -> VersionFile:
     if not found:
         raise DataError(
             "empty dataset", expected="at least 1 version", where=Where(path=str(root / "versions")),
-            fix="add episodes: candata import, candata generate-sim",
+            fix="add episodes: candata import, candata generate-sim; what was stopped goes on when run again",
         )  # fmt: skip
     if version is None or version in found:
         return read_version(root, found[-1] if version is None else int(version))

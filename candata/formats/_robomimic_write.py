@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import json
+import os
 from collections.abc import Iterable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from candata.errors import MissingExtraError
+from candata.errors import MissingExtraError, SetupError, Where
 from candata.formats import Writing
 from candata.formats._packing import Survey, filled, survey
 from candata.formats._robomimic_read import SIDECAR
@@ -31,29 +34,40 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
         When the episodes differ in rate, or in number or names of joints, actuators or fingertips.
     MissingExtraError
         When h5py is not installed.
+    SetupError
+        When the disk is full.
     """
     try:
         import h5py
     except ImportError:
         raise MissingExtraError("h5py", "formats") from None
     found = survey(episodes)
-    # Attributes beyond 64 KB need the file format of HDF5 1.8.
-    with h5py.File(folder / FILE, "w", libver=("v108", "v108")) as file:
-        data = file.create_group("data")
-        data.attrs["total"] = found.rows
-        data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}, found.clouds))
-        masks: dict[str, list[str]] = {}
-        scenes: list[str] = []
-        for index, episode in enumerate(episodes):
-            name = f"demo_{index}"
-            _write_demo(data.create_group(name), episode, found)
-            masks.setdefault(episode.meta.source, []).append(name)
-            scenes.append(episode.meta.scene or "unknown")
-        for source, names in masks.items():
-            file.create_dataset(f"mask/{source}", data=np.array(names, dtype="S"))
-        data.attrs["env_args"] = _env_args(scenes, found)
+    with closing(_Sink(folder / FILE)) as sink:
+        try:
+            # Attributes beyond 64 KB need the file format of HDF5 1.8.
+            with h5py.File(sink, "w", libver=("v108", "v108")) as file:
+                _write_file(file.create_group("data"), episodes, found, writing, sink)
+        finally:
+            sink.require_whole()  # whatever HDF5 made of bytes that the disk has not taken
     for line in (*found.notes, *_limits(found)):
         writing.note(line)
+
+
+def _write_file(data: Any, episodes: Iterable[Episode], found: Survey, writing: Writing, sink: _Sink) -> None:
+    """Write all demonstrations, their masks, and what tells of them."""
+    data.attrs["total"] = found.rows
+    data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}, found.clouds))
+    masks: dict[str, list[str]] = {}
+    scenes: list[str] = []
+    for index, episode in enumerate(episodes):
+        name = f"demo_{index}"
+        _write_demo(data.create_group(name), episode, found)
+        masks.setdefault(episode.meta.source, []).append(name)
+        sink.require_whole()
+        scenes.append(episode.meta.scene or "unknown")
+    for source, names in masks.items():
+        data.file.create_dataset(f"mask/{source}", data=np.array(names, dtype="S"))
+    data.attrs["env_args"] = _env_args(scenes, found)
 
 
 def key_of(column: str) -> str:
@@ -86,3 +100,68 @@ def _limits(found: Survey) -> Iterable[str]:
     yield "left out: states, model_file and next_obs; train with hdf5_load_next_obs: false"
     if "action" not in found.columns:
         yield "the episodes have no action, and so the file has no `actions`"
+
+
+class _Sink(io.RawIOBase):
+    """A new file that never refuses a write of HDF5, which ends the process where one is; the refusal is kept.
+
+    What was not taken reads as zeros.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = path.open("xb+", buffering=0)
+        self._refused: OSError | None = None
+
+    def require_whole(self) -> None:
+        """Refuse to go on once the disk has not taken something.
+
+        Raises
+        ------
+        SetupError
+            When it has not.
+        """
+        if self._refused is not None:
+            raise SetupError(
+                "the file cannot be written", found=self._refused.strerror, where=Where(path=str(self._path)),
+                fix="free space, or choose another --out",
+            ) from None  # fmt: skip
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        """Move to a place."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._file.tell()
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill the buffer."""
+        view, count = memoryview(buffer).cast("B"), 0
+        while count < len(view) and (more := self._file.readinto(view[count:])):
+            count += more
+        view[count:] = bytes(len(view) - count)
+        return len(view)
+
+    def write(self, data: Any) -> int:
+        """Write all of the data, or keep why not."""
+        view, count = memoryview(data).cast("B"), 0
+        try:
+            while self._refused is None and count < len(view):
+                count += self._file.write(view[count:]) or 0
+        except OSError as error:
+            self._refused = error
+        return len(view)
+
+    def truncate(self, size: int | None = None) -> int:
+        """Give the file a size, or keep why not."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._refused = self._refused or error
+            return size or 0
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import resource
 
 import numpy as np
 import pytest
@@ -108,3 +109,26 @@ def test_a_damaged_export_imports_nothing(dataset, tmp_path, capsys):
     assert "Traceback" not in error
     assert sorted(p.name for p in tmp_path.iterdir()) == ["ds", "out"]
     assert path.read_bytes() == before
+
+
+def test_a_registered_name_exports_its_clouds_too(dataset, tmp_path, monkeypatch):
+    monkeypatch.setenv("CANDATA_REGISTRY", str(tmp_path / "registry.json"))
+    assert run("registry", "add", "named", dataset) == 0
+    assert run("export", "lerobot", "named", "--out", tmp_path / "out") == 0
+    assert json.loads((tmp_path / "out" / "meta" / "candata.json").read_text())["clouds"]
+
+
+@pytest.mark.parametrize("room", [0, 4096, 30_000])
+@pytest.mark.parametrize("format_name", ["lerobot", "robomimic", "diffusion_policy", "mcap"])
+def test_a_disk_that_is_full_is_one_error_and_leaves_nothing(format_name, room, dataset, tmp_path, capsys):
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+    try:
+        code = run("export", format_name, dataset, "--out", tmp_path / "full" / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    large = (tmp_path / "full" / "out").exists()
+    assert code == (0 if large else 3)
+    assert large or "File too large" in capsys.readouterr().err
+    assert list((tmp_path / "full").iterdir()) == ([tmp_path / "full" / "out"] if large else [])
+    assert room or not large

@@ -8,8 +8,9 @@ import pyarrow.parquet
 import pytest
 import yaml
 
-from candata.datasets import open_dataset
+from candata.datasets import create_dataset, open_dataset
 from candata.datasets.filtering import filter_dataset
+from candata_cli import import_commands
 from candata_cli import main as entry
 
 POSE = ["px", "py", "pz", "qw", "qx", "qy", "qz"]
@@ -207,3 +208,13 @@ def test_the_cube_tosses(shared, out, capsys):
     assert dataset.lineage[0].details["licence_text"].startswith("BSD 3-Clause License")
     assert run("fetch", "cube_tosses", "--from", folder, "--out", out, "--append") == 0
     assert open_dataset(out).version == 1
+
+
+def test_a_dataset_made_meanwhile_is_not_added_to(source, out, capsys, monkeypatch):
+    def late(path, append):
+        create_dataset(path)  # another import, after the check and before the end of ours
+
+    monkeypatch.setattr(import_commands, "_refuse_standing", late)
+    assert run("import", "table", source(), "--out", out) == 2
+    assert "the output exists already" in capsys.readouterr().err
+    assert not (out / "versions").exists()

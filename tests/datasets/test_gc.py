@@ -243,3 +243,11 @@ def test_a_folder_that_cannot_be_written(root, monkeypatch):
         collect_garbage(root, keep=1)
     with pytest.raises(UsageError, match="not a dataset"):
         collect_garbage(root / "parts")
+
+
+def test_what_a_stopped_pull_left_goes_once_it_is_old(root):
+    (root / "staging" / "pull").mkdir(parents=True)
+    (root / "staging" / "pull" / "half").write_text("half")
+    assert collect_garbage(root).removed == ()
+    age(root)
+    assert [one.path for one in collect_garbage(root).removed] == ["staging/pull"]

@@ -162,3 +162,10 @@ def test_an_empty_dataset_migrates_too(tmp_path):
     say(root, 0)
     assert migrate_dataset(root, tmp_path / "new", steps={0: lambda draft: say(draft, 1)}).done
     assert format_of(tmp_path / "new") == 1
+
+
+def test_splits_and_tags_come_along(rich, tmp_path):
+    say(rich, 0)
+    migrate_dataset(rich, tmp_path / "new", steps={0: lambda draft: say(draft, 1)})
+    for name in ("splits", "tags"):
+        assert tree(tmp_path / "new" / name) == tree(rich / name) != {}

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -326,3 +329,69 @@ def test_a_share_that_is_not_mounted(tmp_path):
 def test_a_file_address_is_a_folder(tmp_path):
     (tmp_path / "a b").mkdir()
     assert open_remote(RemoteEntry(url=(tmp_path / "a b").as_uri())).url == str(tmp_path / "a b")
+
+
+def test_what_killed_pushes_left_on_a_share_goes_once_it_is_old(rich, tmp_path):
+    share = tmp_path / "share"
+    for name, days in (("a" * 32, 8), ("b" * 32, 0)):
+        draft = share / "x" / "staging" / name
+        draft.mkdir(parents=True)
+        os.utime(draft, times=(time.time() - days * 86_400,) * 2)
+    push(rich, open_remote(RemoteEntry(url=str(share))), "x")
+    assert [path.name for path in (share / "x" / "staging").iterdir()] == ["b" * 32]
+
+
+def test_two_that_pull_into_one_folder_at_once_both_succeed(rich, store, tmp_path):
+    push(rich, store, "x")
+    read = store.read
+
+    def slow(key):
+        time.sleep(0.01)  # lets the two overlap
+        yield from read(key)
+
+    store.read = slow
+    with ThreadPoolExecutor(2) as pool:
+        jobs = [pool.submit(pull, store, "x", tmp_path / "out") for _ in range(2)]
+        done = [job.result() for job in jobs]
+    assert sorted(one.objects > 0 for one in done) == [False, True]
+    assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
+
+
+@pytest.mark.parametrize("left", ["nothing", "a mount point"])
+@pytest.mark.parametrize("moved", range(0, 12, 3))
+def test_a_share_that_goes_midway_is_said_and_never_made_anew(rich, tmp_path, left, moved):
+    share, away = tmp_path / "share", tmp_path / "away"
+    share.mkdir()
+
+    def goes(verb):
+        """A store whose share goes after so many calls of a verb."""
+        store = open_remote(RemoteEntry(url=str(share)))
+        real, calls, lock = getattr(store, verb), [0], threading.Lock()
+
+        def counted(*arguments):
+            with lock:
+                if calls[0] == moved:
+                    share.rename(away)
+                    if left == "a mount point":
+                        share.mkdir()
+                calls[0] += 1
+            return real(*arguments)
+
+        setattr(store, verb, counted)
+        return store
+
+    def back():
+        if share.exists():
+            share.rmdir()  # fails where anything was written to it
+        away.rename(share)
+
+    with pytest.raises(SetupError, match="the folder of the remote"):
+        push(rich, goes("write"), "x")
+    back()
+    whole = open_remote(RemoteEntry(url=str(share)))
+    push(rich, whole, "x")
+    with pytest.raises(SetupError, match="the folder of the remote has gone"):
+        pull(goes("read"), "x", tmp_path / "out")
+    back()
+    pull(whole, "x", tmp_path / "out")
+    assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
