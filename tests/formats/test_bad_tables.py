@@ -272,9 +272,9 @@ def test_a_file_that_is_not_there_or_of_another_kind(columns, write):
 
 def test_a_name_too_long_and_a_map_that_is_no_file(columns, write):
     assert refusal(write(columns, file="x" * 5000 + ".csv"), DataError).startswith("the table does not exist\n")
-    folder = write(columns).parent / "folder"
-    folder.mkdir()
-    assert refusal(folder).startswith("the map cannot be read\n  found: no regular file\n")
+    pipe = write(columns).parent / "pipe.yaml"
+    os.mkfifo(pipe)
+    assert refusal(pipe).startswith("the map cannot be read\n  found: no regular file\n")
 
 
 @pytest.mark.parametrize("rate_hz", [1e-300, 1e12, float("inf")])
