@@ -1,5 +1,6 @@
 """Every wrong map and table is refused with one message: what, expected, found, where, what to do."""
 
+import os
 import zipfile
 
 import numpy as np
