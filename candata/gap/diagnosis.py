@@ -235,7 +235,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         ranges(named, f.scene),
     )
     stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
-    files = [EffectsFile(scene=_lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
+    files = [EffectsFile(scene=lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
     return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
 
 
@@ -251,7 +251,7 @@ def _rest(
     return describe(problem, repaired, left, nearest, rng)
 
 
-def _lasting(name: str) -> str:
+def lasting(name: str) -> str:
     """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
     return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
 
