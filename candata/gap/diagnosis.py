@@ -25,7 +25,7 @@ from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
-from candata.gap.recordings import Recordings, recordings
+from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
@@ -130,7 +130,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     progress("reading")
     replayer = Replayer(scene, jobs)
-    everything = checked(replayer, recordings(scene, dataset.episodes()))
+    everything = checked(replayer, read(scene, dataset))
     if len(everything) < FEWEST or not everything.moving:
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
