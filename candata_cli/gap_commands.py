@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -39,6 +40,8 @@ Baselines: lowest_error (smallest training error), bic, one_se (forward and one 
 commonest (the same answer always), oracle (told the cause). Not among them: mujoco.sysid with everything free,
 which needs the packages of mujoco[sysid] and a parameter written for each effect.
 """
+#: Results whose pace tells the time left.
+LATEST = 21
 RAY = (
     "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT. "
     "--out must be on a folder that all its machines share."
@@ -82,7 +85,7 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    from candata.gap.blind.cases import CASES, LABELS, make_cases, seal_labels
+    from candata.gap.blind.cases import CASES, LABELS, make_cases, missing_cases, seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
@@ -99,7 +102,7 @@ def bench(
         sealed = seal_labels(
             out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
         )  # fmt: skip
-        with console.progress("making cases", len(sealed.labels)) as advance:
+        with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
             make_cases(
                 out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, crew=crew,
                 told=lambda _name: advance(1),
@@ -157,14 +160,15 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
     from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import Place, run_cases
+    from candata.gap.blind.running import Place, known, run_cases
     from candata.gap.blind.scoring import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
 
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
-    with _countdown(len(places)) as told:
+    standing = known(run.out)
+    with _countdown(sum(p.sealed not in standing for p in places)) as told:
         results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told)
     labels = open_labels(cases, read_labels(run.labels))
     several = sum(len(labels[path.name].effects) > 1 for path in cases)
@@ -243,13 +247,18 @@ def _fitness(fit: Fitness) -> list[str]:
 
 @contextmanager
 def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
-    """Yield what hears of each result and says on stderr how many are done and the time left."""
-    begun, done = time.monotonic(), 0
+    """Yield what hears of each new result and says on stderr how many are done and the time left.
+
+    The pace is that of the latest results: the first fill the cache and take longer.
+    """
+    stamps, done = deque([time.monotonic()], maxlen=LATEST), 0
 
     def told(result: CaseResult) -> None:
         nonlocal done
         done += 1
-        left = (time.monotonic() - begun) / done * (total - done) / 60
-        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left:.0f} min left")
+        stamps.append(time.monotonic())
+        pace_s = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
+        left = console.duration(pace_s * (total - done))
+        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left} left")
 
     yield told

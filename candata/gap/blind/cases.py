@@ -100,6 +100,11 @@ def read_labels(path: Path) -> LabelsFile:
     return LabelsFile.parse(_json(path), path)
 
 
+def missing_cases(out: Path, sealed: LabelsFile) -> dict[str, str]:
+    """Return the labels of the cases that are not yet made, by the case's name."""
+    return {n: t for n, t in sealed.labels.items() if not (out / CASES / n / CASE).exists()}
+
+
 def make_cases(
     out: Path, scene: str, sealed: LabelsFile, *, seed: int, episodes: int, duration_s: float,
     crew: Crew = alone, told: Told = lambda name: None,
@@ -109,7 +114,7 @@ def make_cases(
     All cases share their commands; noise and hidden world are each case's own.
     """
     folder, world = (out / CASES).resolve(), lasting(scene)
-    missing = {n: t for n, t in sealed.labels.items() if not (out / CASES / n / CASE).exists()}
+    missing = missing_cases(out, sealed)
     tasks = [
         (str(folder / name), world, text, commitment(text, sealed.salt), seed, episodes, duration_s)
         for name, text in missing.items()

@@ -71,7 +71,7 @@ def run_cases(
         Hears of each new result.
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
-    standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
+    standing = known(out, method)
     # Processes share the work of filling the cache: what a diagnosis costs without it, one alone can tell.
     fresh = not standing and crew is alone and not cache.exists()
     tasks = [(*p.anywhere, seed, method, fresh, judge, str(cache)) for p in cases if p.sealed not in standing]
@@ -87,6 +87,11 @@ def run_cases(
         standing[result.sealed] = result
         told(result)
     return [standing[p.sealed] for p in cases]
+
+
+def known(out: Path, method: str = "candata") -> dict[str, CaseResult]:
+    """Return the results that stand in a folder, by the hash of the case's label."""
+    return {r.sealed: r for r in finished(out / RESULTS, CaseResult) if r.method == method}
 
 
 def spread(
