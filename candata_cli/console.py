@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,8 @@ import typer
 if TYPE_CHECKING:
     from candata.datasets import Dataset
 
+#: Seconds between lines of progress where stderr is no terminal.
+EVERY_S = 30.0
 GAP = "Check the diagnosis itself, and what it found."
 
 
@@ -72,9 +75,18 @@ def note(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def duration(seconds: float) -> str:
+    """Return a length of time as a reader would say it: seconds up to two minutes, minutes up to two hours, hours."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+
+
 @contextmanager
 def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
-    """Show a bar on stderr and yield `advance(steps)`; where stderr is no terminal, one line at the end.
+    """Show a bar with the time left on stderr and yield `advance(steps)`.
+
+    Where stderr is no terminal, a line says the same every half minute, and one at the end how many are done.
 
     Parameters
     ----------
@@ -84,7 +96,19 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
         Number of steps.
     """
     if not sys.stderr.isatty():
-        yield lambda _steps: None
+        begun = told_s = time.monotonic()
+        done = 0
+
+        def advance(steps: int) -> None:
+            nonlocal told_s, done
+            done += steps
+            now = time.monotonic()
+            if 0 < done < total and now - told_s >= EVERY_S:
+                told_s = now
+                left = duration((now - begun) / done * (total - done))
+                note(f"{label}: {done} of {total}, about {left} left")
+
+        yield advance
         note(f"{label}: {total} done")
         return
     from rich.console import Console

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -14,6 +15,7 @@ import typer
 from candata_cli import console
 
 if TYPE_CHECKING:
+    from candata.gap.blind.crew import Crew
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
     from candata.gap.blind.sanity import Fitness
@@ -27,12 +29,23 @@ Examples:
   candata gap bench --out out/small --kinds one,null --counts one=40,null=10 --jobs 2
   candata gap bench --out out/mine --scene my/scene.yaml --episodes 12
   candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
+  candata gap bench --out /shared/bench --ray auto
+
+\b
+On a Ray cluster (pip install "candata[cluster]", the same candata on every machine) cases are made and diagnosed
+as tasks of one core each; --out must be a folder that all its machines see at the same path.
 
 \b
 Baselines: lowest_error (smallest training error), bic, one_se (forward and one standard error, no floor),
 commonest (the same answer always), oracle (told the cause). Not among them: mujoco.sysid with everything free,
 which needs the packages of mujoco[sysid] and a parameter written for each effect.
 """
+#: Results whose pace tells the time left.
+LATEST = 21
+RAY = (
+    "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT. "
+    "--out must be on a folder that all its machines share."
+)
 SCORE_EXAMPLE = """\b
 Example: candata gap score cases --labels sealed.json --out out/score
 
@@ -64,6 +77,7 @@ def bench(
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
@@ -71,7 +85,7 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    from candata.gap.blind.cases import CASES, LABELS, make_cases, seal_labels
+    from candata.gap.blind.cases import CASES, LABELS, make_cases, missing_cases, seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
@@ -84,16 +98,17 @@ def bench(
             console.note(line)
         return fit.live
 
-    sealed = seal_labels(
-        out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
-    )  # fmt: skip
-    with console.progress("making cases", len(sealed.labels)) as advance:
-        make_cases(
-            out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, jobs=jobs,
-            told=lambda _name: advance(1),
+    with _crew(jobs, ray, out) as crew:
+        sealed = seal_labels(
+            out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
         )  # fmt: skip
-    run = _Run(out, out / CASES, out / LABELS, jobs, seed, None, beside, baseline_cases)
-    _diagnose_and_score(run, json)
+        with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+            make_cases(
+                out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, crew=crew,
+                told=lambda _name: advance(1),
+            )  # fmt: skip
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases)
+        _diagnose_and_score(run, json)
 
 
 def score(
@@ -105,11 +120,26 @@ def score(
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+    ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
-    run = _Run(out, cases, labels, jobs, seed, scene, _known(baselines, BASELINES, "baseline"), baseline_cases)
-    _diagnose_and_score(run, json)
+    beside = _known(baselines, BASELINES, "baseline")
+    with _crew(jobs, ray, out) as crew:
+        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases), json)
+
+
+@contextmanager
+def _crew(jobs: int, ray: str | None, out: Path) -> Iterator[Crew]:
+    """Yield who does the work: processes of this machine, or a Ray cluster."""
+    from candata.gap.blind.cluster import on_ray
+    from candata.gap.blind.crew import local
+
+    if ray is None:
+        yield local(jobs)
+        return
+    with on_ray(ray, out.resolve(), jobs) as crew:
+        yield crew
 
 
 @dataclass(frozen=True)
@@ -119,7 +149,7 @@ class _Run:
     out: Path
     cases: Path
     labels: Path
-    jobs: int
+    crew: Crew
     seed: int
     scene: str | None
     baselines: list[str]
@@ -130,19 +160,20 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
     from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import Place, run_cases
+    from candata.gap.blind.running import Place, known, run_cases
     from candata.gap.blind.scoring import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
 
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
-    with _countdown(len(places)) as told:
-        results = run_cases(run.out, places, jobs=run.jobs, seed=run.seed, told=told)
+    standing = known(run.out)
+    with _countdown(sum(p.sealed not in standing for p in places)) as told:
+        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told)
     labels = open_labels(cases, read_labels(run.labels))
     several = sum(len(labels[path.name].effects) > 1 for path in cases)
     with console.progress("weighing true causes", several) as advance:
-        shares = measure_shares(run.out, places, labels, jobs=run.jobs, told=advance)
+        shares = measure_shares(run.out, places, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
     found = score_run(outcomes, scene=places[0].scene, cases=len(places))
     if run.baselines:
@@ -161,7 +192,7 @@ def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[Be
     labels = {o.label.case: o.label for o in outcomes}
     with console.progress("baselines", count) as advance:
         found = run_baselines(
-            run.out, places[:count], labels, run.baselines, jobs=run.jobs, seed=run.seed, told=advance
+            run.out, places[:count], labels, run.baselines, crew=run.crew, seed=run.seed, told=advance
         )  # fmt: skip
     scores = [score_run(some, scene=places[0].scene, cases=count)]
     for method, results in found.items():
@@ -216,13 +247,18 @@ def _fitness(fit: Fitness) -> list[str]:
 
 @contextmanager
 def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
-    """Yield what hears of each result and says on stderr how many are done and the time left."""
-    begun, done = time.monotonic(), 0
+    """Yield what hears of each new result and says on stderr how many are done and the time left.
+
+    The pace is that of the latest results: the first fill the cache and take longer.
+    """
+    stamps, done = deque([time.monotonic()], maxlen=LATEST), 0
 
     def told(result: CaseResult) -> None:
         nonlocal done
         done += 1
-        left = (time.monotonic() - begun) / done * (total - done) / 60
-        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left:.0f} min left")
+        stamps.append(time.monotonic())
+        pace_s = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
+        left = console.duration(pace_s * (total - done))
+        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left} left")
 
     yield told

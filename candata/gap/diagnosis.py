@@ -25,7 +25,7 @@ from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
-from candata.gap.recordings import Recordings, recordings
+from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
@@ -130,7 +130,7 @@ def diagnose(
     rng = np.random.default_rng(seed)
     progress("reading")
     replayer = Replayer(scene, jobs)
-    everything = checked(replayer, recordings(scene, dataset.episodes()))
+    everything = checked(replayer, read(scene, dataset))
     if len(everything) < FEWEST or not everything.moving:
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
@@ -235,7 +235,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         ranges(named, f.scene),
     )
     stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
-    files = [EffectsFile(scene=_lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
+    files = [EffectsFile(scene=lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
     return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
 
 
@@ -251,7 +251,7 @@ def _rest(
     return describe(problem, repaired, left, nearest, rng)
 
 
-def _lasting(name: str) -> str:
+def lasting(name: str) -> str:
     """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
     return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
 from candata.gap.floor import REPLICAS, floor
-from candata.gap.recordings import Recordings, recordings
+from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual
 from candata.gap.score import Score, score
@@ -24,7 +24,8 @@ from candata.schema.report import EditTest
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
-#: Null replays of each episode where there are more than `MANY`: their mean needs fewer of each.
+#: Null replays of each episode where there are more than `MANY`, which are simulated in blocks of at most as many:
+#: the mean of many needs fewer of each.
 FEW_REPLICAS, MANY = 4, 64
 #: Share of what closed in the diagnosis that must close again: what `explained` asks of a whole gap.
 KEPT = EXPLAINED
@@ -60,7 +61,18 @@ class Replayed:
 def replayed(
     replayer: Replayer, recs: Recordings, world: EffectSet, rng: np.random.Generator, replicas: int
 ) -> Replayed:
-    """Return recordings replayed in the nominal scene and in the one with `world` added, measured in its floors."""
+    """Return recordings replayed in the nominal scene and in the one with `world` added, measured in its floors.
+
+    No more than `MANY` episodes are simulated at a time: a simulation takes twenty times the memory of its recording.
+    """
+    blocks = np.array_split(np.arange(len(recs)), -(-len(recs) // MANY))
+    return _joined([_replayed(replayer, recs.take(block), world, rng, replicas) for block in blocks], recs)
+
+
+def _replayed(
+    replayer: Replayer, recs: Recordings, world: EffectSet, rng: np.random.Generator, replicas: int
+) -> Replayed:
+    """Return one block of recordings replayed without and with `world`."""
     begin = starts(replayer.scene, recs)
     before, after = replay_all(replayer, recs, begin, [(), world])
     plan = layout(replayer.scene, recs, begin, before)
@@ -68,6 +80,32 @@ def replayed(
     level = score(raw, floor(replayer, recs, begin, plan, rng, replicas, world), plan)
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     return Replayed(recs, begin, plan, level, before, after, sizes[0], sizes[1])
+
+
+def _joined(blocks: Sequence[Replayed], recs: Recordings) -> Replayed:
+    """Return blocks as one."""
+    first = blocks[0]
+
+    def joined(parts: Iterable[NDArray], axis: int = 0) -> NDArray:
+        return np.concatenate(list(parts), axis=axis)
+
+    return Replayed(
+        recs,
+        Starts(**{f.name: joined(getattr(b.begin, f.name) for b in blocks) for f in fields(Starts)}),
+        replace(first.plan, phase=joined(b.plan.phase for b in blocks)),
+        Score(
+            sigma=joined(b.score.sigma for b in blocks),
+            mask=joined(b.score.mask for b in blocks),
+            null=joined((b.score.null for b in blocks), 1),
+            floor=joined(b.score.floor for b in blocks),
+            null_loss=joined((b.score.null_loss for b in blocks), 1),
+            group=first.score.group,
+        ),
+        {n: joined(b.before[n] for b in blocks) for n in first.before},
+        {n: joined(b.after[n] for b in blocks) for n in first.after},
+        joined(b.size_before for b in blocks),
+        joined(b.size_after for b in blocks),
+    )
 
 
 def edit_test(
@@ -132,7 +170,7 @@ def readable(dataset: Dataset, scene: Scene) -> Recordings:
             found=str(len(dataset)),
             where=Where(path=str(dataset.path)),
         )
-    return recordings(scene, dataset.episodes())
+    return read(scene, dataset)
 
 
 def _judged(found: Replayed, dataset: str, scene: str, reference: float, rng: np.random.Generator) -> EditTest:

@@ -13,7 +13,7 @@ from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
 from candata.schema.bench import BenchFile
 from candata.schema.report import DataUsed, EpisodeCount, Report
-from candata_cli import gap_commands
+from candata_cli import console, gap_commands
 from candata_cli import main as entry
 
 SMALL = ("--scene", "cube_toss", "--episodes", 2, "--duration-s", 0.4, "--jobs", 1)
@@ -49,7 +49,9 @@ def test_a_run_prints_the_table_and_the_misses_and_writes_both(bench):
     assert bench.code == 0
     assert bench.out.startswith("cube_toss: 3 of 3 cases, 2 missed\n")
     assert [line.split()[-1] for line in bench.out.splitlines()[3:5]] == ["MISSED", "MISSED"]
-    assert "about 0 min left" in bench.err
+    told = [line for line in bench.err.splitlines() if " left" in line]
+    assert [line.split(":")[0] for line in told] == ["1 of 3", "2 of 3", "3 of 3"]
+    assert told[-1].endswith("; about 0 s left")
     found = BenchFile.model_validate_json((bench.folder / "bench.json").read_text())
     assert {m.truth for m in found.misses} == {"sliding_friction", "pose_bias"}
     assert (bench.folder / "bench.html").is_file()
@@ -59,6 +61,26 @@ def test_a_second_run_diagnoses_nothing_again_and_says_the_same(bench, quiet):
     again = run("gap", "bench", "--out", bench.folder, *SMALL, *FEW)
     assert again.out == bench.out
     assert "CPU s; about" not in again.err
+
+
+def test_a_run_that_goes_on_counts_what_is_left(bench, quiet):
+    log = bench.folder / "results.jsonl"
+    log.write_text(log.read_text().split("\n")[0] + "\n")
+    again = run("gap", "bench", "--out", bench.folder, *SMALL, *FEW)
+    assert "making cases: 0 done" in again.err
+    assert [line.split(":")[0] for line in again.err.splitlines() if " left" in line] == ["1 of 2", "2 of 2"]
+
+
+def test_where_no_terminal_is_a_line_now_and_then_tells_the_time_left(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
+    with console.progress("cases", 100) as advance:
+        for _ in range(100):
+            now[0] += 10.0
+            advance(1)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[:2] == ["cases: 3 of 100, about 16 min left", "cases: 6 of 100, about 16 min left"]
+    assert lines[-2:] == ["cases: 99 of 100, about 10 s left", "cases: 100 done"]
 
 
 def test_cases_can_be_scored_elsewhere(bench, quiet, tmp_path):

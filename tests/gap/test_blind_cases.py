@@ -37,7 +37,7 @@ def run(tmp_path_factory, cube):
     """A small run with its cases made."""
     out = tmp_path_factory.mktemp("blind")
     sealed = seal_labels(out, cube, COUNTS, salt=SALT, **SMALL)
-    make_cases(out, SCENE, sealed, jobs=1, **SMALL)
+    make_cases(out, SCENE, sealed, **SMALL)
     return out
 
 
@@ -92,7 +92,7 @@ def test_the_labels_open_and_one_that_was_changed_does_not(run):
 def test_the_same_command_takes_what_stands_and_another_is_refused(run, cube):
     before = (run / LABELS).read_text()
     again = seal_labels(run, cube, COUNTS, **SMALL)
-    assert make_cases(run, SCENE, again, jobs=1, told=lambda name: pytest.fail("made again"), **SMALL)
+    assert make_cases(run, SCENE, again, told=lambda name: pytest.fail("made again"), **SMALL)
     assert (run / LABELS).read_text() == before
     with pytest.raises(UsageError, match="asked for something else") as caught:
         seal_labels(run, cube, COUNTS | {"one": 3}, **SMALL)
@@ -109,7 +109,7 @@ def test_a_case_whose_making_was_cut_short_is_made_anew(tmp_path, cube):
     sealed = seal_labels(tmp_path, cube, {"null": 1}, **SMALL)
     (tmp_path / CASES / ".case-0001").mkdir(parents=True)
     (tmp_path / CASES / ".case-0001" / "rest").write_text("")
-    (path,) = make_cases(tmp_path, SCENE, sealed, jobs=1, **SMALL)
+    (path,) = make_cases(tmp_path, SCENE, sealed, **SMALL)
     assert len(open_dataset(path)) == 2
     assert not (path / "rest").exists()
 

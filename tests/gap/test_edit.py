@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from candata.errors import DataError, UnknownNameError, UsageError
+from candata.gap import edit, floor, replay
 from candata.gap.edit import KEPT, edit_test
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
 from candata.schema.effect import EffectSetting
+from candata.simulate import rollout
 
 #: The damping planted in the real arm [N m s/rad], large beside the modelled 0.05.
 TRUE = 0.4
@@ -65,6 +70,25 @@ def test_without_a_gap_there_is_nothing_to_keep(arm, arm_episodes, as_dataset):
 
 def test_it_does_not_depend_on_the_number_of_threads(arm, other, kept):
     assert edit_test(other, arm, damping(TRUE), reference=0.97, jobs=2) == kept
+
+
+@pytest.mark.parametrize("count", [9, 13])
+def test_however_many_episodes_few_are_simulated_at_a_time(arm, arm_episodes, monkeypatch, count):
+    recs, worlds = recordings(arm, arm_episodes(damping(TRUE), count=count, rows=ROWS)), []
+    args = Replayer(arm), recs, damping(TRUE)
+    whole = edit.replayed(*args, np.random.default_rng(1), 2)
+    monkeypatch.setattr(edit, "MANY", 4)
+    for module in (replay, floor):
+        monkeypatch.setattr(module, "rollout", lambda *a, **k: (worlds.append(len(a[1])), rollout(*a, **k))[1])
+    found = edit.replayed(*args, np.random.default_rng(1), 2)
+    # A block of at most four episodes: with and without the effect, or two nulls of each.
+    assert max(worlds) <= 8
+    assert found.recs is recs
+    for name, values in whole.after.items():
+        np.testing.assert_array_equal(found.after[name], values)
+    assert found.score.null.shape == whole.score.null.shape
+    # The floors are of other noise: two nulls of an episode tell its spread to about a third.
+    np.testing.assert_allclose(found.size_before, whole.size_before, rtol=0.6)
 
 
 def test_what_does_not_fit_is_refused(arm, cube, other, arm_episodes, as_dataset):

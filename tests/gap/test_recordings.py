@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap.recordings import recordings
+from candata.gap import recordings as module
+from candata.gap.recordings import read, recordings
 from candata.schema.episode import Episode, EpisodeMeta
 
 
@@ -242,3 +243,14 @@ def test_a_channel_without_valid_rows_was_not_recorded(hand):
         "object_pose_valid": np.zeros(4, bool),
     }
     assert set(recordings(hand, [episode(4, arrays=arrays, **names)]).readings) == {"joint_position"}
+
+
+def test_of_a_large_dataset_no_more_than_so_many_episodes_are_read_and_that_is_said(arm, as_dataset, monkeypatch):
+    dataset = as_dataset([episode(id=f"e{i}") for i in range(9)])
+    assert (len(read(arm, dataset)), read(arm, dataset).notes) == (9, ())
+    monkeypatch.setattr(module, "READ", 4)
+    found = read(arm, dataset)
+    assert len(found) == 4
+    assert set(found.ids) < set(dataset.ids)
+    assert found.notes == ("4 of 9 episodes looked at, drawn at random",)
+    assert read(arm, dataset).ids == found.ids

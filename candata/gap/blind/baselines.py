@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import Bed, make_bed
+from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.blind.signatures import Signature, least_squares, signatures
@@ -247,8 +248,8 @@ def baseline_case(
 
 
 def run_baselines(
-    out: Path, cases: Sequence[Place], labels: dict[str, Label], methods: Sequence[str], *, jobs: int = 1,
-    seed: int = 0, told: Callable[[int], None] = lambda count: None,
+    out: Path, cases: Sequence[Place], labels: dict[str, Label], methods: Sequence[str], *,
+    crew: Crew = alone, seed: int = 0, told: Callable[[int], None] = lambda count: None,
 ) -> dict[str, list[CaseResult]]:  # fmt: skip
     """Return the results of each baseline on some cases; those that stand in `baselines.jsonl` are taken as they are.
 
@@ -262,8 +263,8 @@ def run_baselines(
         The truth of every case, opened.
     methods : sequence of str
         Of `BASELINES`.
-    jobs : int
-        Processes; with one the work is done here.
+    crew : Crew
+        Who does the work.
     seed : int
         Seed of null replays and folds.
     told : callable
@@ -277,8 +278,8 @@ def run_baselines(
         todo = tuple(m for m in methods if (p.sealed, m) not in standing)
         if todo:
             label = labels[p.folder.name].model_dump_json()
-            tasks.append((str(p.folder), p.scene, p.sealed, label, todo, seed, common))
-    for found in spread(out / LOG, baseline_case, tasks, jobs):
+            tasks.append((*p.anywhere, label, todo, seed, common))
+    for found in spread(out / LOG, baseline_case, tasks, crew):
         standing |= {(found.sealed, r.method): r for r in found.results}
         told(1)
     return {m: [standing[p.sealed, m] for p in cases] for m in methods}

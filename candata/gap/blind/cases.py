@@ -21,14 +21,15 @@ import numpy as np
 
 from candata.datasets import append, create_dataset
 from candata.errors import DataError, UsageError, Where
+from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
+from candata.gap.diagnosis import lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.manifest import Lineage
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
-from candata.simulate.pool import spawned
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 CASE, LABELS, CASES = "case.json", "sealed.json", "cases"
@@ -99,26 +100,27 @@ def read_labels(path: Path) -> LabelsFile:
     return LabelsFile.parse(_json(path), path)
 
 
+def missing_cases(out: Path, sealed: LabelsFile) -> dict[str, str]:
+    """Return the labels of the cases that are not yet made, by the case's name."""
+    return {n: t for n, t in sealed.labels.items() if not (out / CASES / n / CASE).exists()}
+
+
 def make_cases(
-    out: Path, scene: str, sealed: LabelsFile, *, seed: int, episodes: int, duration_s: float, jobs: int,
-    told: Told = lambda name: None,
+    out: Path, scene: str, sealed: LabelsFile, *, seed: int, episodes: int, duration_s: float,
+    crew: Crew = alone, told: Told = lambda name: None,
 ) -> list[Path]:  # fmt: skip
     """Return the folders of all cases, those that are missing made; `told` hears the name of each new one.
 
     All cases share their commands; noise and hidden world are each case's own.
     """
-    missing = {n: t for n, t in sealed.labels.items() if not (out / CASES / n / CASE).exists()}
+    folder, world = (out / CASES).resolve(), lasting(scene)
+    missing = missing_cases(out, sealed)
     tasks = [
-        (str(out / CASES / name), scene, text, commitment(text, sealed.salt), seed, episodes, duration_s)
+        (str(folder / name), world, text, commitment(text, sealed.salt), seed, episodes, duration_s)
         for name, text in missing.items()
     ]
-    if jobs == 1 or len(tasks) < 2:
-        for task in tasks:
-            told(make_case(*task))
-    else:
-        with spawned(min(jobs, len(tasks))) as pool:
-            for name in pool.map(make_case, *zip(*tasks, strict=True)):
-                told(name)
+    for name in crew(make_case, tasks):
+        told(name)
     return [out / CASES / name for name in sealed.labels]
 
 

@@ -6,18 +6,17 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
-from candata.gap.diagnosis import diagnose
+from candata.gap.blind.crew import Crew, alone
+from candata.gap.diagnosis import diagnose, lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult
 from candata.schema.record import Record
 from candata.schema.report import Report
-from candata.simulate.pool import spawned
 
 RESULTS, CACHE = "results.jsonl", "cache"
 Judge = Callable[[Dataset, Scene, int, Path], Report]
@@ -31,6 +30,11 @@ class Place(NamedTuple):
     scene: str
     sealed: str
 
+    @property
+    def anywhere(self) -> tuple[str, str, str]:
+        """The same in plain words that hold in any process: folder and scene file by their whole paths."""
+        return str(self.folder.resolve()), lasting(self.scene), self.sealed
+
 
 def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path) -> Report:
     """Return candata's own report of a dataset; signatures are kept in `cache`."""
@@ -41,7 +45,7 @@ def run_cases(
     out: Path,
     cases: Sequence[Place],
     *,
-    jobs: int = 1,
+    crew: Crew = alone,
     seed: int = 0,
     judge: Judge = judged,
     method: str = "candata",
@@ -55,23 +59,22 @@ def run_cases(
         Folder of the results.
     cases : sequence of Place
         Where each case lies.
-    jobs : int
-        Processes; with one the work is done here.
+    crew : Crew
+        Who does the work.
     seed : int
         Seed of each diagnosis.
     judge : callable
-        `(dataset, scene, seed, cache) -> Report`; with several processes a function of a module.
+        `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module.
     method : str
         What the results are filed under.
     told : callable
         Hears of each new result.
     """
-    log = out / RESULTS
-    standing = {r.sealed: r for r in finished(log, CaseResult) if r.method == method}
+    log, cache = out / RESULTS, (out / CACHE).resolve()
+    standing = known(out, method)
     # Processes share the work of filling the cache: what a diagnosis costs without it, one alone can tell.
-    fresh = not standing and jobs == 1 and not (out / CACHE).exists()
-    tasks = [(str(p.folder), p.scene, p.sealed, seed, method, fresh, judge, str(out / CACHE)) for p in cases
-             if p.sealed not in standing]  # fmt: skip
+    fresh = not standing and crew is alone and not cache.exists()
+    tasks = [(*p.anywhere, seed, method, fresh, judge, str(cache)) for p in cases if p.sealed not in standing]
     processes: set[int] = set()
 
     def first_only(result: CaseResult) -> CaseResult:
@@ -80,17 +83,22 @@ def run_cases(
         processes.add(result.process)
         return result.model_copy(update={"cold": result.cold and not known})
 
-    for result in spread(log, run_case, tasks, jobs, first_only):
+    for result in spread(log, run_case, tasks, crew, first_only):
         standing[result.sealed] = result
         told(result)
     return [standing[p.sealed] for p in cases]
+
+
+def known(out: Path, method: str = "candata") -> dict[str, CaseResult]:
+    """Return the results that stand in a folder, by the hash of the case's label."""
+    return {r.sealed: r for r in finished(out / RESULTS, CaseResult) if r.method == method}
 
 
 def spread(
     log: Path,
     work: Callable[..., R],
     tasks: Sequence[tuple[Any, ...]],
-    jobs: int,
+    crew: Crew,
     last: Callable[[R], R] = lambda record: record,
 ) -> Iterator[R]:
     """Yield a record for each task as it comes, each written to the log first: what is yielded outlives a kill.
@@ -100,30 +108,21 @@ def spread(
     log : Path
         File of JSON lines.
     work : callable
-        Makes a record of a task; with several processes a function of a module.
+        Makes a record of a task; for other processes a function of a module.
     tasks : sequence of tuple
         Arguments of `work`.
-    jobs : int
-        Processes; with one the work is done here.
+    crew : Crew
+        Who does the work.
     last : callable
         Completes a record here, in the order of the log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as file:
-        for record in map(last, _made(work, tasks, jobs)):
+        for record in map(last, crew(work, tasks)):
             file.write(record.model_dump_json() + "\n")
             file.flush()
             os.fsync(file.fileno())
             yield record
-
-
-def _made(work: Callable[..., R], tasks: Sequence[tuple[Any, ...]], jobs: int) -> Iterator[R]:
-    """Yield records as they come, from here or from worker processes."""
-    if jobs == 1 or len(tasks) < 2:
-        yield from (work(*task) for task in tasks)
-        return
-    with spawned(min(jobs, len(tasks))) as pool:
-        yield from (done.result() for done in as_completed([pool.submit(work, *task) for task in tasks]))
 
 
 def run_case(

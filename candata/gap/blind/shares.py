@@ -10,6 +10,7 @@ import numpy as np
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import make_bed
+from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.score import Compact
@@ -66,7 +67,7 @@ def measure_shares(
     cases: Sequence[Place],
     labels: dict[str, Label],
     *,
-    jobs: int = 1,
+    crew: Crew = alone,
     told: Callable[[int], None] = lambda count: None,
 ) -> dict[str, Shares]:
     """Return the shares of every case with several causes; those that stand in `shares.jsonl` are taken as they are.
@@ -79,16 +80,15 @@ def measure_shares(
         Where each case lies.
     labels : dict of str to Label
         The truth of each case, opened.
-    jobs : int
-        Processes; with one the work is done here.
+    crew : Crew
+        Who does the work.
     told : callable
         Called with 1 for each case just done.
     """
     several = [p for p in cases if len(labels[p.folder.name].effects) > 1]
     standing = {s.sealed: s for s in finished(out / SHARES, Shares)}
-    tasks = [(str(p.folder), p.scene, p.sealed, labels[p.folder.name].model_dump_json()) for p in several
-             if p.sealed not in standing]  # fmt: skip
-    for found in spread(out / SHARES, share_of, tasks, jobs):
+    tasks = [(*p.anywhere, labels[p.folder.name].model_dump_json()) for p in several if p.sealed not in standing]
+    for found in spread(out / SHARES, share_of, tasks, crew):
         standing[found.sealed] = found
         told(1)
     return {p.folder.name: standing[p.sealed] for p in several}
