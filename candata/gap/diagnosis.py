@@ -26,6 +26,7 @@ from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, recordings
+from candata.gap.regime import with_regimes
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
@@ -197,6 +198,8 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     word = verdict(f.found, size)
     heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
+    # A stream of its own: what is drawn here changes nothing that comes after.
+    where = with_regimes(where, f.problem, rng.spawn(1)[0])
     left = where
     if word == "partly_explained":
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
