@@ -39,6 +39,8 @@ LOOKED_AT = 12
 EARLY_ROWS = 0.6
 #: Episodes on which that is asked: every rival is a replay of them.
 EARLY_LOOK = 4
+#: How near to whole steps a lateness of more than one is called a possible miscount.
+WHOLE_ROWS = 0.1
 #: Longest delay that effects explain [s] (the bound of `actuation_delay`).
 LATEST_S = 0.15
 #: What makes joints react earlier than modelled: lighter damping, a stiffer servo, another clock.
@@ -123,7 +125,7 @@ def _by_replay(look: _Look) -> list[Finding]:
 
 def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     """Return that commands are in another order, where the scene agrees: with that order its joints come closer."""
-    drive, out = pairs.drive, []
+    drive, found = pairs.drive, np.arange(len(pairs.names))
     for chosen in swaps(pairs):
         commands = look.recs.commands.copy()
         commands[..., drive.columns] = (pairs.target[..., chosen] - drive.offset) / drive.slope
@@ -131,8 +133,8 @@ def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         moved = chosen != np.arange(len(chosen))
         given, new = (float(np.median(_distances(pairs.joint - v, moved))) for v in (own, other))
         if new < CLOSER * given:
-            out.append(swap_finding(pairs, chosen))
-    return out
+            found = np.where(moved, chosen, found)
+    return [swap_finding(pairs, found)] if (found != np.arange(len(found))).any() else []
 
 
 def _distances(off: Array, some: NDArray[np.bool_]) -> Array:
@@ -154,6 +156,8 @@ def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         return [_lateness(rows, rate, "more than any delay that is searched: check the clocks of both streams")]
     if abs(rows - 1) < 0.2 and spread < 0.3:
         return [_lateness(rows, rate, "a delay, or one step counted wrong: `action: next` in map.yaml")]
+    if rows > 1.5 and abs(rows - round(rows)) < WHOLE_ROWS and spread < 0.3:
+        return [_lateness(rows, rate, f"a delay, or commands logged {round(rows)} steps early: check their stamps")]
     if rows > -EARLY_ROWS:
         return []
     some = _evenly(len(look.recs), EARLY_LOOK)
