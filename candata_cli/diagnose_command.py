@@ -40,6 +40,9 @@ def diagnose(
     only: Annotated[
         str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
     ] = "",
+    budget: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Stop without a verdict after so many CPU seconds.")
+    ] = None,
     keep: Annotated[
         bool,
         typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of the same commands."),
@@ -71,6 +74,7 @@ def diagnose(
             seed=seed,
             cache=user_cache() if keep else None,
             only=names,
+            budget=budget,
             progress=stage,
         )
         stage("writing the report")

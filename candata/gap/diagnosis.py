@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import process_time
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
+from candata.gap.budget import Budget
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
@@ -26,20 +28,12 @@ from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, read
+from candata.gap.regime import with_regimes
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
-from candata.gap.shrink import (
-    HeldOut,
-    gap,
-    held_out,
-    intervals,
-    measures,
-    shares,
-    support,
-    trust,
-)
+from candata.gap.shrink import HeldOut, gap, held_out, intervals, measures, shares, support, trust
 from candata.gap.signatures import library
 from candata.gap.starts import is_toss, starts
 from candata.gap.unknown import Described, describe
@@ -96,6 +90,7 @@ def diagnose(
     seed: int = 0,
     cache: Path | None = None,
     only: tuple[str, ...] = (),
+    budget: float | None = None,
     progress: Progress = lambda stage: None,
 ) -> Diagnosis:
     """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
@@ -114,13 +109,15 @@ def diagnose(
         Folder in which signatures are kept for the next diagnosis of the same commands; none are kept by default.
     only : tuple of str
         Effects to search among; all that can act and show by default.
+    budget : float, optional
+        CPU seconds, of all threads, after which it stops without a verdict; checked against the first replay.
     progress : callable
         Called with the name of each stage.
 
     Raises
     ------
     UnknownNameError, UsageError
-        When `only` names an effect that is not there, or that cannot act or show here.
+        When `only` names an effect that is not there, or that cannot act or show here; when the budget is too small.
     DataError
         When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
         says they are.
@@ -129,14 +126,15 @@ def diagnose(
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng = np.random.default_rng(seed)
     progress("reading")
-    replayer = Replayer(scene, jobs)
+    limit = None if budget is None else Budget(budget)
+    replayer = limit.watched(Replayer(scene, jobs)) if limit else Replayer(scene, jobs)
     everything = checked(replayer, read(scene, dataset))
     if len(everything) < FEWEST or not everything.moving:
         return _too_little(dataset, scene, everything)
     order = rng.permutation(len(everything))
     searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
-    problem = _problem(replayer, everything.take(searched), rng, cache, progress)
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit)
     problem = replace(problem, ruled_out=problem.ruled_out | left_out)
     progress("searching effects")
     found = attribute(problem)
@@ -149,12 +147,19 @@ def diagnose(
 
 
 def _problem(
-    replayer: Replayer, recs: Recordings, rng: np.random.Generator, cache: Path | None, progress: Progress
+    replayer: Replayer,
+    recs: Recordings,
+    rng: np.random.Generator,
+    cache: Path | None,
+    progress: Progress,
+    limit: Budget | None = None,
 ) -> Problem:
     """Return the search problem."""
     progress("replaying the nominal scene")
-    begin = starts(replayer.scene, recs)
+    begin, before_s = starts(replayer.scene, recs), process_time()
     readings = replay_all(replayer, recs, begin, [()])[0]
+    if limit:
+        limit.check(process_time() - before_s, len(recs))
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
@@ -197,6 +202,8 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     word = verdict(f.found, size)
     heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
+    # A stream of its own: what is drawn here changes nothing that comes after.
+    where = with_regimes(where, f.problem, rng.spawn(1)[0])
     left = where
     if word == "partly_explained":
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))

@@ -36,7 +36,7 @@ def locate(plan: Layout, score: Score, nominal: Compact, rng: np.random.Generato
     ratio = np.nansum(recorded, 0) / np.maximum(np.nansum(typical, 0), TINY)
     pick = rng.integers(len(null), size=len(nominal))
     differ = np.log(recorded + TINY) - np.log(null[pick, np.arange(len(nominal))] + TINY)
-    p = _max_test(np.nan_to_num(differ), rng)
+    p = max_test(np.nan_to_num(differ), rng)
     rows = tuple(c if e is None else f"{c} {e}" for c, e, _ in plan.columns)
     shape = (len(plan.phases), len(plan.columns))
     return HeatMap(
@@ -60,7 +60,7 @@ def _cells(plan: Layout, z: Compact, score: Score) -> Array:
     return out.reshape(count, -1)
 
 
-def _max_test(differ: Array, rng: np.random.Generator) -> Array:
+def max_test(differ: Array, rng: np.random.Generator) -> Array:
     """Return `(C,)` family-wise p-values of mean(differ) > 0 by flipping the signs of episodes."""
     scale = np.sqrt((differ**2).sum(0))
     scale[scale == 0] = np.inf

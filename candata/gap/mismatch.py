@@ -39,6 +39,12 @@ LOOKED_AT = 12
 EARLY_ROWS = 0.6
 #: Episodes on which that is asked: every rival is a replay of them.
 EARLY_LOOK = 4
+#: How near to whole steps a lateness of more than one is called a possible miscount.
+WHOLE_ROWS = 0.1
+#: RMS difference [rad or m] to the scene's joints, and its ratio to that of the better episodes, beyond which an
+#: episode is broken (effects gave at most 0.04 on the built-in hand, broken channels 0.4 and more), and the share of
+#: such episodes beyond which nothing is diagnosed.
+STRANGE, STRANGER, MANY = 0.3, 10.0, 0.25
 #: Longest delay that effects explain [s] (the bound of `actuation_delay`).
 LATEST_S = 0.15
 #: What makes joints react earlier than modelled: lighter damping, a stiffer servo, another clock.
@@ -107,7 +113,8 @@ def _by_replay(look: _Look) -> list[Finding]:
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
         found += _swapped(look, look.pairs, own)
-        if found:
+        found = found or _strangers(look, look.pairs, own)
+        if any(f.definite for f in found):
             return found
         found += following_findings(look.pairs, own)
         if not found:
@@ -123,7 +130,7 @@ def _by_replay(look: _Look) -> list[Finding]:
 
 def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     """Return that commands are in another order, where the scene agrees: with that order its joints come closer."""
-    drive, out = pairs.drive, []
+    drive, found = pairs.drive, np.arange(len(pairs.names))
     for chosen in swaps(pairs):
         commands = look.recs.commands.copy()
         commands[..., drive.columns] = (pairs.target[..., chosen] - drive.offset) / drive.slope
@@ -131,8 +138,24 @@ def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         moved = chosen != np.arange(len(chosen))
         given, new = (float(np.median(_distances(pairs.joint - v, moved))) for v in (own, other))
         if new < CLOSER * given:
-            out.append(swap_finding(pairs, chosen))
-    return out
+            found = np.where(moved, chosen, found)
+    return [swap_finding(pairs, found)] if (found != np.arange(len(found))).any() else []
+
+
+def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+    """Return that the joints of some episodes do not belong to their commands, while those of others do."""
+    off = _distances(pairs.joint - own, np.ones(len(pairs.names), bool))
+    strange = (off > STRANGE) & (off > STRANGER * np.quantile(off, 0.25))
+    if not strange.any():
+        return []
+    names = [name for name, s in zip(look.recs.ids, strange, strict=True) if s]
+    more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+    return [Finding(
+        "broken_episodes", bool(strange.mean() >= MANY), "joints and commands of some episodes do not belong together",
+        f"joints within {STRANGE:g} rad or m of where the commands take the scene's, as in the others",
+        f"{len(names)} of {len(off)} episodes looked at: {', '.join(names[:6])}{more}",
+        "leave them out with `candata registry filter`, or mend their channels", "joint_position",
+    )]  # fmt: skip
 
 
 def _distances(off: Array, some: NDArray[np.bool_]) -> Array:
@@ -154,6 +177,8 @@ def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         return [_lateness(rows, rate, "more than any delay that is searched: check the clocks of both streams")]
     if abs(rows - 1) < 0.2 and spread < 0.3:
         return [_lateness(rows, rate, "a delay, or one step counted wrong: `action: next` in map.yaml")]
+    if rows > 1.5 and abs(rows - round(rows)) < WHOLE_ROWS and spread < 0.3:
+        return [_lateness(rows, rate, f"a delay, or commands logged {round(rows)} steps early: check their stamps")]
     if rows > -EARLY_ROWS:
         return []
     some = _evenly(len(look.recs), EARLY_LOOK)

@@ -24,6 +24,8 @@ SUNK_M = 0.012
 SUNK_RATIO = 1.8
 #: Force [N] that counts as a touch once the reading out of contact is taken off, and rows of it that are needed.
 TOUCH_N, TOUCH_ROWS = 0.5, 20
+#: Ratio to the scene's forces beyond which it is another unit: five times the largest `tactile_gain`.
+FORCE_RATIO = 30.0
 #: Rows that are looked at for geometry.
 LOOKED_AT = 400
 #: Cosine of recorded and expected forces below which they disagree, and above which another reading of them agrees.
@@ -231,6 +233,13 @@ def force_findings(scene: Scene, t: Touches) -> list[Finding]:
     """
     if t.both.sum() < TOUCH_ROWS:
         return []
+    times = float(np.median(np.linalg.norm(t.real[t.both], axis=1) / np.linalg.norm(t.nominal[t.both], axis=1)))
+    if times > FORCE_RATIO:
+        return [Finding(
+            "force_unit", True, "fingertip_force is not in newton", "forces near the scene's in contact, N",
+            f"{times:.3g} times those (thousands: mN)", "give its unit in map.yaml: `units: {fingertip_force: mN}`",
+            "fingertip_force",
+        )]  # fmt: skip
     there = np.einsum("nfji,nfj->nfi", t.frame, t.real)
     own, world = (_cosine(v, t.nominal, t.both) for v in (t.real, there))
     readings = (
@@ -259,7 +268,7 @@ def _turned(scene: Scene, t: Touches) -> list[Finding]:
     each = [_as_turned(t.real[t.both[:, f], f], t.nominal[t.both[:, f], f]) for f in range(t.both.shape[1])]
     names = tuple(n for n, turned in zip(scene.file.fingertips, each, strict=True) if turned)
     if not every and not names:
-        return []
+        return _partly_turned(t)
     which = "all fingertips" if every else ", ".join(names)
     return [Finding(
         "force_frame", every or 2 * len(names) > t.both.any(0).sum(), "forces are in a turned frame",
@@ -268,14 +277,33 @@ def _turned(scene: Scene, t: Touches) -> list[Finding]:
     )]  # fmt: skip
 
 
+def _partly_turned(t: Touches) -> list[Finding]:
+    """Return the note that all forces agree far better when turned by one rotation, though they do not disagree."""
+    real, nominal = t.real[t.both], t.nominal[t.both]
+    rows = np.ones(len(real), bool)
+    own, other = _cosine(real, nominal, rows), _cosine(_turn(real, nominal), nominal, rows)
+    if other < NEARLY or 1 - own < NEARER * (1 - other) or own > NEARLY:
+        return []
+    return [Finding(
+        "force_frame", False, "forces agree with the scene's better when turned", "forces in the fingertip's frame",
+        f"cosine {other:.2f} when turned, as given {own:.2f} (all fingertips)",
+        "give the sensors' frames as `fingertip_frames` in scene.yaml", "fingertip_force",
+    )]  # fmt: skip
+
+
+def _turn(real: Array, nominal: Array) -> Array:
+    """Return forces `(N, 3)` turned by the rotation that brings them nearest to others (Kabsch 1976)."""
+    left, _, right = np.linalg.svd(nominal.T @ real)
+    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
+    return np.asarray(real @ turn.T)
+
+
 def _as_turned(real: Array, nominal: Array) -> bool:
-    """Tell whether forces `(N, 3)` disagree as they are and agree after the best rotation (Kabsch 1976)."""
+    """Tell whether forces `(N, 3)` disagree as they are and agree after the best rotation."""
     rows = np.ones(len(real), bool)
     if len(real) < TOUCH_ROWS or _cosine(real, nominal, rows) > AGAINST:
         return False
-    left, _, right = np.linalg.svd(nominal.T @ real)
-    turn = left @ np.diag([1, 1, np.linalg.det(left @ right)]) @ right
-    return _cosine(real @ turn.T, nominal, rows) > 0.85
+    return _cosine(_turn(real, nominal), nominal, rows) > 0.85
 
 
 def _cosine(a: Array, b: Array, rows: NDArray[np.bool_]) -> float:

@@ -53,6 +53,18 @@ _CHANNELS = {
 }
 
 
+#: Where the excess of an element lies, by the regime of the record.
+_REGIMES = {
+    "moving": "while it moves",
+    "moving +": "while it moves up (+)",
+    "moving -": "while it moves down (-)",
+    "reversal": "where it turns back",
+    "still": "while it stands still",
+    "loaded": "under contact",
+    "free": "out of contact",
+}
+
+
 def explain(verdict: Verdict) -> str:
     """Return one sentence that says what a verdict word means."""
     return _MEANINGS[verdict]
@@ -174,11 +186,11 @@ def next_motion(report: Report) -> str:
 
 
 def place(symptom: Symptom) -> str:
-    """Return `joint position of index2 during release`, with the regime where one is known."""
+    """Return `joint position of index2 during release, above all while it moves`, the latter where it is known."""
     text = _CHANNELS.get(symptom.channel, plain(symptom.channel))
     text += f" of {symptom.element}" if symptom.element else ""
     text += f" during {plain(symptom.phase)}" if symptom.phase else ""
-    return text + (f" ({plain(symptom.regime)})" if symptom.regime else "")
+    return text + (f", above all {_REGIMES.get(symptom.regime, plain(symptom.regime))}" if symptom.regime else "")
 
 
 def title(name: str, element: str | None) -> str:

@@ -91,7 +91,11 @@ class EditTest(Record):
 
 
 class Symptom(Record):
-    """Where: a channel, element and phase in which the recording leaves the nulls."""
+    """Where: a channel, element and phase in which the recording leaves the nulls.
+
+    `regime` is where the excess of this element lies, over all phases: "moving", "moving +", "moving -", "reversal",
+    "still", "loaded" or "free"; null where it lies in all of them alike.
+    """
 
     channel: str
     element: str | None = None

@@ -112,6 +112,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
     "force sign": (channel("fingertip_force", np.negative), "force_sign"),
     "force in world": (to_world, "force_frame"),
     "force turned": (channel("fingertip_force", lambda f: f[..., [2, 0, 1]]), "force_frame"),
+    "force in mN": (channel("fingertip_force", lambda f: 1e3 * f), "force_unit"),
 }
 GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
     "swapped": (columns("action", [1, 2], lambda a: a[:, ::-1]), "swapped_commands"),
@@ -182,6 +183,31 @@ def test_no_effect_on_a_hand_is_taken_for_a_fault(hand, played, name):
     for seed, policies in enumerate(motions):
         made = played(hand, (drawn(hand, name, seed),), count=6, seed=100 + seed, policies=policies)
         assert not any(definite for _, definite in found(hand, made))
+
+
+@pytest.mark.parametrize(("broken", "definite"), [(4, True), (1, False)])
+@pytest.mark.parametrize("name", ["joint_position", "action"])
+def test_episodes_that_are_broken_among_sound_ones_are_named(arm, arm_episodes, broken, definite, name):
+    made = arm_episodes()
+    bad = [Episode(e.meta, dict(e.arrays) | {name: e[name] + 2.0}) for e in made[:broken]]
+    findings = mismatch(Replayer(arm), recordings(arm, [*bad, *made[broken:]]))
+    (one,) = (f for f in findings if f.kind == "broken_episodes")
+    assert one.definite == definite
+    assert f"{broken} of 8 episodes looked at: arm-000" in one.found
+
+
+def test_forces_turned_about_their_normal_are_noted(hand, handled):
+    turned = changed(
+        hand, handled, channel("fingertip_force", lambda f: np.stack([-f[..., 1], f[..., 0], f[..., 2]], -1))
+    )
+    assert found(hand, turned)[0][0] == "force_frame"
+
+
+def test_commands_that_are_whole_steps_early_are_noted(gripper, gripped):
+    ahead = changed(
+        gripper, gripped, channel("action", lambda a: np.concatenate([a[3:], np.repeat(a[-1:], 3, axis=0)]))
+    )
+    assert found(gripper, ahead) == [("shifted_commands", False)]
 
 
 def test_a_delay_of_a_step_is_physics_with_a_note(gripper, gripped):

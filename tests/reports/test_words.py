@@ -10,7 +10,7 @@ from candata import reports
 from candata.reports import words
 from candata.reports.advice import SILENT
 from candata.reports.numbers import digits, percent, reading, unit_of
-from candata.schema.report import Estimate, Verdict
+from candata.schema.report import Estimate, Symptom, Verdict
 
 VERDICTS = get_args(Verdict)
 
@@ -151,3 +151,17 @@ def test_digits(value, text):
 )
 def test_percent_never_rounds_up_to_all(share, text):
     assert percent(share) == text
+
+
+@pytest.mark.parametrize(
+    ("regime", "text"),
+    [
+        (None, "joint position of index2 during onset"),
+        ("reversal", "joint position of index2 during onset, above all where it turns back"),
+        ("moving -", "joint position of index2 during onset, above all while it moves down (-)"),
+        ("loaded", "joint position of index2 during onset, above all under contact"),
+    ],
+)
+def test_a_symptom_says_its_regime_only_where_it_has_one(regime, text):
+    one = Symptom(channel="joint_position", element="index2", phase="onset", regime=regime, ratio=3.0, p=0.01)
+    assert words.place(one) == text
