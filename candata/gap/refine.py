@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import slope_width, slopes
 from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
 World = Callable[[Array], Members]
@@ -119,12 +121,13 @@ def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plan
 
 def joint(problem: Problem, members: Members, base: Array) -> Fit:
     """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts."""
-    plane = around(problem, members, members)
+    world = partial(divided, members)
+    plane = around(problem, members, world)
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     plane = _descended(problem, fit, plane, None)
     for _ in range(SIMULATED if len(plane.at) <= MOST_SLOPES else 0):
         before = float(problem.score.loss(plane.z).mean())
-        slope = _differences(problem, fit, plane)
+        slope = _differences(problem, fit.split(plane.at), world, plane.z)
         plane = _descended(problem, fit, replace(plane, slope=slope), slope)
         if float(problem.score.loss(plane.z).mean()) > (1 - WORTHWHILE) * before:
             break
@@ -139,35 +142,48 @@ def _descended(problem: Problem, fit: Fit, plane: Plane, slope: Compact | None) 
         moved = stepped(problem, plane, plane.best(np.arange(len(plane.z))), fit.split)
         if moved is plane:
             break
-        plane = replace(moved, slope=slopes_of(problem, fit.split(moved.at)) if slope is None else slope)
+        here = fit.split(moved.at)
+        plane = replace(moved, slope=slopes_of(problem, here, fit.split, moved.z) if slope is None else slope)
         if float(problem.score.loss(plane.z).mean()) > (1 - ENOUGH) * before:
             break
     return plane
 
 
-def _differences(problem: Problem, fit: Fit, plane: Plane) -> Compact:
+def _differences(problem: Problem, members: Members, world: World, z: Compact) -> Compact:
     """Return slopes `(d, E, K)` by finite differences of rollouts; those of choices stay zero."""
-    size = np.concatenate([slope_width(c, u) for c, u in fit.split(plane.at)])
-    steps = np.where(plane.at + size > plane.high, -size, size)
-    numbers = np.flatnonzero(np.concatenate([np.full(c.size, not c.choices) for c, _ in fit.members]))
-    worlds = [problem.setting(fit.split(plane.at + steps[i] * np.eye(len(steps))[i])) for i in numbers]
-    slope = np.zeros_like(plane.slope)
-    for i, z in zip(numbers, problem.residuals(worlds), strict=True):
-        slope[i] = (z - plane.z) / np.float32(steps[i])
+    at, high = np.concatenate([u for _, u in members]), np.concatenate([c.high for c, _ in members])
+    size = np.concatenate([slope_width(c, u) for c, u in members])
+    steps = np.where(at + size > high, -size, size)
+    numbers = np.flatnonzero(np.concatenate([np.full(c.size, not c.choices) for c, _ in members]))
+    worlds = [problem.setting(world(at + steps[i] * np.eye(len(steps))[i])) for i in numbers]
+    slope = np.zeros((len(at), *z.shape), z.dtype)
+    for i, moved in zip(numbers, problem.residuals(worlds), strict=True):
+        slope[i] = (moved - z) / np.float32(steps[i])
     return slope
 
 
-def around(problem: Problem, members: Members, world: Members) -> Plane:
-    """Return the plane of candidates around their coordinates; `world` are those of them that act."""
+def around(problem: Problem, members: Members, world: World) -> Plane:
+    """Return the plane of candidates around their coordinates; `world` gives those that act at coordinates."""
     at = np.concatenate([u for _, u in members])
-    z = problem.residuals([problem.setting(world)])[0]
+    z = problem.residuals([problem.setting(world(at))])[0]
     low, high = (np.concatenate([getattr(c, side) for c, _ in members]) for side in ("low", "high"))
-    return Plane(low, high, at, z, slopes_of(problem, members))
+    return Plane(low, high, at, z, slopes_of(problem, members, world, z))
 
 
-def slopes_of(problem: Problem, members: Members) -> Compact:
-    """Return `(d, E, K)` how residuals change with each coordinate, from signatures; none for a choice."""
+def slopes_of(problem: Problem, members: Members, world: World, z: Compact) -> Compact:
+    """Return `(d, E, K)` how residuals `z (E, K)` change with each coordinate; none for a choice.
+
+    From signatures; those of tosses by rollouts beside all that acts: a signature of another landing says little.
+    """
+    if is_toss(problem.replayer.scene):
+        return _differences(problem, members, world, z)
     return np.concatenate([slopes(problem, c, u) for c, u in members])
+
+
+def divided(members: Members, u: Array) -> Members:
+    """Return the members at stacked coordinates `u (d,)`."""
+    ends = np.cumsum([c.size for c, _ in members])
+    return tuple((c, part) for (c, _), part in zip(members, np.split(u, ends[:-1]), strict=True))
 
 
 def polished(problem: Problem, best: Fit, base: Array) -> Fit:

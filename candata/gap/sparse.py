@@ -1,7 +1,8 @@
 """Everything a little wrong: a joint fit over all effects that keeps few, by reweighted L1 (Candes, Wakin & Boyd 2008).
 
-Slopes come from signatures and are read again wherever the fit has moved; each step is kept only where rollouts lower
-the loss. How strongly numbers are held back is decided on held-out episodes; those that stay are refitted freely.
+Slopes come from signatures, those of tosses from rollouts, and are read again wherever the fit has moved; each step is
+kept only where rollouts lower the loss. How strongly numbers are held back is decided on held-out episodes; those that
+stay are refitted freely.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
-from candata.gap.refine import around, joint, slopes_of, stepped
+from candata.gap.refine import around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
 from candata.gap.score import Compact, Score, weights
 from candata.gap.search import Fit, Members, Problem
@@ -45,16 +46,16 @@ def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
     neutral = np.concatenate([c.neutral for c, _ in members])
 
     def world(u: Array) -> Members:
-        return present(_split(members, u))
+        return present(divided(members, u))
 
-    plane = around(problem, members, world(np.concatenate([u for _, u in members])))
+    plane = around(problem, members, world)
     held = np.ones(len(neutral))
     for _ in range(ROUNDS):
         target, held = _target(problem, plane, neutral, held)
         moved = stepped(problem, plane, target, world)
         if moved is plane:
             break
-        plane = replace(moved, slope=slopes_of(problem, _split(members, moved.at)))
+        plane = replace(moved, slope=slopes_of(problem, divided(members, moved.at), world, moved.z))
     kept = world(plane.at)
     if len(kept) <= len(start.members):
         return None
@@ -74,12 +75,6 @@ def _everything(problem: Problem, start: Fit) -> Members:
 def present(members: Members) -> Members:
     """Return the members that are not at their neutral values."""
     return tuple((c, u) for c, u in members if not c.is_neutral(u))
-
-
-def _split(members: Members, u: Array) -> Members:
-    """Return the members at stacked coordinates."""
-    ends = np.cumsum([c.size for c, _ in members])
-    return tuple((c, part) for (c, _), part in zip(members, np.split(u, ends[:-1]), strict=True))
 
 
 @dataclass(frozen=True)

@@ -63,10 +63,10 @@ def shown_candidates(report: Report) -> list[Ranked]:
     return [c for c in tested if c in first or (c.name, c.element) in named]
 
 
-def how_far(gap: Gap, after: str) -> str:
-    """Return the mean mismatch before, after and of the floor as bars, in floors."""
+def how_far(gap: Gap, after: str | None) -> str:
+    """Return the mean mismatch before, after (None: nothing was tried) and of the floor as bars, in floors."""
     bars = [("nominal", gap.before, "before")]
-    if gap.closed is not None:
+    if after is not None:
         bars.append((after, gap.after, "after"))
     bars.append(("floor", gap.floor, "floor"))
     top = max(value for _, value, _ in bars)

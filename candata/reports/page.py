@@ -129,7 +129,7 @@ def _lead(text: str) -> str:
 def _meter(report: Report) -> str:
     """Return the share closed as a large number with its interval on a bar; empty when not measured."""
     gap = report.gap
-    if gap is None or gap.closed is None:
+    if gap is None or gap.closed is None or not words.was_tried(report):
         return ""
     fill = _clipped(gap.closed)
     span = ""
@@ -178,9 +178,10 @@ def _which(report: Report, evidence: Evidence) -> str:
         )
         parts.append(figure("Which: the candidates", sub, figures.ranking(report) + note))
     if report.gap is not None:
-        inner = figures.how_far(report.gap, words.after_name(report))
+        tried = words.was_tried(report)
+        inner = figures.how_far(report.gap, words.after_name(report) if tried else None)
         if evidence.losses is not None and len(evidence.losses.ids):
-            inner += figures.losses(evidence.losses, words.after_name(report), report.gap.closed is not None)
+            inner += figures.losses(evidence.losses, words.after_name(report), tried)
         sub = "Mean mismatch on held-out episodes; below, every episode: the band is what noise alone gives."
         parts.append(figure("How far: before, after, floor", sub, inner))
     if evidence.collinearity is not None:

@@ -69,7 +69,8 @@ def unknown(report: Report) -> str:
         ("acts on", acts),
         ("size", size),
         ("depends on", ", ".join(rest.depends_on)),
-        *_further(rest, {"words", "acts_on", "element", "size", "unit", "depends_on"}),
+        *([("closable by a fitted force", percent(rest.closable))] if rest.closable is not None else []),
+        *_further(rest, {"words", "acts_on", "element", "size", "unit", "depends_on", "closable"}),
     ]
     return f"<h2>What stays unexplained</h2>{pairs(rows)}"
 

@@ -122,6 +122,8 @@ def how_far(report: Report) -> str:
     before, after = digits(gap.before), digits(gap.after)
     if gap.closed is None:
         return f"On held-out episodes the mismatch is {before} times the floor; noise alone gives about 1."
+    if not was_tried(report):
+        return f"No candidate passes the held-out test: the mismatch stays at {before} times the floor."
     span = "" if gap.low is None or gap.high is None else f" (90 % interval {_span(gap.low, gap.high)})"
     doer = "Adding them" if len(report.effects) > 1 else "Adding it"
     doer = doer if report.effects else "The best candidate"
@@ -130,6 +132,12 @@ def how_far(report: Report) -> str:
         f"{doer} {verb} {percent(gap.closed)} of the gap on held-out episodes{span}: "
         f"the mismatch goes from {before} to {after} times the floor."
     )
+
+
+def was_tried(report: Report) -> bool:
+    """Tell whether held-out episodes were simulated with an effect: nothing is tried where no candidate passes."""
+    gap = report.gap
+    return gap is not None and gap.closed is not None and (bool(report.effects) or gap.after != gap.before)
 
 
 def edit_test(report: Report) -> str:
@@ -188,7 +196,10 @@ def next_motion(report: Report) -> str:
 def place(symptom: Symptom) -> str:
     """Return `joint position of index2 during release, above all while it moves`, the latter where it is known."""
     text = _CHANNELS.get(symptom.channel, plain(symptom.channel))
-    text += f" of {symptom.element}" if symptom.element else ""
+    if symptom.channel == "object_pose" and symptom.element:
+        text = f"the object's {symptom.element}"
+    elif symptom.element:
+        text += f" of {symptom.element}"
     text += f" during {plain(symptom.phase)}" if symptom.phase else ""
     return text + (f", above all {_REGIMES.get(symptom.regime, plain(symptom.regime))}" if symptom.regime else "")
 

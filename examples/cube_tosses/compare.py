@@ -94,6 +94,11 @@ def run_splits(dataset: Path, out: Path, count: int, jobs: int) -> dict[str, dic
     return reports
 
 
+def called(path: Path) -> str:
+    """Return what a report is called: by its folder where the file is a plain `report.json`."""
+    return path.parent.name if path.name == "report.json" else path.stem
+
+
 def note(text: str) -> None:
     """Print progress to stderr."""
     print(text, file=sys.stderr, flush=True)
@@ -115,7 +120,7 @@ def main() -> None:
     if given.dataset:
         reports = run_splits(given.dataset, given.out, given.splits, given.jobs)
     else:
-        reports = {path.parent.name: json.loads(path.read_text()) for path in given.reports}
+        reports = {called(path): json.loads(path.read_text()) for path in given.reports}
     for name, report in reports.items():
         if "object_position_m" not in report.get("measures", {}):
             parser.error(f"{name} measures no object: {report['verdict']}")

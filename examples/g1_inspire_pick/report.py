@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import textwrap
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -19,14 +21,41 @@ from candata.gap.recordings import recordings
 from candata.gap.servo_response import ServoResponse, servo_responses
 from candata.scenes import load_scene
 
+#: Share of the movement foretold below which a lag and a gain are poor names for what a joint does.
+POOR_R2 = 0.9
+WORDS = (
+    "moves  how far the command moves within an episode, 1 sd, in the joint's unit",
+    "lag    how late the joint follows in all, with its 90 % interval; in rows of the recording beside it",
+    "delay  the part of the lag in which nothing happens; the rest is slowness",
+    "band   quickest motion that it still follows with half the power",
+    "gain   how far it goes in the end, over how far it was told to go",
+    "R2     share of the movement that lag and gain foretell in episodes they were not fitted to",
+)
 
-def line(found: ServoResponse, rate_hz: float) -> str:
-    """Return the line of one joint; numbers of a joint that tells nothing are left out."""
-    head = f"{found.joint:24}{found.motion:8.4f}"
-    if not found.identifiable:
-        return f"{head}  not identifiable: {found.why_not}"
-    lag = f"{found.lag_s:7.3f} [{found.lag_low_s:.3f} {found.lag_high_s:.3f}] {found.lag_s * rate_hz:5.1f}"
-    return f"{head}{lag}{found.delay_s:8.3f}{found.bandwidth_hz:10.2f}{found.gain:7.2f}{found.r2:8.3f}"
+
+def table(found: Sequence[ServoResponse], rate_hz: float) -> list[str]:
+    """Return the lines of the table: what answers, what a lag and a gain describe badly, what tells nothing."""
+    seen, still = [f for f in found if f.identifiable], [f for f in found if not f.identifiable]
+    names = max(len(f.joint) for f in found)
+    lines = [f"{len(seen)} of {len(found)} joints move enough to tell how they answer their commands", ""]
+    if seen:
+        head = f"{'joint':{names}}{'moves':>8}{'lag, ms':>9}{'90 %':^14}{'rows':>6}{'delay, ms':>11}{'band, Hz':>10}"
+        lines += [f"{head}{'gain':>7}{'R2':>7}", *(line(f, names, rate_hz) for f in seen), "", *WORDS]
+    for why in dict.fromkeys(f.why_not for f in still):
+        some = [f for f in still if f.why_not == why]
+        most = max(f.motion for f in some)
+        lines += ["", f"not identifiable, {why} ({most:.3f} at most):"]
+        lines += textwrap.wrap(", ".join(f.joint for f in some), 100, initial_indent="  ", subsequent_indent="  ")
+    return lines
+
+
+def line(found: ServoResponse, names: int, rate_hz: float) -> str:
+    """Return the line of one joint that answers; times in ms."""
+    lag, low, high, delay = (1e3 * t for t in (found.lag_s, found.lag_low_s, found.lag_high_s, found.delay_s))
+    late = f"{lag:9.0f}{f'{low:.0f} to {high:.0f}':^14}{found.lag_s * rate_hz:6.1f}{delay:11.0f}"
+    poor = "  poor: something else decides" if found.r2 < POOR_R2 else ""
+    size = f"{found.bandwidth_hz:10.2f}{found.gain:7.2f}{found.r2:7.3f}{poor}"
+    return f"{found.joint:{names}}{found.motion:8.3f}{late}{size}"
 
 
 def main() -> None:
@@ -43,10 +72,7 @@ def main() -> None:
     if given.json:
         print(json.dumps([asdict(f) | {"identifiable": f.identifiable} for f in found], indent=1))
         return
-    units = f"{'delay, s':>9}{'band, Hz':>9}{'gain':>7}{'R2':>8}"
-    print(f"{'joint':24}{'moves':>8}{'lag, s':>7} {'90 %':15}{'rows':>5}{units}")
-    for one in found:
-        print(line(one, scene.file.rate_hz))
+    print("\n".join(table(found, scene.file.rate_hz)))
 
 
 if __name__ == "__main__":

@@ -136,10 +136,15 @@ def test_nothing_repaired(tmp_path, make_report, make_unrepaired, full_evidence,
 def test_unknown_and_measures_are_tabled(tmp_path, make_report):
     measures = {"position_percent_of_width": {"before": 23.1, "after": 13.4}, "rotation_deg": {"after": 18.6}}
     report = make_report("partly_explained", measures=measures)
+    rest = report.unknown.model_copy(update={"closable": 0.1241})
+    report = report.model_copy(update={"unknown": rest})
     text = said(reports.write_report(report, Evidence(), None, tmp_path, "").read_text("utf-8"))
     assert "position percent of width" in text
     assert "What stays unexplained" in text
     assert "0.4 N" in text
+    assert "closable by a fitted force" in text
+    assert "12 %" in text
+    assert "0.1241" not in text.split("What stays unexplained")[1].split("<h2>")[0]
 
 
 def cells(text: str, row: str) -> list[tuple[str, str, str]]:

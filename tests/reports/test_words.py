@@ -86,6 +86,20 @@ def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
     assert "the nearest is joint dry friction at index2" in words.which(make_report("unknown_effect"))
 
 
+def test_where_no_candidate_passes_none_is_said_to_close_anything(make_report):
+    report = make_report("unknown_effect")
+    same = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})
+    assert words.how_far(report).startswith("The best candidate would close")
+    assert words.how_far(report.model_copy(update={"gap": same})) == (
+        f"No candidate passes the held-out test: the mismatch stays at {digits(same.before)} times the floor."
+    )
+
+
+def test_a_column_of_the_pose_is_said_as_what_it_is():
+    symptom = Symptom(channel="object_pose", element="rotation x", phase="rest", ratio=30.0, p=0.001)
+    assert words.place(symptom) == "the object's rotation x during rest"
+
+
 def test_no_gap_claims_no_repair(make_report):
     text = reports.summary(make_report("no_gap"))
     assert "closes" not in text
