@@ -10,7 +10,7 @@ from candata.gap.replay import Replayer
 
 #: Replays of all episodes that a diagnosis takes at least, when the signatures of all effects are kept already: nulls
 #: for the floor, starts, the best candidates, the floor of the repaired world.
-LEAST_REPLAYS = 40
+LEAST_REPLAYS = 30
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Budget:
         """
         need = self.spent + LEAST_REPLAYS * replay_s
         if need > self.seconds:
-            why = f"{episodes} episodes, {replay_s:.2g} s for each of {LEAST_REPLAYS} replays or more"
+            why = f"{episodes} episodes, {replay_s:.2g} s for each of {LEAST_REPLAYS} replays"
             raise _too_small("the budget is too small for a diagnosis", f"{self.seconds:g} CPU s", (need, why))
 
 
@@ -71,10 +71,10 @@ def _too_small(problem: str, found: str, need: tuple[float, str] | None) -> Usag
     """Return the refusal: no verdict is better than one of a search that was cut short."""
     return UsageError(
         problem,
-        expected=f"at least {need[0]:.0f} CPU s ({need[1]}), several times that for commands not diagnosed before"
+        expected=f"about {need[0]:.0f} CPU s or more ({need[1]}), several times that for commands not diagnosed before"
         if need
         else "a search of all effects that can act",
         found=found,
-        fix="raise --budget (what was simulated is kept for the next run), take fewer episodes "
+        fix="raise --budget (with --cache what was simulated is kept for the next run), take fewer episodes "
         "(`candata registry filter`), or name the effects to search (--only)",
     )

@@ -12,7 +12,7 @@ from candata.gap.replay import Replayer
 def test_what_cannot_be_done_is_refused_by_the_first_replay():
     with pytest.raises(UsageError) as caught:
         Budget(10.0).check(1.0, 16)
-    assert caught.value.expected.startswith(f"at least {LEAST_REPLAYS} CPU s (16 episodes, 1 s for each of")
+    assert caught.value.expected.startswith(f"about {LEAST_REPLAYS} CPU s or more (16 episodes, 1 s for each of")
     assert caught.value.found == "10 CPU s"
     assert "--only" in caught.value.fix
     Budget(10.0).check(0.1, 16)
