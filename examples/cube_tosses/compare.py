@@ -68,13 +68,18 @@ def table(reports: dict[str, dict]) -> list[str]:
     lines += ["", f"{', '.join(map(str, held))} held-out tosses a split", ""]
     lines += [f"{'':34}{'position, % of width':>22}{'rotation, deg':>18}"]
     rows = [("MuJoCo, nominal", mean_row(before)), ("MuJoCo, with the named effects", mean_row(after))]
-    each = list(zip((f"  {name}" for name in reports), after, strict=True)) if len(after) > 1 else []
+    unnamed = [name for name, r in reports.items() if not r["effects"]]
+    labels = [f"  {name}{' (names nothing)' if name in unnamed else ''}" for name in reports]
+    each = list(zip(labels, after, strict=True)) if len(after) > 1 else []
     for name, (p, p_sd, r, r_sd) in (*rows, *each, *PUBLISHED):
         lines.append(f"{name:34}{p:>14.1f} +- {p_sd:4.1f}{r:>10.1f} +- {r_sd:4.1f}")
     lines.append(f"{'target':34}{TARGET[0]:>14.1f}{'':8}{TARGET[1]:>10.1f}")
     p, _, r, _ = mean_row(after)
     words = ["reached" if ok else "missed" for ok in (p <= TARGET[0], r <= TARGET[1])]
-    return [*lines, "", f"position {words[0]}, rotation {words[1]}"]
+    lines += ["", f"position {words[0]}, rotation {words[1]}"]
+    if unnamed:
+        lines.append(f"{', '.join(unnamed)}: the errors are those of the best candidates; no repair is offered")
+    return lines
 
 
 def run_splits(dataset: Path, out: Path, count: int, jobs: int) -> dict[str, dict]:

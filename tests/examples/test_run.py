@@ -93,3 +93,21 @@ def test_the_robot_without_a_model_end_to_end(shared, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "13 of 26 joints move enough" in done.stdout
     assert "RightHandThumbBend" in next(line for line in done.stdout.splitlines() if "poor" in line)
+
+
+def test_a_split_that_names_nothing_is_not_passed_off_as_repaired(loaded):
+    measures = {
+        "object_position_m": {"before": 0.03, "before_sd": 0.01, "after": 0.0131, "after_sd": 0.008},
+        "object_rotation_deg": {"before": 22.0, "before_sd": 20.0, "after": 16.0, "after_sd": 19.0},
+    }
+    cone = {"name": "friction_cone", "parameters": {"cone": {"value": "elliptic"}}}
+    made = {"measures": measures, "data": {"episodes": {"held_out": 486}}}
+    reports = {
+        "split-0": {**made, "verdict": "partly_explained", "effects": [cone]},
+        "split-1": {**made, "verdict": "unknown_effect", "effects": []},
+    }
+    lines = loaded("cube_tosses/compare.py").table(reports)
+    assert "split-1     unknown_effect: nothing named" in lines
+    assert [line.split("  ")[1] for line in lines if "(names nothing)" in line] == ["split-1 (names nothing)"]
+    assert lines[-1].startswith("split-1: ")
+    assert "no repair is offered" in lines[-1]
