@@ -21,7 +21,7 @@ from candata.gap.shortlist import rivals, screened
 from candata.gap.sparse import sparse
 
 Array = NDArray[np.float64]
-#: Largest number of effects in a set.
+#: Largest number of effects in a set, beside those that were measured without a fit.
 LARGEST_SET = 3
 #: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
 PLAIN = 3.0
@@ -221,7 +221,7 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
     while True:
         world, best = _rescored(problem, best)
         remains = bool(best.evidence.loss.mean() > null_level(world.score, world.rng))
-        if not remains or not grow or len(best.members) == LARGEST_SET:
+        if not remains or not grow or is_full(best.members, problem.measured):
             return best, world, remains
         here = world.residuals([world.setting(best.members)])[0]
         added = _stage(world, here, best.members).passing()
@@ -231,6 +231,12 @@ def _forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, boo
         if not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             return best, world, remains
         problem, best = world, grown
+
+
+def is_full(members: Members, measured: Members) -> bool:
+    """Tell whether a set holds as many effects as are searched for; one that was measured directly takes no place."""
+    known = {c.name for c, _ in measured}
+    return sum(c.name not in known for c, _ in members) >= LARGEST_SET
 
 
 def _with_measured(problem: Problem, best: Fit, remains: bool) -> tuple[Fit, Problem, bool]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import Stage
+from candata.gap.attribute import LARGEST_SET, Stage, is_full
+from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
 
@@ -36,3 +37,12 @@ def test_a_loss_below_what_a_true_world_reaches_counts_for_nothing():
     gain = np.full(8, 0.15)
     assert stage(gain).passing() is not None
     assert stage(gain, reachable=float(BASE.mean()) - 0.01).passing() is None
+
+
+def test_what_was_measured_takes_no_place_in_the_set(cube):
+    names = ("object_inertia", "sliding_friction", "object_mass", "pose_scale")
+    *free, known = [(c, c.neutral) for c in (candidate(name, cube) for name in names)]
+    assert len(free) == LARGEST_SET
+    assert not is_full((*free[1:], known), (known,))
+    assert is_full((*free[1:], known), ())
+    assert is_full((*free, known), (known,))
