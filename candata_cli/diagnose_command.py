@@ -67,16 +67,8 @@ def diagnose(
     if other is not None:
         _check_edit(*other)
     with console.stages() as stage:
-        found = run(
-            console.opened(dataset, version),
-            world,
-            jobs=jobs,
-            seed=seed,
-            cache=user_cache() if keep else None,
-            only=names,
-            budget=budget,
-            progress=stage,
-        )
+        data, cache = console.opened(dataset, version), user_cache() if keep else None
+        found = run(data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage)
         stage("writing the report")
         page = write_diagnosis(found, world, out)
         if other is not None:

@@ -41,6 +41,8 @@ EARLY_ROWS = 0.6
 EARLY_LOOK = 4
 #: How near to whole steps a lateness of more than one is called a possible miscount.
 WHOLE_ROWS = 0.1
+#: Share of the difference to the scene's joints that may be left when they are taken as that late.
+MOSTLY_LATE = 0.2
 #: RMS difference [rad or m] to the scene's joints, and its ratio to that of the better episodes, beyond which an
 #: episode is broken (effects gave at most 0.04 on the built-in hand, broken channels 0.4 and more), and the share of
 #: such episodes beyond which nothing is diagnosed.
@@ -177,13 +179,21 @@ def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         return [_lateness(rows, rate, "more than any delay that is searched: check the clocks of both streams")]
     if abs(rows - 1) < 0.2 and spread < 0.3:
         return [_lateness(rows, rate, "a delay, or one step counted wrong: `action: next` in map.yaml")]
-    if rows > 1.5 and abs(rows - round(rows)) < WHOLE_ROWS and spread < 0.3:
+    whole = rows > 1.5 and abs(rows - round(rows)) < WHOLE_ROWS and spread < 0.3
+    if whole and _only_later(pairs.joint, own, round(rows)):
         return [_lateness(rows, rate, f"a delay, or commands logged {round(rows)} steps early: check their stamps")]
     if rows > -EARLY_ROWS:
         return []
     some = _evenly(len(look.recs), EARLY_LOOK)
     recs = look.recs.take(some)
     return _early(_Look(look.replayer, recs, None), paired(look.replayer.scene, recs) or pairs, own[some], rows)
+
+
+def _only_later(joint: Array, own: Array, steps: int) -> bool:
+    """Tell whether joints `(E, T, J)` do what the scene's do, but later: a weak or damped servo also does less."""
+    every = np.ones(joint.shape[2], bool)
+    shifted, before = _distances(joint[:, steps:] - own[:, :-steps], every), _distances(joint - own, every)
+    return bool(np.median(shifted) < MOSTLY_LATE * np.median(before))
 
 
 def _lateness(rows: float, rate: float, words: str) -> Finding:
