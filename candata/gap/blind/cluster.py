@@ -71,6 +71,7 @@ def _join(ray: Any, address: str, jobs: int) -> None:
     quiet = {"logging_level": logging.ERROR, "log_to_driver": False}
     if address == LOCAL:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a run tells nobody that it happened
+        os.environ.setdefault("RAY_worker_niceness", "0")  # Ray's 15 would starve it beside any other work
         ray.init(LOCAL, num_cpus=jobs, include_dashboard=False, object_store_memory=STORE_BYTES, **quiet)
         return
     _knock(address)
