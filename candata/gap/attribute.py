@@ -70,13 +70,16 @@ class Stage:
     def passing(self) -> Fit | None:
         """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all.
 
-        A loss below what a true world reaches is luck, and counts for nothing.
+        A loss below what a true world reaches is luck, and counts for nothing; so does the gain of one episode alone.
         """
         if not self.fits:
             return None
         best = self.fits[0]
+        each = best.evidence.gain
         gain = min(best.gain, float(self.base.mean()) - self.reachable)
-        return best if gain > max(self.threshold, standard_error(best.evidence.gain), MATTERS) else None
+        others = float(np.delete(each, np.argmax(each)).mean())
+        sure = gain > max(self.threshold, standard_error(each), MATTERS) and others > self.threshold / 2
+        return best if sure else None
 
     def is_plain(self, best: Fit) -> bool:
         """Tell whether a gain is large enough to count although the loss itself lies within the nulls' range.
@@ -120,6 +123,9 @@ def attribute(problem: Problem) -> Attribution:
     nominal = problem.nominal
     first = _stage(problem, nominal, ())
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
+    if remains and first.faint and first.passing() is None:
+        # Before the cause is called unknown, everything is looked at on every episode.
+        first = _stage(problem, nominal, (), full=True)
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
@@ -134,13 +140,13 @@ def attribute(problem: Problem) -> Attribution:
     return Attribution(first, chosen, tuple(tied), world.score, remains)
 
 
-def _stage(problem: Problem, here: Compact, held: Members) -> Stage:
-    """Return every candidate's held-out evidence on top of the effects held."""
+def _stage(problem: Problem, here: Compact, held: Members, full: bool = False) -> Stage:
+    """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them."""
     channels = list(problem.recs.readings)
     taken = {c.name for c, _ in held}
     found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
     base, luck = _base(problem, here, held)
-    seen = screened(problem, here, found, held, base)
+    seen = screened(problem, here, found, held, base, full)
     responses = [r for _, r in seen.responses]
     threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
     found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate
+from candata.gap.folds import cross_fit
 from candata.gap.local import promising
 from candata.gap.refine import PROMISE
 from candata.gap.response import Curve, Plane
@@ -50,7 +51,9 @@ class Screened:
     tried: int
 
 
-def screened(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array) -> Screened:
+def screened(
+    problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array, full: bool = False
+) -> Screened:
     """Return the responses of the candidates that are worth it, on top of the residuals `here (E, K)`.
 
     Looked at are the candidates found and promising variants of them on one element.
@@ -65,9 +68,11 @@ def screened(problem: Problem, here: Compact, found: Sequence[Candidate], held: 
         Effects that act already.
     base : (E,) float64
         Typical loss without another effect, in floors.
+    full : bool
+        Look at all of them on every episode at once.
     """
     part, index = brief(problem)
-    if part is problem:
+    if full or part is problem:
         responses, dead = _all(problem, here, found, held, base)
         return Screened(responses, dead, (), len(responses))
     rough, dead = _all(part, here[index], found, held, base[index])
@@ -95,11 +100,11 @@ def _best(problem: Problem, responses: Responses, base: Array) -> list[Candidate
 
 
 def _gains(problem: Problem, responses: Responses, base: Array) -> list[tuple[float, Candidate]]:
-    """Return what each candidate gains on a few episodes, fitted to just those, the largest first."""
-    found = []
-    for c, response in responses:
-        u = response.fitter(problem.score)(np.arange(len(base)))
-        found.append((float((base - problem.score.loss(response.read(u))).mean()), c))
+    """Return what each candidate gains on a few episodes, each held out once, the largest first.
+
+    Fitted to the episodes that it is judged by, a candidate of many numbers would gain by their number.
+    """
+    found = [(float(cross_fit(r, problem.score, problem.parts, base).gain.mean()), c) for c, r in responses]
     return sorted(found, key=lambda pair: -pair[0])
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import LARGEST_SET, Stage, is_full
+from candata.gap.attribute import LARGEST_SET, Stage, is_full, standard_error
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
@@ -37,6 +37,13 @@ def test_a_loss_below_what_a_true_world_reaches_counts_for_nothing():
     gain = np.full(8, 0.15)
     assert stage(gain).passing() is not None
     assert stage(gain, reachable=float(BASE.mean()) - 0.01).passing() is None
+
+
+def test_the_gain_of_one_episode_alone_is_luck():
+    gain = np.array([2.0, *[0.02] * 7])
+    assert gain.mean() > standard_error(gain)  # which alone would let it pass
+    assert stage(gain).passing() is None
+    assert stage(np.array([2.0, *[0.06] * 7])).passing() is not None
 
 
 def test_what_was_measured_takes_no_place_in_the_set(cube):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from candata.gap.attribute import _base
+from candata.gap import attribute as attributing
+from candata.gap.attribute import _base, attribute
 from candata.gap.candidates import candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
-from candata.gap.shortlist import FEW, MOST, brief, few, screened
+from candata.gap.screen import respond
+from candata.gap.shortlist import FEW, MOST, _gains, brief, few, screened
 
 
 def test_every_task_is_among_the_few():
@@ -48,3 +52,39 @@ def test_the_cause_is_on_the_list_and_the_others_are_named(posed, arm):
     assert {c.label for c in found} <= labels | set(seen.faint) | set(seen.dead)
     assert seen.tried > len(seen.responses)
     assert all(len(r.read(c.neutral)) == len(posed.recs) for c, r in seen.responses)
+
+
+def test_a_full_look_leaves_nothing_out(posed, arm):
+    base, _ = _base(posed, posed.nominal, ())
+    found = candidates(arm, list(posed.recs.readings))
+    seen = screened(posed, posed.nominal, found, (), base, full=True)
+    assert seen.faint == ()
+    assert {c.label for c in found} == {c.label for c, _ in seen.responses if c.element is None} | set(seen.dead)
+
+
+def test_gains_on_a_few_episodes_are_held_out(posed, arm):
+    """What has nothing to do with it loses there; fitted to the same episodes, nothing ever loses."""
+    part, index = brief(posed)
+    base = posed.score.loss(posed.nominal)[index]
+    responses, _ = respond(part, part.nominal, candidates(arm, list(posed.recs.readings)))
+    gains = _gains(part, responses, base)
+    assert "joint_damping" in [c.name for _, c in gains[:2]]  # a servo that damps does much the same
+    assert gains[-1][0] < 0
+
+
+def test_before_a_cause_is_called_unknown_everything_is_looked_at(posed, monkeypatch):
+    looks = []
+
+    def blind(problem, here, found, held, base, full=False):
+        looks.append(full)
+        seen = screened(problem, here, found, held, base, full)
+        if full:
+            return seen
+        poor = [(c, r) for c, r in seen.responses if c.name == "object_mass"]
+        return replace(seen, responses=poor, faint=("joint_damping",))
+
+    monkeypatch.setattr(attributing, "screened", blind)
+    found = attribute(posed)
+    assert looks[:2] == [False, True]
+    assert found.chosen is not None
+    assert found.chosen.labels[0] == "joint_damping"
