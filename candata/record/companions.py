@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, UsageError, Where
 from candata.formats import table
+from candata.formats._columns import TABLES
 from candata.formats._mapping import read_map
 from candata.schema.episode import Episode
 
 #: Channels that are taken from a companion; forces and contact come from the wire alone.
 TAKEN = ("object_pose", "object_velocity", "hand_pose", "joint_position", "action")
 _NAMES = {"joint_position": "joint_names", "action": "actuator_names"}
-_TABLES = (".parquet", ".csv", ".npz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,13 +92,13 @@ def read_companion(path: Path) -> Companion:
     kind = path.suffix.lower()
     if kind in (".yaml", ".yml"):
         return _from_table(path)
-    if kind in _TABLES:
+    if kind in TABLES:
         return _from_table(_map_of(path))
     if kind == ".mcap":
         return _from_mcap(path)
     raise UsageError(
         "cannot import a log with this file",
-        expected=f"a map.yaml, a table ({', '.join(_TABLES)}) with its map.yaml beside it, or .mcap",
+        expected=f"a map.yaml, a table ({', '.join(TABLES)}) with its map.yaml beside it, or .mcap",
         found=path.name,
         where=Where(path=str(path)),
     )

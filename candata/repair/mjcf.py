@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import mujoco
 import yaml
 
+from candata.datasets.drafts import draft_beside, place
 from candata.errors import SceneError, UsageError
 from candata.repair.copies import Copy, Way, copied, ways
 from candata.repair.fields import INERTIA, differences
@@ -104,7 +104,7 @@ def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> Ex
             effects=EFFECTS if outside(rest) else None,
         )
         _write(found, copy, diff)
-        copy.folder.replace(out)
+        place(copy.folder, out)
     return found
 
 
@@ -119,12 +119,8 @@ def fresh_folder(out: Path) -> Iterator[Path]:
     """
     if out.exists():
         raise UsageError("the folder to export to exists", found=str(out), fix="name another --out, or remove it")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    draft = Path(tempfile.mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-    try:
+    with draft_beside(out) as draft:
         yield draft
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
 
 
 def _best(scene: Scene, asked: Sequence[EffectSetting], draft: Path) -> tuple[Way, list[EffectSetting], dict[str, str]]:

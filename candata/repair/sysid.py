@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
+from candata.datasets.drafts import place
 from candata.effects import effect
 from candata.errors import DataError, Where
 from candata.gap.recordings import Recordings, recordings
@@ -94,7 +95,7 @@ def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Datase
             changes=tuple(changes),
         )
         _write(found, copy, scene, recs, model)
-        copy.folder.replace(out)
+        place(copy.folder, out)
     return found
 
 
