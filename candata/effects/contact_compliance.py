@@ -28,7 +28,7 @@ EFFECT = Effect(
             "s",
             # Below two physics steps MuJoCo itself refuses to be stiffer (refsafe).
             lambda scene: Bounds(2 * scene.model.opt.timestep, 0.25),
-            scaled(_select.contact_timeconst, 0.5, 1.8, 3.0, 5.0),
+            scaled(_select.contact_timeconst, 0.5, 1.4, 2.5, 5.0),
             scaled_spans(_select.contact_timeconst, (2.0, 5.0)),
             "soft fingertips and wood differ by an order of magnitude in stiffness",
             neutral=_select.contact_timeconst,

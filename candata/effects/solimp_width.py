@@ -34,7 +34,7 @@ EFFECT = Effect(
             "width_m",
             "m",
             scaled_bounds(_own, 0.02, 50.0),
-            scaled(_own, 0.15, 6.0),
+            scaled(_own, 0.15, 0.5, 2.0, 8.0),
             scaled_spans(_own, (0.05, 0.15), (5.0, 20.0)),
             "MuJoCo manual, solimp: 1 mm is a default; models in use have 0.1 to 20 mm",
             neutral=_own,

@@ -51,7 +51,7 @@ EFFECT = Effect(
             "torsional_m",
             "m",
             fixed(NONE_M, 0.1),
-            values(0.0005, 0.02),
+            values(0.0005, 0.01, 0.02),
             spans((0.012, 0.04)),
             "a soft pad of 5 to 15 mm resists twisting by about 2/3 of its contact radius (Howe & Cutkosky 1996)",
             neutral=_own,

@@ -144,8 +144,25 @@ def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
     return np.clip(beyond, *inside)
 
 
+def typical_size(c: Candidate, scene: Scene) -> Array:
+    """Return `(d,)` how far from neutral a plausible effect of this kind lies, between a faint and a strong one."""
+    sizes = []
+    for p in effect(c.name).parameters:
+        ends = np.array(p.draws(scene), float)
+        sizes += [ends] * p.size(scene)
+    mine = [ends for ends, own in zip(sizes, c.own, strict=True) if own]
+    away = [
+        np.abs((np.log(ends) if log else ends) - at)
+        for ends, log, at in zip(mine, c.logarithmic, c.neutral, strict=True)
+    ]
+    return np.array([(far.min() + far.max()) / 2 for far in away])
+
+
 def first_probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the probes of a first look: of a scalar the middle and the farthest of each side, of a vector one each."""
+    """Return the probes of a first look: of a scalar three of each side at most, of a vector one of each number.
+
+    Of four or more on a side, the middle and the farthest.
+    """
     points = probes(c, scene)
     if c.choices:
         return points
@@ -153,5 +170,10 @@ def first_probes(c: Candidate, scene: Scene) -> list[Array]:
         return list({int(np.flatnonzero(p != c.neutral)[0]): p for p in points}.values())
     below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
     above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
-    found = [side[i] for side in (below, above) if side for i in {(len(side) - 1) // 2, len(side) - 1}]
+    found = [side[i] for side in (below, above) for i in _first(len(side))]
     return sorted(found, key=lambda p: float(p[0]))
+
+
+def _first(count: int) -> tuple[int, ...]:
+    """Return which of the probes of one side, nearest first, are looked at first."""
+    return tuple(range(count)) if count <= 3 else ((count - 1) // 2, count - 1)

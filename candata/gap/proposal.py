@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from candata.errors import DataError
-from candata.gap.attribute import MATTERS, Attribution
+from candata.gap.attribute import Attribution
 from candata.gap.next_motion import RIVALS, Choice, rivals_of, separating_motion, usual_motions
 from candata.gap.recordings import Recordings
 from candata.gap.search import Problem
 from candata.gap.shrink import separating_task
+from candata.gap.stage import MATTERS
 from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.report import NextMotion

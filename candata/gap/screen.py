@@ -16,7 +16,8 @@ from candata.gap.starts import is_toss
 Array = NDArray[np.float64]
 #: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
 LIVELY = 0.05
-#: Width over which slopes are read: this share of the distance from neutral, within these shares of the range.
+#: Width over which slopes are read off signatures: this share of the distance from neutral, within these shares of the
+#: range.
 WIDTH, NARROWEST, WIDEST = 0.1, 0.002, 0.02
 
 
@@ -26,20 +27,26 @@ def respond(
     """Return the response of every candidate on top of the residuals `here (E, K)`, and the labels of dead ones.
 
     Tosses are simulated on the recording itself, beside the effects `held`: where a toss lands decides how it goes on,
-    so that a signature of another landing says little, and a toss is short.
+    so that a signature of another landing says little, and a toss is short. So are choices beside effects: what a
+    solver setting does in one world it does not do in another, and there is nothing in between to mend it by.
     """
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
-    probed = tuple((c, u) for c in found for u in screening(c, problem))
-    own = is_toss(problem.replayer.scene)
-    moved = iter(_moves(problem, here, probed, held) if own else problem.signatures(probed))
-    for c in found:
+    toss = is_toss(problem.replayer.scene)
+    own = [toss or bool(held and c.choices) for c in found]
+    played = [tuple((c, u) for c, o in zip(found, own, strict=True) if o is kind for u in screening(c, problem))
+              for kind in (True, False)]  # fmt: skip
+    moved = {
+        True: iter(_moves(problem, here, played[0], held) if played[0] else ()),
+        False: iter(problem.signatures(played[1]) if played[1] else ()),
+    }
+    for c, is_own in zip(found, own, strict=True):
         points = screening(c, problem)
-        moves = [next(moved) for _ in points]
+        moves = [next(moved[is_own]) for _ in points]
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
         else:
-            out.append((c, _response(c, here, points, moves, own)))
+            out.append((c, _response(c, here, points, moves, is_own)))
     return out, dead
 
 
@@ -81,12 +88,7 @@ def slopes(problem: Problem, c: Candidate, u: Array) -> Compact:
         return response.slope
     if c.choices:
         return np.zeros((1, *moves[0].shape), np.float32)
-    width = slope_width(c, u)
+    span = c.high - c.low
+    width = np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)
     low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
     return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])
-
-
-def slope_width(c: Candidate, u: Array) -> Array:
-    """Return `(d,)` how far from `u (d,)` slopes are read: above the chaos of single contacts, below what bends."""
-    span = c.high - c.low
-    return np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)

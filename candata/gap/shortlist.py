@@ -27,6 +27,8 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 FEW, WORTHWHILE = 6, 2
 #: Share of the best gain on those from which a candidate is looked at in full, and the fewest and most such ones.
 SHARE, LEAST, MOST = 0.2, 4, 8
+#: How many of those that gain most where they are fitted come along.
+FITTED = 3
 
 
 @dataclass(frozen=True)
@@ -93,10 +95,21 @@ def _all(
 
 
 def _best(problem: Problem, responses: Responses, base: Array) -> list[Candidate]:
-    """Return the candidates that gain most on a few episodes."""
+    """Return the candidates that gain most on a few episodes, held out, and those that gain most where all are fitted.
+
+    A few episodes hardly fit the numbers of a vector without one of them.
+    """
     gains = _gains(problem, responses, base)
     wanted = sum(gain > SHARE * gains[0][0] for gain, _ in gains)
-    return [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
+    found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
+    fitted = sorted(responses, key=lambda pair: -_fitted_gain(problem, pair[1], base))
+    return found + [c for c, _ in fitted[:FITTED] if c not in found]
+
+
+def _fitted_gain(problem: Problem, response: Curve | Plane, base: Array) -> float:
+    """Return what a candidate gains on the episodes that it is fitted to."""
+    at = response.fitter(problem.score)(np.arange(len(base)))
+    return float((base - problem.score.loss(response.read(at))).mean())
 
 
 def _gains(problem: Problem, responses: Responses, base: Array) -> list[tuple[float, Candidate]]:

@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 import uuid
 import zipfile
 from collections.abc import Callable, Sequence
@@ -45,6 +46,8 @@ OWN_CODE = ("floor", "replay", "residuals", "starts")
 SAME_PLACE, SAME_TURN = 0.02, 0.1
 #: Seed of null recordings: the same from the cache and without it.
 NULL_SEED = 0
+#: Seconds between two words on how far simulations are.
+TOLD_S = 10.0
 #: Size of the cache from which the sets used longest ago are removed [bytes].
 LIMIT_BYTES = 4_000_000_000
 
@@ -70,6 +73,8 @@ class Library:
         What this diagnosis has simulated or read so far.
     parts : dict
         Libraries of some of the episodes that this diagnosis has asked for.
+    told : callable
+        Called now and then with how many simulations are done and about how long the others take.
     """
 
     replayer: Replayer
@@ -80,6 +85,7 @@ class Library:
     folder: Path | None
     memo: dict[str, Compact] = field(default_factory=dict)
     parts: dict[tuple[int, ...], Library] = field(default_factory=dict)
+    told: Callable[[str], None] = lambda stage: None
 
     def take(self, index: NDArray[np.int64]) -> Library:
         """Return the library of some episodes."""
@@ -87,15 +93,20 @@ class Library:
         if key not in self.parts:
             root = self.folder.parents[2] if self.folder else None
             begin, plan = self.begin.take(index), self.plan.take(index)
-            self.parts[key] = library(self.replayer, self.recs.take(index), begin, plan, root)
+            self.parts[key] = library(self.replayer, self.recs.take(index), begin, plan, root, self.told)
         return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
         found: dict[int, Compact] = {}
+        begun = told_s = time.monotonic()
         # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
         for i in np.random.default_rng(os.getpid()).permutation(len(settings)):
             found[int(i)] = self._signature(settings[i])
+            now = time.monotonic()
+            if now - told_s > TOLD_S and len(found) < len(settings):
+                told_s, left = now, (now - begun) / len(found) * (len(settings) - len(found))
+                self.told(f"simulating effects: {len(found)} of {len(settings)}, about {left:.0f} s left of these")
         return [found[i] for i in range(len(settings))]
 
     def _signature(self, some: EffectSet) -> Compact:
@@ -132,13 +143,20 @@ class Library:
         return self.folder / f"{hashlib.sha256(text.encode()).hexdigest()[:24]}.npz" if self.folder else None
 
 
-def library(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, root: Path | None) -> Library:
+def library(
+    replayer: Replayer,
+    recs: Recordings,
+    begin: Starts,
+    plan: Layout,
+    root: Path | None,
+    told: Callable[[str], None] = lambda stage: None,
+) -> Library:
     """Return the library of a set of recordings; `root` is the cache's folder, None keeps nothing."""
     flat = replace(plan, phase=np.zeros_like(plan.phase))
     folder = None
     if root is not None:
         folder, begin = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
-    blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder)
+    blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder, told=told)
     return replace(blank, nominal=blank._kept("nominal", lambda: blank._residual(())))
 
 

@@ -7,7 +7,6 @@ stay are refitted freely.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import candidates
 from candata.gap.refine import around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
-from candata.gap.score import Compact, Score, weights
+from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
 
 Array = NDArray[np.float64]
@@ -143,19 +142,15 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], st
 
 def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
     """Return the fit without the members that are worth nothing, the others refitted, until all are worth something."""
-    plane = fit.plane
-    losses = problem.score.loss(plane.z)
+    losses = problem.score.loss(fit.plane.z)
     gain = float((base - losses).mean())
-    kept = []
-    for i, member in enumerate(fit.members):
-        rise = problem.score.loss(_without(plane, fit.members, i)) - losses
-        error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
-        if member[0].choices or rise.mean() > max(LEAST * gain, SURE * error):
-            kept.append(member)
-    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, tuple(kept), base), base)
+    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
+    rises = [problem.score.loss(z) - losses for z in problem.residuals(without)]
+    kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
+    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, kept, base), base)
 
 
-def _without(plane: Plane, members: Sequence[tuple], i: int) -> Compact:
-    """Return the residuals that the plane promises with member i at its neutral values."""
-    u = np.concatenate([c.neutral if j == i else at for j, (c, at) in enumerate(members)])
-    return plane.read(u)
+def _is_worth(rise: Array, gain: float) -> bool:
+    """Tell whether leaving a member out raises the losses by `rise (E,)`, enough of the `gain` of all."""
+    error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
+    return bool(rise.mean() > max(LEAST * gain, SURE * error))

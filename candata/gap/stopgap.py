@@ -71,10 +71,10 @@ def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stop
     world : tuple of EffectSetting
         What the simulator holds already.
     some : sequence of Suspect
-        One, or several that are no fingertips.
+        One, or several of a kind: fingertips, or what forces act on.
     """
     if some[0].place == "fingertip":
-        return _reading(problem, world, some[0])
+        return _reading(problem, world, some)
     scene = problem.replayer.scene
 
     def settings(scale: float, train: Index | None = None) -> EffectSet:
@@ -98,26 +98,29 @@ def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stop
     return Stopgap(tuple(some), scale, settings(scale), loss, size, before)
 
 
-def _reading(problem: Problem, world: EffectSet, suspect: Suspect) -> Stopgap:
-    """Return a correction of what a fingertip reads, with what it closes on held-out episodes."""
+def _reading(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stopgap:
+    """Return a correction of what fingertips read, with what it closes on held-out episodes."""
     scene = problem.replayer.scene
     before = replay_all(problem.replayer, problem.recs, problem.begin, [world])[0]
-    tip = scene.file.fingertips.index(suspect.element)
-    terms = tip_terms(scene, np.nan_to_num(before["fingertip_force"][:, :, tip]))[..., list(suspect.found.terms)]
+    tips = [scene.file.fingertips.index(s.element) for s in some]
+    felt = np.nan_to_num(before["fingertip_force"])
+    terms = [tip_terms(scene, felt[:, :, tip])[..., list(s.found.terms)] for tip, s in zip(tips, some, strict=True)]
 
-    def corrected(scales: Sequence[float], fits: Sequence[Array]) -> tuple[Array, Array]:
-        """Return loss and discrepancy with each fold's readings corrected by its own fit."""
+    def corrected(scales: Sequence[float], fits: Sequence[Sequence[Array]]) -> tuple[Array, Array]:
+        """Return loss and discrepancy with each fold's readings corrected by its own fits."""
         force = before["fingertip_force"].copy()
         for test, scale, own in zip(problem.parts, scales, fits, strict=True):
-            force[test, :, tip] += scale * np.einsum("etak,ka->eta", terms[test], own)
+            for tip, term, fit in zip(tips, terms, own, strict=True):
+                force[test, :, tip] += scale * np.einsum("etak,ka->eta", term[test], fit)
         return _judged(problem, before | {"fingertip_force": force})
 
     folds = len(problem.parts)
-    losses = np.stack([corrected([s] * folds, [suspect.found.coefficients] * folds)[0] for s in (0.0, *SCALES)])
+    whole = [s.found.coefficients for s in some]
+    losses = np.stack([corrected([s] * folds, [whole] * folds)[0] for s in (0.0, *SCALES)])
     trains = [rest(problem.parts, fold) for fold in range(folds)]
-    fits = [fitted(suspect.sample, suspect.found.terms, train) for train in trains]
+    fits = [[fitted(s.sample, s.found.terms, train) for s in some] for train in trains]
     loss, size = corrected([_best_scale(losses[:, train].mean(1)) for train in trains], fits)
-    return Stopgap((suspect,), _best_scale(losses.mean(1)), (), loss, size, _judged(problem, before)[1])
+    return Stopgap(tuple(some), _best_scale(losses.mean(1)), (), loss, size, _judged(problem, before)[1])
 
 
 def _judged(problem: Problem, readings: dict[str, Array]) -> tuple[Array, Array]:

@@ -21,9 +21,17 @@ Place = Literal["joint", "fingertip", "object", "wrist"]
 #: Length of the means that are regressed [s]: motion is slower, the noise of differentiated readings averages out.
 BLOCK_S = 0.1
 #: Terms of a fingertip's reading.
-TIP_TERMS: tuple[tuple[str, ...], ...] = (("constant",), ("load",), ("sign of load change", "load"), ("time",))
+TIP_TERMS: tuple[tuple[str, ...], ...] = (
+    ("constant",),
+    ("load",),
+    ("sign of load change", "load"),
+    ("time",),
+    ("memory", "load"),
+)
 #: Change of a reading over which its direction is known [N].
 TURN_N = 0.3
+#: Time in which a fingertip's memory of its load fades [s]: soft skins creep within seconds.
+CREEP_S = 1.0
 #: Wave numbers that are tried for a force that repeats with position [rad per rad], as many per travel of a slide.
 WAVES = np.arange(2.0, 61.0, 0.5)
 #: Means over which waves are sought, in parts of a block.
@@ -145,12 +153,14 @@ def _tip(scene: Scene, tip: int, real: Residual, null: Residual, parts: Sequence
 
 
 def tip_terms(scene: Scene, felt: Array) -> Array:
-    """Return `(E, T, 3, 4)` the terms of a reading, from the forces `(E, T, 3)` that the fingertip truly feels [N]."""
-    turn = np.zeros_like(felt)
+    """Return `(E, T, 3, 5)` the terms of a reading, from the forces `(E, T, 3)` that the fingertip truly feels [N]."""
+    turn, memory = np.zeros_like(felt), np.zeros_like(felt)
+    fade = 1 / (CREEP_S * scene.file.rate_hz)
     for row in range(1, felt.shape[1]):
         turn[:, row] = np.clip(turn[:, row - 1] + (felt[:, row] - felt[:, row - 1]) / TURN_N, -1, 1)
+        memory[:, row] = memory[:, row - 1] + fade * (felt[:, row] - memory[:, row - 1])
     time = np.broadcast_to((np.arange(felt.shape[1]) / scene.file.rate_hz)[None, :, None], felt.shape)
-    return np.stack([np.ones_like(felt), felt, turn * np.abs(felt), time], axis=-1)
+    return np.stack([np.ones_like(felt), felt, turn * np.abs(felt), time, memory], axis=-1)
 
 
 def _against(real: Sample, null: Sample, groups: Sequence[tuple[int, ...]]) -> Sample:

@@ -87,7 +87,7 @@ def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopg
         best = played[0]
     first = best.suspects[0]
     kin = [s for s in near if s.place == first.place and s is not first]
-    if first.place == "fingertip" or not kin:
+    if not kin:
         return best
     together = stopgap(problem, world, [first, *kin])
     return together if together.closed >= best.closed + MENDS else best
@@ -194,10 +194,15 @@ def _words(problem: Problem, best: Stopgap, force: Array, size: float, where: Se
     if suspect.place == "fingertip":
         moved = any(s.channel != "fingertip_force" and s.p <= LEVEL for s in where)
         kind = "A contact force" if moved else "An error of the reading, nothing in the motion,"
-        return f"{kind} of {amount} at fingertip {suspect.element}{_on(suspect.depends_on)}"
+        return f"{kind} of {amount} at fingertip {suspect.element}{_others(best)}{_on(suspect.depends_on)}"
     kind = "A torque" if suspect.place == "joint" else "A force"
+    return f"{kind} of {amount} on joint {suspect.element}{_others(best)}{_how(best)}"
+
+
+def _others(best: Stopgap) -> str:
+    """Return where else it acts, in brackets; nothing where it acts on one element alone."""
     others = ", ".join(s.element for s in best.suspects[1:])
-    return f"{kind} of {amount} on joint {suspect.element}{f' (and others on {others})' * bool(others)}{_how(best)}"
+    return f" (and others on {others})" if others else ""
 
 
 def _towards(force: Array) -> str:

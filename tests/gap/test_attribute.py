@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import LARGEST_SET, Stage, is_full, standard_error
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
+from candata.gap.sets import LARGEST_SET, is_full
+from candata.gap.stage import Stage, standard_error
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])

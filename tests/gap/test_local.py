@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import _base
 from candata.gap.candidates import candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.local import promising
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
+from candata.gap.stage import typical
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def variants(arm, arm_episodes, planted):
         problem = _problem(Replayer(arm), recs, rng, None, lambda stage: None)
         nominal = problem.nominal
         responses, _ = respond(problem, nominal, candidates(arm, list(recs.readings)))
-        base, _ = _base(problem, nominal, ())
+        base, _ = typical(problem, nominal, ())
         return {c.label for c in promising(problem, nominal, responses, base)}
 
     return find

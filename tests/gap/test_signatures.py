@@ -49,6 +49,15 @@ def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, t
     assert steps == []
 
 
+def test_long_simulations_say_how_far_they_are(still, planted, monkeypatch):
+    monkeypatch.setattr(signatures, "TOLD_S", 0.0)
+    told = []
+    some = [planted("armature", armature_kgm2=x) for x in (0.001, 0.002, 0.003)]
+    library(still.replayer, still.recs, still.begin, still.plan, None, told.append).signatures(some)
+    assert [t.partition(",")[0] for t in told] == ["simulating effects: 1 of 3", "simulating effects: 2 of 3"]
+    assert all(t.endswith(" s left of these") for t in told)
+
+
 def test_a_damaged_file_is_made_again(still, planted, tmp_path):
     some = planted("armature", armature_kgm2=0.02)
     (made,) = shelf(still, tmp_path).signatures([some])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.attribute import _base
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.sparse import sparse
+from candata.gap.stage import typical
 
 #: Four things wrong at once, the damping most of all.
 WRONG = {
@@ -28,7 +28,7 @@ def found(arm, arm_episodes, planted):
     effects = tuple(s for name, x in WRONG.items() for s in planted(name, **x))
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    base, _ = _base(problem, problem.nominal, ())
+    base, _ = typical(problem, problem.nominal, ())
     c = candidate("joint_damping", arm)
     start = joint(problem, ((c, np.full(1, 0.2)),), base)
     return sparse(problem, start, base), start, base

@@ -8,10 +8,10 @@ from functools import partial
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, typical_size
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
-from candata.gap.refine import divided, joint, slopes_of
+from candata.gap.refine import WIDTHS, divided, joint, slopes_of
 from candata.gap.replay import Replayer
 
 FRICTION = 0.6
@@ -33,14 +33,14 @@ def members(cube):
     return (cone, elliptic), (friction, friction.neutral)
 
 
-def test_they_are_what_rollouts_beside_the_others_show(problem, members):
+def test_they_are_what_rollouts_beside_the_others_show(cube, problem, members):
     world = partial(divided, members)
     z = problem.residuals([problem.setting(members)])[0]
     slope = slopes_of(problem, members, world, z)
     assert slope.shape == (2, *z.shape)
     assert not slope[0].any()  # a choice has none
     c, u = members[1]
-    step = 0.002 * (c.high - c.low)
+    step = WIDTHS[0] * typical_size(c, cube)
     (moved,) = problem.residuals([problem.setting((members[0], (c, u + step)))])
     np.testing.assert_allclose(slope[1], (moved - z) / step, rtol=1e-5, atol=1e-5)
 

@@ -152,6 +152,24 @@ def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
     assert found.stopgap == ()
 
 
+def test_skins_that_creep_are_readings_that_remember_their_load(gripper, hiding):
+    """Both fingertips: a correction of one alone would leave half."""
+
+    def creeping(scene, memory, readings):
+        now = readings["fingertip_force"]
+        past = memory.get("past", np.zeros_like(now))
+        memory["past"] = past + (now - past) / (0.7 * scene.file.rate_hz)
+        return {**readings, "fingertip_force": now + 0.5 * memory["past"]}
+
+    found = described(gripper, grips(gripper, hiding(hidden.reading(creeping))))
+    assert found.unknown.acts_on == "fingertip"
+    assert found.unknown.element is None
+    assert {"memory", "load"} <= set(found.unknown.depends_on)
+    assert found.unknown.words.startswith("An error of the reading, nothing in the motion")
+    assert "(and others on" in found.unknown.words
+    assert found.unknown.closable > 0.5
+
+
 def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
     cause = hidden.on_joint("elbow", lambda q, u, memory: np.full_like(q, 0.2))
     recs = recordings(arm, arm_episodes(hiding(cause)))

@@ -1,0 +1,154 @@
+"""Sets of causes: grown one by one, early members exchanged, at last a joint fit of everything."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.floor import floor
+from candata.gap.folds import cross_fit
+from candata.gap.refine import joint
+from candata.gap.score import score
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.sparse import sparse
+from candata.gap.stage import NEAR, RIVALS, Stage, look, null_level, standard_error
+
+Array = NDArray[np.float64]
+#: Largest number of effects in a set, beside those that were measured without a fit.
+LARGEST_SET = 3
+#: Share of the gain so far below which another effect is not worth naming, significant or not.
+EXTRA = 0.05
+#: Share of the loss above the floor that a joint fit of many effects must take off.
+MOST = 0.5
+#: Null replays of each episode around an accepted set.
+NULLS_AGAIN = 4
+
+
+def forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool]:
+    """Return the best set that contains `best`, the problem in units of its floor, and whether a gap remains.
+
+    Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. Where a gap
+    is left, what was taken early is looked at again beside what came later.
+    """
+    while True:
+        world, best = _rescored(problem, best)
+        remains = _leaves(world, best)
+        if not remains or not grow or not _has_room(best):
+            return best, world, remains
+        full = is_full(best.members, problem.measured)
+        grown = None if full else _grown(world, best, _beside(world, best.members))
+        if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
+            grown = _swapped(world, best)
+        if grown is None:
+            return best, world, remains
+        problem, best = world, grown
+
+
+def _has_room(best: Fit) -> bool:
+    """Tell whether so much is left that another effect could be worth a name."""
+    return float(best.evidence.loss.mean()) - 1 > EXTRA * best.gain
+
+
+def _leaves(problem: Problem, fit: Fit) -> bool:
+    """Tell whether the held-out loss of a fit lies above the nulls of its world."""
+    return bool(fit.evidence.loss.mean() > null_level(problem.score, problem.rng))
+
+
+def _judged(problem: Problem, fit: Fit) -> tuple[Fit, Problem, bool]:
+    """Return a fit and the problem in units of the floor of its world, and whether a gap remains."""
+    world, fit = _rescored(problem, fit)
+    return fit, world, _leaves(world, fit)
+
+
+def _beside(problem: Problem, members: Members) -> Stage:
+    """Return the evidence of every candidate beside effects that act already."""
+    return look(problem, problem.residuals([problem.setting(members)])[0], members)
+
+
+def _swapped(problem: Problem, best: Fit) -> Fit | None:
+    """Return the set with an early member exchanged for what explains more beside the others; None where none does.
+
+    The first of several causes is chosen while the others are missing; the last one was chosen beside all others.
+    """
+    base = problem.score.loss(problem.nominal)
+    for left in [m for m in best.members[:-1] if m[0].name not in {c.name for c, _ in problem.measured}]:
+        others = tuple(m for m in best.members if m is not left)
+        found = _beside(problem, others).passing()
+        if found is None or found.labels[0] == left[0].label:
+            continue
+        fit = joint(problem, (*others, found.members[0]), base)
+        if _worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
+            return fit
+    return None
+
+
+def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
+    """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes."""
+    if stage.passing() is None:
+        return None
+    front = [f for f in stage.fits if f.gain > NEAR * stage.fits[0].gain][: 1 + RIVALS]
+    base = problem.score.loss(problem.nominal)
+    sets = [joint(problem, (*best.members, f.members[0]), base) for f in front]
+    return max(sets, key=lambda f: f.gain)
+
+
+def is_full(members: Members, measured: Members) -> bool:
+    """Tell whether a set holds as many effects as are searched for; one that was measured directly takes no place."""
+    known = {c.name for c, _ in measured}
+    return sum(c.name not in known for c, _ in members) >= LARGEST_SET
+
+
+def with_measured(problem: Problem, best: Fit, remains: bool) -> tuple[Fit, Problem, bool]:
+    """Return the set joined by what was measured directly: it needs no gain to be believed."""
+    new = tuple((c, u) for c, u in problem.measured if c.name not in {m.name for m, _ in best.members})
+    if not new:
+        return best, problem, remains
+    return _judged(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
+
+
+def jointly(problem: Problem, best: Fit) -> tuple[Fit, Problem, bool]:
+    """Return the joint fit over all effects where it closes clearly more than `best`, which is returned otherwise.
+
+    Many names that leave most of the gap open are names at random: then `best` stands too.
+    """
+    base = problem.score.loss(problem.nominal)
+    found = sparse(problem, best, base) if _has_room(best) else None
+    if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
+        return best, problem, True
+    if found.gain < MOST * float((base - 1).mean()):
+        return best, problem, True
+    return _judged(problem, _rebuilt(problem, found, base))
+
+
+def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
+    """Return the fewest of the most worthy members of a joint fit that explain as much, refitted; itself if none do.
+
+    Together, numbers that are a little off make up for one another; alone, the true ones need no such help.
+    """
+    without = [problem.setting([m for m in found.members if m is not left]) for left in found.members]
+    losses = [problem.score.loss(z).mean() for z in problem.residuals(without)]
+    order = [found.members[i] for i in np.argsort(losses)[::-1]]
+    for count in range(1, min(LARGEST_SET, len(order) - 1) + 1):
+        fit = joint(problem, tuple(order[:count]), base)
+        if not _worth_adding(fit.evidence.loss - found.evidence.loss, found.gain):
+            return fit
+    return found
+
+
+def _worth_adding(extra: Array, so_far: float) -> bool:
+    """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
+    least = max(standard_error(extra), EXTRA * so_far)
+    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
+
+
+def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
+    """Return problem and fit in units of the floor of the fitted world."""
+    world = problem.setting(best.members)
+    spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
+    new = replace(problem, score=score(problem.raw, spread, problem.plan))
+    factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
+    response = best.response.rescaled(factor)
+    evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
+    return new, replace(best, response=response, evidence=evidence)

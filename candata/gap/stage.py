@@ -1,0 +1,216 @@
+"""One round of a search: every candidate beside what is held, the nearest ones compared at their sharpest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate, candidates, local_candidates
+from candata.gap.floor import perturbed
+from candata.gap.folds import null_threshold
+from candata.gap.local import LOCAL, promises
+from candata.gap.refine import polished, refined
+from candata.gap.response import Curve, Plane
+from candata.gap.score import Compact, Score
+from candata.gap.screen import respond
+from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.shortlist import rivals, screened
+from candata.gap.starts import Starts
+
+Array = NDArray[np.float64]
+#: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
+PLAIN = 3.0
+#: Held-out gain [floors] below which an effect is not worth a name, significant or not.
+MATTERS = 0.02
+#: Share of the best gain above which another effect's fit is sharpened too before the two are compared, and how many.
+NEAR, RIVALS = 0.85, 2
+#: Nominal replays from other starts, which show how much of a loss is luck.
+STARTS = 3
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One round of the search: every candidate on top of what is held.
+
+    Attributes
+    ----------
+    base : (E,) float64
+        Typical loss without another effect, in floors.
+    fits : tuple of Fit
+        Every lively candidate, best held-out gain first.
+    threshold : float
+        Held-out gain that null sets reach one time in a hundred.
+    dead : tuple of str
+        Candidates that this data cannot show.
+    idle : tuple of str
+        Candidates whose best value is their absence.
+    faint : tuple of str
+        Candidates that gained too little on a few episodes to be looked at further.
+    reachable : float
+        Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
+    """
+
+    base: Array
+    fits: tuple[Fit, ...]
+    threshold: float
+    dead: tuple[str, ...]
+    idle: tuple[str, ...]
+    faint: tuple[str, ...]
+    reachable: float
+
+    def passing(self) -> Fit | None:
+        """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all.
+
+        A loss below what a true world reaches is luck, and counts for nothing; so does the gain of one episode alone.
+        """
+        if not self.fits:
+            return None
+        best = self.fits[0]
+        each = best.evidence.gain
+        gain = min(best.gain, float(self.base.mean()) - self.reachable)
+        others = float(np.delete(each, np.argmax(each)).mean())
+        sure = gain > max(self.threshold, standard_error(each), MATTERS) and others > self.threshold / 2
+        return best if sure else None
+
+    def is_plain(self, best: Fit) -> bool:
+        """Tell whether a gain is large enough to count although the loss itself lies within the nulls' range.
+
+        Either it is sure, or it removes most of the loss, which no floor of the right height allows.
+        """
+        sure = best.gain > PLAIN * standard_error(best.evidence.gain)
+        return best.gain > PLAIN * self.threshold and (sure or best.gain > float(self.base.mean()) / 2)
+
+
+def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> Stage:
+    """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them."""
+    channels = list(problem.recs.readings)
+    taken = {c.name for c, _ in held}
+    found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
+    base, luck = typical(problem, here, held)
+    seen = screened(problem, here, found, held, base, full)
+    responses = [r for _, r in seen.responses]
+    threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
+    found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
+    fits = [f for f in found_fits if not f.members[0][0].is_neutral(f.members[0][1])]
+    absent = [f.members[0][0] for f in found_fits if f.members[0][0].is_neutral(f.members[0][1])]
+    idle = tuple(c.label for c in absent if c.element is None)
+    declared = problem.floor_kind != "assumed"
+    reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
+    return Stage(base, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
+
+
+def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
+    """Return the stage with more variants on one element: the fault may be one joint's, or the next one's.
+
+    Tried are the best fit's effect on each of its elements alone; where it is a fault of one element already, also all
+    other effects on that element.
+    """
+    known = {f.labels[0] for f in stage.fits}
+    best = stage.fits[0]
+    unknown = [v for v in _kin(problem, best, stage) if v.label not in known]
+    near = rivals(problem, here, unknown, stage.base, best.evidence.gain) if unknown else []
+    responses = respond(problem, here, near)[0] if near else []
+    found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
+    fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
+    return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
+
+
+def _kin(problem: Problem, best: Fit, stage: Stage) -> list[Candidate]:
+    """Return the variants on one element that a best fit makes worth a look."""
+    scene, c = problem.replayer.scene, best.members[0][0]
+    if c.element is None:
+        variants = local_candidates(c, scene)
+        promised = promises(problem, c, variants, best.response, stage.base) if variants else []
+        return [v for _, v in promised[:LOCAL]]
+    every = [w for w in candidates(scene, list(problem.recs.readings)) if w.name not in problem.ruled_out]
+    variants = [v for w in every if w.label not in stage.dead for v in local_candidates(w, scene)]
+    return [v for v in variants if v.name == c.name or v.element == c.element]
+
+
+def sharpened(problem: Problem, stage: Stage) -> Stage:
+    """Return the stage with the best fit and its nearest rivals at their sharpest: only then are they compared."""
+    best = _simplest(stage.fits[0], stage.fits)
+    name = best.members[0][0].name
+    others = [f for f in stage.fits if f.members[0][0].name != name and f.gain > NEAR * best.gain]
+    front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
+    labels = {f.labels[0] for f in front}
+    front = _settled(problem, sorted(front, key=lambda f: -f.gain))
+    return replace(stage, fits=(*front, *(f for f in stage.fits if f.labels[0] not in labels)))
+
+
+def _settled(problem: Problem, front: list[Fit]) -> list[Fit]:
+    """Return near rivals by their typical losses over starts that are equally possible, the best first.
+
+    One replay of each deals every rival its own luck, and the best of several is the luckiest.
+    """
+    near = [f for f in front if f.gain > NEAR * front[0].gain]
+    if len(near) < 2:
+        return front
+    begins = [problem.begin, *_starts(problem)]
+    worlds = [problem.setting(f.members) for f in near]
+    losses = np.array([[problem.score.loss(z) for z in problem.residuals(worlds, begin)] for begin in begins])
+    shift = np.median(losses, axis=0) - losses[0]
+    settled = [_shifted(f, s) for f, s in zip(near, shift, strict=True)]
+    return sorted((*settled, *front[len(near) :]), key=lambda f: -f.gain)
+
+
+def _shifted(fit: Fit, more: Array) -> Fit:
+    """Return a fit whose held-out losses are `more (E,)` larger."""
+    e = fit.evidence
+    return replace(fit, evidence=replace(e, loss=e.loss + more, gain=e.gain - more))
+
+
+def _starts(problem: Problem) -> list[Starts]:
+    """Return other starts that are as possible as the problem's own."""
+    return [perturbed(problem.replayer, problem.begin, problem.noise, problem.rng) for _ in range(STARTS)]
+
+
+def typical(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
+    """Return the typical loss `(E,)` over starts that are equally possible, and the luck `(J, E)` of each."""
+    world = problem.setting(held)
+    losses = [problem.score.loss(here)]
+    losses += [problem.score.loss(problem.residuals([world], begin)[0]) for begin in _starts(problem)]
+    base = np.median(losses, axis=0)
+    return base, base - np.stack(losses)
+
+
+def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:
+    """Return single-candidate fits by interpolated responses, best held-out gain first."""
+    return sorted((fit_one(problem, c, r, base) for c, r in responses), key=lambda f: -f.gain)
+
+
+def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fit]:
+    """Return the fits whose held-out loss is within one standard error of the best one's (Breiman et al. 1984).
+
+    The error is that of the paired difference over episodes. What lies below the loss that true worlds reach is tied
+    too: the truth could do no better. The same effect on fewer or more elements is no rival.
+    """
+    rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
+    return [best, *(f for f in rivals if _is_tied(f, best) or f.evidence.loss.mean() <= reachable)]
+
+
+def _is_tied(fit: Fit, best: Fit) -> bool:
+    """Tell whether a fit is no worse than the best by more than one standard error."""
+    worse = fit.evidence.loss - best.evidence.loss
+    return bool(worse.mean() <= standard_error(worse))
+
+
+def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
+    """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
+    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
+    return min([best, *same], key=lambda f: (f.members[0][0].size, f.members[0][0].element is None))
+
+
+def standard_error(values: Array) -> float:
+    """Return the standard error of the mean of independent episodes."""
+    return float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def null_level(score: Score, rng: np.random.Generator, quantile: float = 0.99, sets: int = 1000) -> float:
+    """Return the quantile of the mean loss of null sets, in floors."""
+    count = score.null_loss.shape[1]
+    chosen = rng.integers(len(score.null_loss), size=(sets, count))
+    return float(np.quantile(score.null_loss[chosen, np.arange(count)].mean(1), quantile))

@@ -1,0 +1,92 @@
+"""Sets of causes: what was taken early can be exchanged, few true names replace many that make up for one another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import sets
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+from candata.gap.screen import respond
+from candata.gap.stage import typical
+
+
+@pytest.fixture(scope="module")
+def posed(arm, arm_episodes, planted):
+    """The problem that an arm with two causes poses, and its base loss."""
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return problem, problem.score.loss(problem.nominal)
+
+
+def members(arm, **values):
+    return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+
+
+def test_an_early_member_gives_way_to_the_true_one(arm, posed):
+    problem, base = posed
+    wrong = joint(problem, members(arm, joint_damping=0.3, actuation_delay=0.03), base)
+    found = sets._swapped(problem, wrong)
+    assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
+    assert found.evidence.loss.mean() < wrong.evidence.loss.mean()
+
+
+def test_a_true_set_is_left_as_it_is(arm, posed):
+    problem, base = posed
+    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    assert sets._swapped(problem, right) is None
+
+
+def test_few_true_names_replace_many(arm, posed):
+    problem, base = posed
+    many = joint(
+        problem,
+        members(arm, joint_damping=0.01, joint_dry_friction=0.3, armature=0.0005, actuation_delay=0.03),
+        base,
+    )
+    assert set(sets._rebuilt(problem, many, base).labels) == {"joint_dry_friction", "actuation_delay"}
+
+
+def test_many_names_that_leave_most_of_it_open_are_not_taken(arm, posed, monkeypatch):
+    problem, base = posed
+    best = joint(problem, members(arm, armature=0.0005), base)
+    better = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    excess = float((base - 1).mean())
+    for share, taken in ((0.4, False), (0.9, True)):
+        evidence = replace(better.evidence, gain=better.evidence.gain * share * excess / better.gain)
+        monkeypatch.setattr(sets, "sparse", lambda *a, e=evidence: replace(better, evidence=e))
+        found, _, _ = sets.jointly(problem, best)
+        assert (found is not best) is taken
+
+
+def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
+    problem, _ = posed
+    held = members(arm, actuation_delay=0.03)
+    here = problem.residuals([problem.setting(held)])[0]
+    step = candidate("time_step", arm)
+    ((_, curve),) = respond(replace(problem, library=None), here, [step], held)[0]
+    u = next(u for u in curve.at if u != step.neutral[0])
+    (beside,) = problem.residuals([problem.setting((*held, (step, np.array([u]))))])
+    assert curve.read(np.array([u])) == pytest.approx(beside, abs=1e-5)
+
+
+def test_the_best_of_near_rivals_joins_the_set(arm, posed):
+    """What came second by signatures beside what is held is fitted too."""
+    problem, base = posed
+    start = joint(problem, members(arm, actuation_delay=0.03), base)
+    stage = sets._beside(problem, start.members)
+    true = next(f for f in stage.fits if f.labels == ("joint_dry_friction",))
+    other = next(f for f in stage.fits if f.members[0][0].name != "joint_dry_friction")
+    swapped = replace(stage, fits=(replace(other, evidence=true.evidence), replace(true, evidence=true.evidence)))
+    assert sets._grown(problem, start, swapped).labels == ("actuation_delay", "joint_dry_friction")
+    assert typical(problem, problem.nominal, ())[0].mean() > start.evidence.loss.mean()

@@ -1,0 +1,83 @@
+"""Near rivals: looked at on every element, by typical losses, and told apart only where the data can."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from candata.gap import stage as staging
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.folds import CrossFit
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.gap.screen import respond
+from candata.gap.search import Fit
+from candata.gap.stage import narrowed, sharpened, tied_with, typical
+
+BASE = np.full(8, 2.0)
+
+
+def fit(c, loss: np.ndarray) -> Fit:
+    return Fit(((c, np.ones(1)),), None, CrossFit(BASE - loss, loss, np.zeros((4, 1))))
+
+
+@pytest.fixture(scope="module")
+def posed(arm, arm_episodes, planted):
+    """The function that gives the problem that an arm with a fault poses."""
+
+    def pose(*fault, **parameters):
+        recs = recordings(arm, arm_episodes(planted(*fault, **parameters)))
+        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+
+    return pose
+
+
+@pytest.mark.parametrize(
+    ("name", "element", "parameters", "wrong"),
+    [
+        ("joint_dry_friction", "elbow", {"frictionloss_Nm": 0.4}, ("joint_dry_friction", "shoulder")),
+        ("servo_gain", "shoulder", {"kp_scale": 0.6}, ("joint_damping", "shoulder")),
+    ],
+)
+def test_a_fault_of_one_element_brings_its_neighbours_and_other_effects_there(
+    arm, posed, name, element, parameters, wrong
+):
+    problem = posed(name, element, **parameters)
+    base, _ = typical(problem, problem.nominal, ())
+    ((c, curve),) = respond(problem, problem.nominal, [candidate(wrong[0], arm, wrong[1])])[0]
+    first = staging.fit_one(problem, c, curve, base)
+    found = narrowed(problem, problem.nominal, staging.Stage(base, (first,), 0.0, (), (), (), 0.0))
+    assert found.fits[0].labels == (f"{name} {element}",)
+
+
+def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
+    """One replay dealt the second rival all the luck; from other starts it is the worse one."""
+    steady, lucky = candidate("joint_damping", arm), candidate("servo_damping", arm)
+    losses = {"joint_damping": [1.0, 1.0, 1.0, 1.0], "servo_damping": [0.9, 1.4, 1.4, 1.4]}
+
+    def residuals(worlds, begin):
+        return [np.full(8, losses[world][begin]) for world in worlds]
+
+    problem = SimpleNamespace(
+        begin=0, score=SimpleNamespace(loss=lambda z: z), residuals=residuals,
+        setting=lambda members: members[0][0].name,
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
+    first = staging.Stage(BASE, (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5)), 0.0, (), (), (), 0.0)
+    found = sharpened(problem, first)
+    assert [f.labels[0] for f in found.fits] == ["joint_damping", "servo_damping"]
+    assert found.fits[0].gain == pytest.approx(1.0)
+    assert found.fits[1].gain == pytest.approx(2.0 - 1.4)
+
+
+def test_what_lies_below_the_loss_of_true_worlds_cannot_be_told_apart(arm):
+    best, rival = (
+        fit(candidate(name, arm), np.full(8, loss)) for name, loss in [("armature", 0.8), ("time_step", 0.9)]
+    )
+    assert tied_with(best, [best, rival]) == [best]
+    assert tied_with(best, [best, rival], reachable=0.95) == [best, rival]
+    assert tied_with(best, [best, rival], reachable=0.85) == [best]
