@@ -26,7 +26,7 @@ EFFECT = Effect(
             "impratio",
             "1",
             scaled_bounds(_own, 0.01, 200.0),
-            scaled(_own, 0.1, 0.5, 2.0, 15.0),
+            scaled(_own, 0.1, 0.5, 2.0, 10.0),
             scaled_spans(_own, (0.06, 0.15), (8.0, 15.0)),
             "MuJoCo manual, option/impratio: 1 is the default, models of hands use 10 to 100 against slip",
             neutral=_own,

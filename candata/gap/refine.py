@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 World = Callable[[Array], Members]
 #: First fits that must have been simulated where they are, and most rounds of simulations of one of them.
 FRONT, TRIES = 4, 3
+#: First fits that are simulated even if signatures promise nothing: beside other causes they say little.
+ALWAYS = 2
 #: Share of the best gain below which what signatures promise is too little to be looked at. Chosen: signatures are
 #: off by a tenth or so.
 PROMISE = 0.5
@@ -46,7 +48,7 @@ def refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> li
     """Return single fits, best held-out gain first, the first of them simulated on the recording where they are."""
     tries: dict[str, int] = {}
     while True:
-        front = [f for f in fits[:FRONT] if f.gain > PROMISE * fits[0].gain]
+        front = [f for i, f in enumerate(fits[:FRONT]) if i < ALWAYS or f.gain > PROMISE * fits[0].gain]
         todo = [f for f in front if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
         if not todo:
             return fits
@@ -120,13 +122,13 @@ def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plan
     return plane
 
 
-def joint(problem: Problem, members: Members, base: Array) -> Fit:
-    """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts."""
+def joint(problem: Problem, members: Members, base: Array, widths: Sequence[float] = WIDTHS) -> Fit:
+    """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts over some widths."""
     world = partial(divided, members)
     plane = around(problem, members, world)
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     plane = _descended(problem, fit, plane, None)
-    for width in WIDTHS if len(plane.at) <= MOST_SLOPES else ():
+    for width in widths if len(plane.at) <= MOST_SLOPES else ():
         before = float(problem.score.loss(plane.z).mean())
         slope = _differences(problem, fit.split(plane.at), world, plane.z, width)
         plane = _descended(problem, fit, replace(plane, slope=slope), slope)

@@ -132,7 +132,9 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
     order = [found.members[i] for i in np.argsort(losses)[::-1]]
     for count in range(1, min(LARGEST_SET, len(order) - 1) + 1):
         fit = joint(problem, tuple(order[:count]), base)
-        if not _worth_adding(fit.evidence.loss - found.evidence.loss, found.gain):
+        # Each of a few names must be worth one; where everything is a little wrong, many are worth little each.
+        names = len(order) - count if len(order) <= LARGEST_SET else 1
+        if not _worth_adding((fit.evidence.loss - found.evidence.loss) / names, found.gain):
             return fit
     return found
 
