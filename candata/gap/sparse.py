@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
-from candata.gap.refine import WIDTHS, around, divided, joint, slopes_of, stepped
+from candata.gap.refine import around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
 from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
@@ -26,8 +26,6 @@ ROUNDS = 7
 STRENGTHS = np.geomspace(0.3, 1e-5, 12)
 #: Sweeps of coordinate descent (Friedman, Hastie & Tibshirani 2010).
 SWEEPS = 200
-#: Widths over which the slopes of many numbers are simulated: once, as each takes a replay.
-ONCE = WIDTHS[1:2]
 #: Share of the gain below which a member is dropped, and how many standard errors its own must be.
 LEAST, SURE = 0.02, 1.64
 
@@ -60,7 +58,7 @@ def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
     kept = world(plane.at)
     if len(kept) <= len(start.members):
         return None
-    return _pruned(problem, joint(problem, kept, base, ONCE), base)
+    return _pruned(problem, joint(problem, kept, base), base)
 
 
 def _everything(problem: Problem, start: Fit) -> Members:
@@ -149,7 +147,7 @@ def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
     without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
     rises = [problem.score.loss(z) - losses for z in problem.residuals(without)]
     kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
-    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, kept, base, ONCE), base)
+    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, kept, base), base)
 
 
 def _is_worth(rise: Array, gain: float) -> bool:

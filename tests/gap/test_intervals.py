@@ -50,14 +50,16 @@ def posed(arm, pair):
     return make
 
 
-def test_they_hold_the_truth_about_nine_times_in_ten(posed):
+def test_they_hold_the_truth_about_nine_times_in_ten(posed, monkeypatch):
+    # What is added for contact that comes and goes is not needed here.
+    monkeypatch.setattr("candata.gap.shrink.WIDER_MANY", 1.0)
     hits = []
     for seed in range(200):
         problem, fit, _ = posed(seed)
         low, high = intervals(problem, fit)
         hits += ((low <= TRUE) & (high >= TRUE)).tolist()
-    # Parabolas are the easy case: what is added for contact that comes and goes makes them wider than they need to be.
-    assert 0.88 <= np.mean(hits) <= 0.995
+    # 400 numbers scatter by 0.015; the slack of one percent adds a little.
+    assert 0.86 <= np.mean(hits) <= 0.95
 
 
 def test_they_narrow_with_episodes(posed):
