@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import forward, jointly, with_measured
+from candata.gap.sets import compared, forward, jointly, with_measured
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with
 
 
@@ -53,7 +53,9 @@ def attribute(problem: Problem) -> Attribution:
     first = sharpened(problem, first)
     best = first.fits[0]
     tied = tied_with(best, first.fits, first.reachable)
-    chosen, world, remains = forward(problem, best, grow=len(tied) == 1)
+    chosen, world, remains = forward(problem, best)
+    if len(tied) > 1 and len(chosen.members) > 1:
+        tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
     if remains and len(tied) == 1:
         chosen, world, remains = jointly(world, chosen)

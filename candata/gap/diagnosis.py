@@ -36,9 +36,9 @@ from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, held_out, intervals, measures, shares, support, trust
 from candata.gap.signatures import library
 from candata.gap.starts import is_toss, starts
-from candata.gap.unknown import Described, describe
+from candata.gap.unknown import Described, describe, unseating
 from candata.gap.untested import library as searchable
-from candata.gap.verdict import EXPLAINED, FEWEST, class_of, unknown, verdict
+from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile, Value
@@ -46,7 +46,6 @@ from candata.schema.report import (
     DataUsed,
     EpisodeCount,
     Estimate,
-    Gap,
     NamedEffect,
     Ranked,
     Report,
@@ -58,9 +57,6 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 #: Episodes on which effects are searched; what a larger dataset holds beyond is left untouched until the end.
 SEARCHED = 64
-#: Share of the gap that a described force must close beyond what is named, for that to be called unknown. Chosen: the
-#: force is fitted with more freedom.
-CLEARLY = 0.1
 
 
 @dataclass(frozen=True)
@@ -208,7 +204,10 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     # A stream of its own: what is drawn here changes nothing that comes after.
     where = with_regimes(where, f.problem, rng.spawn(1)[0])
-    better = _better(f, word, size, where, rng.spawn(1)[0])
+    better = None
+    if word in ("explained", "partly_explained"):
+        world = replace(f.problem, score=f.found.score)
+        better = unseating(world, size, where, f.found.first.fits[0].labels[0], rng.spawn(1)[0])
     word = "unknown_effect" if better else word
     left = where
     if word == "partly_explained":
@@ -262,20 +261,6 @@ def _rest(
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
     problem = replace(f.problem, score=f.found.score) if repaired else f.problem
     return describe(problem, repaired, left, nearest, rng)
-
-
-def _better(
-    f: _Findings, word: Verdict, size: Gap, where: Sequence[Symptom], rng: np.random.Generator
-) -> Described | None:
-    """Return a described force that closes clearly more by itself than what is named: then that is not the cause.
-
-    Asked only where what is named leaves much; None where it stands.
-    """
-    closed = size.closed or 0.0
-    if word not in ("explained", "partly_explained") or closed >= EXPLAINED:
-        return None
-    found = describe(replace(f.problem, score=f.found.score), (), where, f.found.first.fits[0].labels[0], rng)
-    return found if found and (found.unknown.closable or 0.0) > closed + CLEARLY else None
 
 
 def lasting(name: str) -> str:

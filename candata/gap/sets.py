@@ -13,7 +13,7 @@ from candata.gap.refine import joint
 from candata.gap.score import score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.sparse import sparse
-from candata.gap.stage import NEAR, RIVALS, Stage, look, null_level, standard_error
+from candata.gap.stage import NEAR, RIVALS, Stage, is_tied, look, null_level, standard_error
 
 Array = NDArray[np.float64]
 #: Largest number of effects in a set, beside those that were measured without a fit.
@@ -24,9 +24,11 @@ EXTRA = 0.05
 MOST = 0.5
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
+#: A set, the problem in units of the floor of its world, and whether a gap remains.
+Grown = tuple[Fit, Problem, bool]
 
 
-def forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool]:
+def forward(problem: Problem, best: Fit) -> Grown:
     """Return the best set that contains `best`, the problem in units of its floor, and whether a gap remains.
 
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. Where a gap
@@ -35,7 +37,7 @@ def forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool
     while True:
         world, best = _rescored(problem, best)
         remains = _leaves(world, best)
-        if not remains or not grow or not _has_room(best):
+        if not remains or not _has_room(best):
             return best, world, remains
         full = is_full(best.members, problem.measured)
         grown = None if full else _grown(world, best, _beside(world, best.members))
@@ -44,6 +46,24 @@ def forward(problem: Problem, best: Fit, grow: bool) -> tuple[Fit, Problem, bool
         if grown is None:
             return best, world, remains
         problem, best = world, grown
+
+
+def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> tuple[list[Fit], Grown]:
+    """Return which of tied first causes are still tied beside what else was found, the best first, and the best set.
+
+    Alone they were compared under all that the other causes do.
+    """
+    first = tied[0].members[0][0]
+    others = tuple(m for m in chosen.members if m[0].label != first.label)
+    if len(others) == len(chosen.members):
+        return tied[:1], (chosen, problem, remains)
+    base = problem.score.loss(problem.nominal)
+    rivals = [f for f in tied[1:] if f.members[0][0].name not in {c.name for c, _ in others}]
+    pairs = [(tied[0], chosen), *((f, joint(problem, (*others, f.members[0]), base)) for f in rivals)]
+    pairs.sort(key=lambda pair: float(pair[1].evidence.loss.mean()))
+    best = pairs[0][1]
+    left = [f for f, fit in pairs if is_tied(fit, best)]
+    return left, (chosen, problem, remains) if best is chosen else _judged(problem, best)
 
 
 def _has_room(best: Fit) -> bool:
@@ -56,7 +76,7 @@ def _leaves(problem: Problem, fit: Fit) -> bool:
     return bool(fit.evidence.loss.mean() > null_level(problem.score, problem.rng))
 
 
-def _judged(problem: Problem, fit: Fit) -> tuple[Fit, Problem, bool]:
+def _judged(problem: Problem, fit: Fit) -> Grown:
     """Return a fit and the problem in units of the floor of its world, and whether a gap remains."""
     world, fit = _rescored(problem, fit)
     return fit, world, _leaves(world, fit)
@@ -100,7 +120,7 @@ def is_full(members: Members, measured: Members) -> bool:
     return sum(c.name not in known for c, _ in members) >= LARGEST_SET
 
 
-def with_measured(problem: Problem, best: Fit, remains: bool) -> tuple[Fit, Problem, bool]:
+def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:
     """Return the set joined by what was measured directly: it needs no gain to be believed."""
     new = tuple((c, u) for c, u in problem.measured if c.name not in {m.name for m, _ in best.members})
     if not new:
@@ -108,7 +128,7 @@ def with_measured(problem: Problem, best: Fit, remains: bool) -> tuple[Fit, Prob
     return _judged(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
 
 
-def jointly(problem: Problem, best: Fit) -> tuple[Fit, Problem, bool]:
+def jointly(problem: Problem, best: Fit) -> Grown:
     """Return the joint fit over all effects where it closes clearly more than `best`, which is returned otherwise.
 
     Many names that leave most of the gap open are names at random: then `best` stands too.

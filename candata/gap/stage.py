@@ -189,10 +189,10 @@ def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fi
     too: the truth could do no better. The same effect on fewer or more elements is no rival.
     """
     rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
-    return [best, *(f for f in rivals if _is_tied(f, best) or f.evidence.loss.mean() <= reachable)]
+    return [best, *(f for f in rivals if is_tied(f, best) or f.evidence.loss.mean() <= reachable)]
 
 
-def _is_tied(fit: Fit, best: Fit) -> bool:
+def is_tied(fit: Fit, best: Fit) -> bool:
     """Tell whether a fit is no worse than the best by more than one standard error."""
     worse = fit.evidence.loss - best.evidence.loss
     return bool(worse.mean() <= standard_error(worse))
@@ -200,7 +200,7 @@ def _is_tied(fit: Fit, best: Fit) -> bool:
 
 def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
     """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
-    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and _is_tied(f, best)]
+    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best)]
     return min([best, *same], key=lambda f: (f.members[0][0].size, f.members[0][0].element is None))
 
 

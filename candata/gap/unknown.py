@@ -16,7 +16,8 @@ from candata.gap.search import Problem
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect, suspects
-from candata.schema.report import Symptom, Unknown
+from candata.gap.verdict import EXPLAINED
+from candata.schema.report import Gap, Symptom, Unknown
 
 Array = NDArray[np.float64]
 #: Episodes that are looked at: enough to describe a force.
@@ -27,6 +28,9 @@ REPLICAS = 2
 PLAYED, NEAR = 3, 0.2
 #: Share of the gap that a choice must close more than the plainer one.
 MENDS = 0.05
+#: Share of the gap that a described force must close beyond what is named, for that to be called unknown. Chosen: the
+#: force is fitted with more freedom.
+CLEARLY = 0.1
 #: Share of its largest size above which a force counts as acting.
 ACTS = 0.25
 #: Share of what was seen from which a circumstance is said to hold whenever the force acts.
@@ -72,6 +76,29 @@ def describe(
         return None
     best = _best(some, world, found)
     return Described(_unknown(some, best, where, nearest), best.settings if best.closed > 0 else ())
+
+
+def unseating(
+    problem: Problem, size: Gap, where: Sequence[Symptom], nearest: str, rng: np.random.Generator
+) -> Described | None:
+    """Return a described force that closes clearly more by itself than what is named: then that is not the cause.
+
+    Asked only where what is named leaves much; None where it stands.
+
+    Parameters
+    ----------
+    problem : Problem
+        In units of the floor of the world with what is named.
+    size : Gap
+        What is named closes.
+    where, nearest, rng
+        As for `describe`.
+    """
+    closed = size.closed or 0.0
+    if closed >= EXPLAINED:
+        return None
+    found = describe(problem, (), where, nearest, rng)
+    return found if found and (found.unknown.closable or 0.0) > closed + CLEARLY else None
 
 
 def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopgap:
