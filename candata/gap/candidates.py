@@ -146,15 +146,10 @@ def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
 
 def typical_size(c: Candidate, scene: Scene) -> Array:
     """Return `(d,)` how far from neutral a plausible effect of this kind lies, between a faint and a strong one."""
-    sizes = []
-    for p in effect(c.name).parameters:
-        ends = np.array(p.draws(scene), float)
-        sizes += [ends] * p.size(scene)
-    mine = [ends for ends, own in zip(sizes, c.own, strict=True) if own]
-    away = [
-        np.abs((np.log(ends) if log else ends) - at)
-        for ends, log, at in zip(mine, c.logarithmic, c.neutral, strict=True)
-    ]
+    ends = [np.array(p.draws(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
+    mine = [e for e, own in zip(ends, c.own, strict=True) if own]
+    rows = zip(mine, c.logarithmic, c.neutral, strict=True)
+    away = [np.abs((np.log(e) if log else e) - at) for e, log, at in rows]
     return np.array([(far.min() + far.max()) / 2 for far in away])
 
 

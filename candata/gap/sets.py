@@ -21,7 +21,7 @@ LARGEST_SET = 3
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
 #: Floors that must be left for a joint fit of everything: contact alone leaves a tenth or two behind a right cause. (In
-#: blind cases with less, it only found names that make up for chaos.)
+#: three blind cases with less, it found nothing, or names that make up for chaos.)
 LEFT = 0.2
 #: Share of the loss above the floor that a joint fit of many effects must take off.
 MOST = 0.5

@@ -16,6 +16,7 @@ from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import weights
 from candata.gap.search import Fit, Problem
+from candata.gap.stage import standard_error
 from candata.rotation import difference
 from candata.schema.report import Gap
 
@@ -30,11 +31,11 @@ WIDER, WIDER_MANY = 1.4, 2.5
 #: Half width of a normal 90 % interval, in standard errors.
 NORMAL = 1.645
 #: First and last distance at which the loss around a fit of several numbers is measured, as shares of a plausible size,
-#: and by how many standard errors it must have risen there.
+#: and how many standard errors its curvature there must be. Chosen.
 NEAREST, FARTHEST, RISEN = 0.125, 1.0, 2.0
 #: Most numbers whose curvature is simulated: beyond it their refits say how sure they are, `LOOSE` times wider.
 MOST_CURVED, LOOSE = 16, 6.0
-#: Most that correlation with other numbers widens an interval.
+#: Most that correlation with other numbers widens an interval. Chosen: beyond it slopes are no finer.
 INFLATED = 5.0
 #: Least half width as a share of the effect: episodes share commands and chaos, and slopes are no finer.
 FINEST = 0.01
@@ -136,10 +137,10 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
 def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     """Return ends `(d,)` from how the simulated loss rises to both sides of the fitted coordinates `own (d,)`.
 
-    With L the loss of an episode at a distance h, its slope g = (L(h) - L(-h)) / 2h and the mean curvature
-    A = mean(L(h) + L(-h) - 2 L(0)) / h^2, the coordinate's standard error is sd(g) / sqrt(E) / A (the sandwich of
-    Huber 1967, one coordinate at a time), widened by its correlation with others (variance inflation). The distance
-    doubles until the loss has risen surely; where it never does, a plausible size is what is known.
+    Each episode's loss is read at the fit and at two places beside it, and taken for the parabola through them, of
+    slope g and curvature A. The coordinate's standard error is sd(g) / sqrt(E) / mean(A) (the sandwich of Huber 1967,
+    one coordinate at a time), widened by its correlation with others (variance inflation). The distance doubles until
+    the loss has risen surely; where it never does, a plausible size is what is known.
     """
     low, high, typical = (
         np.concatenate(parts)
@@ -153,17 +154,18 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     open_ = np.flatnonzero(half > 0)
     share = NEAREST
     while len(open_) and share <= FARTHEST:
-        steps = [side * share * typical[i] * np.eye(len(own))[i] for i in open_ for side in (1, -1)]
-        worlds = [problem.setting(fit.split(np.clip(own + step, low, high))) for step in steps]
-        losses = [problem.score.loss(z) - here for z in problem.residuals(worlds)]
+        places = {int(i): _places(share * typical[i], own[i] - low[i], high[i] - own[i]) for i in open_}
+        worlds = [problem.setting(fit.split(own + s * np.eye(len(own))[i])) for i, pair in places.items() for s in pair]
+        losses = iter([problem.score.loss(z) - here for z in problem.residuals(worlds)])
         known = []
-        for k, i in enumerate(open_):
-            up, down = losses[2 * k], losses[2 * k + 1]
-            rise, h = (up + down) / 2, share * typical[i]
-            if rise.mean() > RISEN * _error(rise):
-                curvature, slope = 2 * rise.mean() / h**2, (up - down) / (2 * h)
-                half[i] = min(NORMAL * WIDER_MANY * _error(slope) / curvature, typical[i])
-                shift[i] = np.clip(-slope.mean() / curvature, -h, h)
+        for i, (a, b) in places.items():
+            one, other = next(losses), next(losses)
+            slope = (one * b**2 - other * a**2) / (a * b * (b - a))
+            curvature = 2 * (one * b - other * a) / (a * b * (a - b))
+            if curvature.mean() > RISEN * standard_error(curvature):
+                half[i] = min(NORMAL * WIDER_MANY * standard_error(slope) / curvature.mean(), typical[i])
+                shift[i] = np.clip(-slope.mean() / curvature.mean(), low[i] - own[i], high[i] - own[i])
+                shift[i] = np.clip(shift[i], -share * typical[i], share * typical[i])
                 known.append(i)
         open_ = np.setdiff1d(open_, known)
         share *= 2
@@ -171,9 +173,12 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     return np.minimum(own, own + shift) - half, np.maximum(own, own + shift) + half
 
 
-def _error(values: Array) -> float:
-    """Return the standard error of a mean over episodes."""
-    return float(values.std(ddof=1) / np.sqrt(len(values)))
+def _places(h: float, below: float, above: float) -> tuple[float, float]:
+    """Return two distances at which a loss is read: `h` to both sides, or both to one where a bound leaves no room."""
+    if min(below, above) >= h:
+        return h, -h
+    side = 1.0 if above >= below else -1.0
+    return side * h, side * 2 * h
 
 
 def _inflation(plane: Plane) -> Array:

@@ -17,6 +17,7 @@ from candata.gap.refine import around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
 from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
+from candata.gap.stage import standard_error
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -152,5 +153,4 @@ def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
 
 def _is_worth(rise: Array, gain: float) -> bool:
     """Tell whether leaving a member out raises the losses by `rise (E,)`, enough of the `gain` of all."""
-    error = float(rise.std(ddof=1) / np.sqrt(len(rise)))
-    return bool(rise.mean() > max(LEAST * gain, SURE * error))
+    return bool(rise.mean() > max(LEAST * gain, SURE * standard_error(rise)))

@@ -30,7 +30,7 @@ TIP_TERMS: tuple[tuple[str, ...], ...] = (
 )
 #: Change of a reading over which its direction is known [N].
 TURN_N = 0.3
-#: Time in which a fingertip's memory of its load fades [s]: soft skins creep within seconds.
+#: Time in which a fingertip's memory of its load fades [s]. Chosen: between the lag of a sensor and a grasp.
 CREEP_S = 1.0
 #: Wave numbers that are tried for a force that repeats with position [rad per rad], as many per travel of a slide.
 WAVES = np.arange(2.0, 61.0, 0.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.candidates import candidate, candidates, first_probes, local_candidates, probes
+from candata.gap.candidates import candidate, candidates, first_probes, local_candidates, probes, typical_size
 from candata.schema.effect import EffectSetting
 
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -97,6 +97,16 @@ def test_probes_reach_what_is_plausible(hand, name):
     room = 0.11 * (drawn.max() - drawn.min())
     assert values.max() >= min(drawn.max(), float(c.values(c.high)[0])) - room
     assert values.min() <= max(drawn.min(), float(c.values(c.low)[0])) + room
+
+
+@pytest.mark.parametrize("name", effect_names())
+def test_a_plausible_size_lies_within_the_bounds(hand, name):
+    c = candidate(name, hand)
+    if c.choices or not effect(name).parameters[0].draws(hand):
+        return
+    size = typical_size(c, hand)
+    assert size.shape == c.neutral.shape
+    assert ((size > 0) & (size < c.high - c.low)).all()
 
 
 def test_a_label_names_the_element(hand):

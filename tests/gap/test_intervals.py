@@ -27,9 +27,9 @@ def posed(arm, pair):
     """The function that gives a problem whose losses are parabolas around each episode's own optimum, and its fit."""
     size = np.concatenate([typical_size(c, arm) for c in pair])
 
-    def make(seed: int, episodes: int = 16, seen: tuple[float, float] = (1.0, 1.0), alike: float = 0.0):
+    def make(seed: int, episodes: int = 16, seen: tuple[float, float] = (1.0, 1.0), alike: float = 0.0, true=TRUE):
         rng = np.random.default_rng(seed)
-        optimum = TRUE + 0.2 * size * rng.standard_normal((episodes, 2))
+        optimum = true + 0.2 * size * rng.standard_normal((episodes, 2))
         own = optimum.mean(0)
         slope = rng.standard_normal((2, episodes, 30)).astype(np.float32)
         slope[1] += alike * slope[0]
@@ -84,3 +84,11 @@ def test_the_fit_lies_inside(posed):
     low, high = intervals(problem, fit)
     own = np.concatenate([u for _, u in fit.members])
     assert ((low < own) & (own < high)).all()
+
+
+def test_beside_a_bound_they_are_read_on_the_other_side(posed, monkeypatch):
+    """Both numbers end at zero: a parabola there has the same width as elsewhere."""
+    monkeypatch.setattr("candata.gap.shrink.FINEST", 0.0)
+    _, _, size = posed(2)
+    widths = [np.subtract(*intervals(*posed(2, true=size * share)[:2])[::-1]) for share in (1.0, 0.1)]
+    assert widths[1] == pytest.approx(widths[0], rel=0.05)
