@@ -53,7 +53,7 @@ def attribute(problem: Problem) -> Attribution:
     first = sharpened(problem, first)
     best = first.fits[0]
     tied = tied_with(best, first.fits, first.reachable)
-    chosen, world, remains = forward(problem, best)
+    chosen, world, remains = forward(problem, best, first.fits)
     if len(tied) > 1 and len(chosen.members) > 1:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)

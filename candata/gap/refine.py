@@ -36,6 +36,9 @@ SHARES = (1.0, 0.5)
 ROUNDS = 4
 #: Share of the loss below which another round is not worth its rollouts.
 ENOUGH = 0.02
+#: Share of the loss that slopes must promise for a step to be simulated at all. (Of seven steps that promised less, one
+#: gained anything to speak of.)
+PROMISED = 0.001
 #: Most coordinates whose slopes are simulated, and over which shares of a plausible effect's size, one after another.
 #: Contact comes and goes: over a narrow width slopes tell of single contacts, and fit nothing but them. (Of twelve
 #: joint offsets, 0.02 of the size left 1.43 floors, 0.2 left 1.09 and 0.6 left 0.96; the truth has 0.92.)
@@ -141,7 +144,10 @@ def _descended(problem: Problem, fit: Fit, plane: Plane, slope: Compact | None) 
     """Return the plane after steps that each lower the simulated loss clearly; slopes from signatures if not given."""
     for _ in range(ROUNDS):
         before = float(problem.score.loss(plane.z).mean())
-        moved = stepped(problem, plane, plane.best(np.arange(len(plane.z))), fit.split)
+        target = plane.best(np.arange(len(plane.z)))
+        if float(problem.score.loss(plane.read(target)).mean()) > (1 - PROMISED) * before:
+            break
+        moved = stepped(problem, plane, target, fit.split)
         if moved is plane:
             break
         here = fit.split(moved.at)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,32 +12,38 @@ from numpy.typing import NDArray
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
 from candata.gap.refine import joint
+from candata.gap.response import Plane
 from candata.gap.score import score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.sparse import sparse
-from candata.gap.stage import NEAR, RIVALS, Stage, is_tied, look, null_level, standard_error
+from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, null_level, standard_error
 
 Array = NDArray[np.float64]
 #: Largest number of effects in a set, beside those that were measured without a fit.
 LARGEST_SET = 3
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
-#: Floors that must be left for a joint fit of everything: contact alone leaves a tenth or two behind a right cause. (In
-#: three blind cases with less, it found nothing, or names that make up for chaos.)
+#: Floors that must be left for pairs and for a joint fit of everything: contact alone leaves a tenth or two behind a
+#: right cause. (In three blind cases with less, it found nothing, or names that make up for chaos.)
 LEFT = 0.2
 #: Share of the loss above the floor that a joint fit of many effects must take off.
 MOST = 0.5
+#: Standard errors by which an effect alone must gain to be tried in a pair, and how many are. (Of one split of cube
+#: tosses, inertia and compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
+SURELY, PAIRED = 2.0, 3
+#: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
+PARTLY = (1.0, 0.6, 0.3)
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
 #: A set, the problem in units of the floor of its world, and whether a gap remains.
 Grown = tuple[Fit, Problem, bool]
 
 
-def forward(problem: Problem, best: Fit) -> Grown:
+def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
     """Return the best set that contains `best`, the problem in units of its floor, and whether a gap remains.
 
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. Where a gap
-    is left, what was taken early is looked at again beside what came later.
+    is left, what was taken early is looked at again beside what came later, and two of the fits `alone` together.
     """
     while True:
         world, best = _rescored(problem, best)
@@ -43,9 +51,9 @@ def forward(problem: Problem, best: Fit) -> Grown:
         if not remains or not _has_room(best):
             return best, world, remains
         full = is_full(best.members, problem.measured)
-        grown = None if full else _grown(world, best, _beside(world, best.members))
+        grown = None if full else _grown(world, best, _beside(world, best.members, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
-            grown = _swapped(world, best)
+            grown = _swapped(world, best) or _paired(world, best, alone)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -85,9 +93,11 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
     return fit, world, _leaves(world, fit)
 
 
-def _beside(problem: Problem, members: Members) -> Stage:
-    """Return the evidence of every candidate beside effects that act already."""
-    return look(problem, problem.residuals([problem.setting(members)])[0], members)
+def _beside(problem: Problem, members: Members, done: Fit | None = None) -> Stage:
+    """Return the evidence of every candidate beside effects that act already; `done`: their fit, if simulated there."""
+    simulated = done is not None and isinstance(done.response, Plane)
+    here = done.plane.z if done and simulated else problem.residuals([problem.setting(members)])[0]
+    return look(problem, here, members)
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
@@ -111,16 +121,49 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes."""
     if stage.passing() is None:
         return None
-    front = [f for f in stage.fits if f.gain > NEAR * stage.fits[0].gain][: 1 + RIVALS]
+    front = [f for f in stage.fits if is_near(f, stage.fits[0])][: 1 + RIVALS]
     base = problem.score.loss(problem.nominal)
     sets = [joint(problem, (*best.members, f.members[0]), base) for f in front]
     return max(sets, key=lambda f: f.gain)
 
 
+def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
+    """Return the set with two more effects that are worth a name together though neither is beside `best`.
+
+    Tried are those that gained surely alone: beside a cause that took their share, each may need the other.
+    """
+    taken = {c.name for c, _ in best.members}
+    too_many = _searched(best.members, problem.measured) + 2 > LARGEST_SET
+    if too_many or float(best.evidence.loss.mean()) - 1 < LEFT:
+        return None
+    sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
+    free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
+    base = problem.score.loss(problem.nominal)
+    pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
+    sets = [_nearest(problem, best.members, pair) for pair in pairs]
+    found = max((joint(problem, members, base) for members in sets), key=lambda f: f.gain, default=None)
+    if found is None or not _worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
+        return None
+    return found
+
+
+def _nearest(problem: Problem, held: Members, pair: Members) -> Members:
+    """Return the set with two effects at the shares of their distance from neutral that leave the least loss."""
+    shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
+    tried = [(*held, a, b) for a, b in product(*shares)]
+    losses = [problem.score.loss(z).mean() for z in problem.residuals([problem.setting(m) for m in tried])]
+    return tried[int(np.argmin(losses))]
+
+
 def is_full(members: Members, measured: Members) -> bool:
-    """Tell whether a set holds as many effects as are searched for; one that was measured directly takes no place."""
+    """Tell whether a set holds as many effects as are searched for."""
+    return _searched(members, measured) >= LARGEST_SET
+
+
+def _searched(members: Members, measured: Members) -> int:
+    """Return how many members of a set were searched for; one that was measured directly takes no place."""
     known = {c.name for c, _ in measured}
-    return sum(c.name not in known for c, _ in members) >= LARGEST_SET
+    return sum(c.name not in known for c, _ in members)
 
 
 def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:

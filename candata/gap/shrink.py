@@ -148,7 +148,7 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
             *((c.low, c.high, typical_size(c, problem.replayer.scene)) for c, _ in fit.members), strict=True
         )
     )
-    here = problem.score.loss(problem.residuals([problem.setting(fit.members)])[0])
+    here = problem.score.loss(fit.plane.z)
     half = np.where(np.concatenate([np.full(c.size, c.choices) for c, _ in fit.members]), 0.0, typical)
     shift = np.zeros(len(own))
     open_ = np.flatnonzero(half > 0)
@@ -216,13 +216,12 @@ def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[f
     if len(fit.members) == 1:
         return [(1.0, float("nan"))]
     without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
-    zs = problem.residuals([(), problem.setting(fit.members), *without])
-    losses = [problem.score.loss(z) for z in zs]
-    whole = max(float((losses[0] - losses[1]).mean()), 1e-9)
-    picks = rng.integers(len(losses[0]), size=(RESAMPLES, len(losses[0])))
+    own = problem.score.loss(fit.plane.z)
+    whole = max(float((problem.score.loss(problem.nominal) - own).mean()), 1e-9)
+    picks = rng.integers(len(own), size=(RESAMPLES, len(own)))
     out = []
-    for loss in losses[2:]:
-        rise = loss - losses[1]
+    for z in problem.residuals(without):
+        rise = problem.score.loss(z) - own
         out.append((round(float(rise.mean()) / whole, 3), float((rise[picks].mean(1) > 0).mean())))
     return out
 

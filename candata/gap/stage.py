@@ -27,6 +27,8 @@ PLAIN = 3.0
 MATTERS = 0.02
 #: Share of the best gain above which another effect's fit is sharpened too before the two are compared, and how many.
 NEAR, RIVALS = 0.85, 2
+#: Standard errors of the paired difference within which it is sharpened as well, however much less it gains.
+UNSURE = 2.0
 #: Nominal replays from other starts, which show how much of a loss is luck.
 STARTS = 3
 
@@ -134,7 +136,7 @@ def sharpened(problem: Problem, stage: Stage) -> Stage:
     """Return the stage with the best fit and its nearest rivals at their sharpest: only then are they compared."""
     best = _simplest(stage.fits[0], stage.fits)
     name = best.members[0][0].name
-    others = [f for f in stage.fits if f.members[0][0].name != name and f.gain > NEAR * best.gain]
+    others = [f for f in stage.fits if f.members[0][0].name != name and is_near(f, best)]
     front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
     labels = {f.labels[0] for f in front}
     front = _settled(problem, sorted(front, key=lambda f: -f.gain))
@@ -146,7 +148,7 @@ def _settled(problem: Problem, front: list[Fit]) -> list[Fit]:
 
     One replay of each deals every rival its own luck, and the best of several is the luckiest.
     """
-    near = [f for f in front if f.gain > NEAR * front[0].gain]
+    near = [f for f in front if is_near(f, front[0])]
     if len(near) < 2:
         return front
     begins = [problem.begin, *_starts(problem)]
@@ -154,7 +156,7 @@ def _settled(problem: Problem, front: list[Fit]) -> list[Fit]:
     losses = np.array([[problem.score.loss(z) for z in problem.residuals(worlds, begin)] for begin in begins])
     shift = np.median(losses, axis=0) - losses[0]
     settled = [_shifted(f, s) for f, s in zip(near, shift, strict=True)]
-    return sorted((*settled, *front[len(near) :]), key=lambda f: -f.gain)
+    return sorted((*settled, *(f for f in front if not is_near(f, front[0]))), key=lambda f: -f.gain)
 
 
 def _shifted(fit: Fit, more: Array) -> Fit:
@@ -190,6 +192,12 @@ def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fi
     """
     rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
     return [best, *(f for f in rivals if is_tied(f, best) or f.evidence.loss.mean() <= reachable)]
+
+
+def is_near(fit: Fit, best: Fit) -> bool:
+    """Tell whether a fit comes so near the best that only a sharper look can tell which is better."""
+    worse = fit.evidence.loss - best.evidence.loss
+    return fit.gain > NEAR * best.gain or bool(best.gain > 0 and worse.mean() <= UNSURE * standard_error(worse))
 
 
 def is_tied(fit: Fit, best: Fit) -> bool:

@@ -72,6 +72,22 @@ def test_another_effect_on_the_right_joint_counts_for_where_alone():
     assert row(some, "local fault: effect and element first").value == 0
 
 
+def test_a_class_counts_for_where_if_all_of_it_acts_on_the_right_joint():
+    same = case("local", (DRY,), verdict="ambiguous", tied=("joint_damping index2", "joint_dry_friction index2"))
+    other = case("local", (DRY,), verdict="ambiguous", tied=("joint_damping ring1", "joint_dry_friction index2"))
+    assert row([same], "local fault: the right joint or finger first").value == 100
+    assert row([other], "local fault: the right joint or finger first").value == 0
+    assert row([same], "local fault: effect and element first").value == 0
+
+
+def test_what_hardly_shows_is_counted_in_the_whole_and_left_out_of_what_is_plain():
+    seen = case("one", (MASS,), (say(MASS),), rises={"object_mass": 0.4})
+    faint = case("one", (MASS,), rises={"object_mass": 0.01})
+    assert row([seen, faint], "one effect: first").value == 50
+    assert row([seen, faint], "one effect: first, where it is worth 0.1 floors").value == 100
+    assert "object_mass is worth 0.01 floors" in miss(faint).why
+
+
 def test_parameter_error_is_relative_and_of_rightly_named_effects_only():
     near, far = case("one", (MASS,), (say(MASS, mass_scale=1.53),)), case("one", (MASS,), (say(SLIDE),))
     assert parameter_error(near) == pytest.approx(0.02)

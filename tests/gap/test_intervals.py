@@ -34,16 +34,18 @@ def posed(arm, pair):
         slope = rng.standard_normal((2, episodes, 30)).astype(np.float32)
         slope[1] += alike * slope[0]
         low, high = (np.array([getattr(c, side)[0] for c in pair]) for side in ("low", "high"))
-        plane = Plane(low, high, own, np.zeros((episodes, 30), np.float32), slope)
         members = tuple((c, own[[i]]) for i, c in enumerate(pair))
 
         def residuals(worlds):
             at = [np.concatenate([u for _, u in world]) for world in worlds]
-            return [1 + (np.array(seen) * ((u - optimum) / size) ** 2).sum(1) for u in at]
+            rises = [(np.array(seen) * ((u - optimum) / size) ** 2).sum(1) for u in at]
+            return [np.repeat(1 + rise[:, None], 30, axis=1).astype(np.float32) for rise in rises]
+
+        plane = Plane(low, high, own, residuals([members])[0], slope)
 
         problem = SimpleNamespace(
             recs=range(episodes), replayer=SimpleNamespace(scene=arm), residuals=residuals,
-            setting=lambda members: members, score=SimpleNamespace(loss=lambda z: z), rng=rng,
+            setting=lambda members: members, score=SimpleNamespace(loss=lambda z: z.mean(1)), rng=rng,
         )  # fmt: skip
         return problem, Fit(members, plane, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 2)))), size
 

@@ -46,6 +46,25 @@ def test_a_true_set_is_left_as_it_is(arm, posed):
     assert sets._swapped(problem, right) is None
 
 
+def test_two_join_a_set_together_if_each_gains_alone(arm, posed):
+    problem, base = posed
+    idle = joint(problem, members(arm, armature=0.0005), base)
+    alone = [joint(problem, members(arm, **{name: value}), base) for name, value in
+             (("actuation_delay", 0.03), ("joint_dry_friction", 0.3))]  # fmt: skip
+    sure = [replace(f, evidence=alone[0].evidence) for f in alone]
+    assert {"joint_dry_friction", "actuation_delay"} < set(sets._paired(problem, idle, sure).labels)
+    unsure = replace(sure[1], evidence=replace(sure[1].evidence, gain=sure[1].evidence.gain - sure[1].gain))
+    assert sets._paired(problem, idle, [sure[0], unsure]) is None
+
+
+def test_no_pair_joins_where_next_to_nothing_is_left(arm, posed):
+    problem, base = posed
+    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    one = replace(right, members=right.members[:1])  # Room for two, and the loss of the true set.
+    others = [joint(problem, members(arm, **{name: 0.01}), base) for name in ("joint_damping", "armature")]
+    assert sets._paired(problem, one, [replace(f, evidence=right.evidence) for f in others]) is None
+
+
 def test_few_true_names_replace_many(arm, posed):
     problem, base = posed
     many = joint(

@@ -12,6 +12,8 @@ from candata.schema.bench import CaseResult, Kind, Label, Shares
 from candata.schema.report import Estimate, NamedEffect
 
 Array = NDArray[np.float64]
+#: Worth of a cause [floors] below which it is said to be faint. Chosen.
+FAINT = 0.1
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Outcome:
     result : CaseResult
         What was said.
     shares : Shares or None
-        What each true contributor is worth, where there are several.
+        What each true contributor is worth; None where there is none in the library.
     """
 
     label: Label
@@ -77,6 +79,11 @@ class Outcome:
     def first(self) -> bool:
         """Whether the largest true contributor is named first, on the right element."""
         return bool(self.truth) and self.named[:1] == (self.largest,)
+
+    @property
+    def plain(self) -> bool:
+        """Whether each true cause is worth enough to be seen; true where that was not measured."""
+        return self.shares is None or min(self.shares.rises.values(), default=0.0) >= FAINT
 
     @property
     def closed(self) -> float | None:

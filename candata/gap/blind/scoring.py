@@ -8,14 +8,14 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.blind.outcomes import Outcome, covered, parameter_error, supports
+from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
 from candata.schema.bench import BenchFile, Bin, Kind, Miss, Row
 
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
 BINS = 5
-#: Worth below which a miss mentions it [floors], and cosine above which two causes are said to look alike.
-FAINT, ALIKE = 0.1, 0.8
+#: Cosine above which two causes are said to look alike.
+ALIKE = 0.8
 #: Kinds whose hidden effects are all in the library.
 KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
 
@@ -72,9 +72,11 @@ def _single(one: list[Outcome], quarter: list[Outcome]) -> list[Row]:
     closed = [o.closed for o in right if o.closed is not None]
     return [
         _share("one effect: first", (o.first for o in one), low=95),
+        _share("one effect: first, where it is worth 0.1 floors", (o.first for o in one if o.plain)),
         _share("one effect: in three", (o.truth[0] in o.said[:3] for o in one), low=98),
         _share("one effect: and nothing else", (o.named == o.truth for o in one)),
         _share("a quarter of the magnitude: first", (o.first for o in quarter), low=88),
+        _share("a quarter: first, where it is worth 0.1 floors", (o.first for o in quarter if o.plain)),
         _quantile("parameter error: median", errors, 0.5, high=2),
         _quantile("parameter error: 90th percentile", errors, 0.9, high=12),
         _quantile("parameter error of a quarter: median", weak, 0.5),
@@ -89,9 +91,11 @@ def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[Row]:
     for word, some, low in (("two effects", pairs, 85), ("three effects", triples, 70)):
         out += [
             _share(f"{word}: all right", (set(o.named) == set(o.truth) for o in some), low=low),
+            _share(f"{word}: all right, where each is worth 0.1 floors",
+                   (set(o.named) == set(o.truth) for o in some if o.plain)),
             _share(f"{word}: a wrong name", (bool(o.wrong_names) for o in some), high=8),
             _share(f"{word}: largest true contributor first", (o.first for o in some)),
-        ]
+        ]  # fmt: skip
     return out
 
 
@@ -126,13 +130,18 @@ def _local(local: list[Outcome]) -> list[Row]:
     """Return the measures of faults of one element."""
     return [
         _share("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
+        _share("local fault: the right joint or finger first, where the fault is worth 0.1 floors",
+               (_element_first(o) for o in local if o.plain)),
         _share("local fault: effect and element first", (o.first for o in local)),
-    ]
+    ]  # fmt: skip
 
 
 def _element_first(o: Outcome) -> bool:
-    """Tell whether the effect named first acts on the element that is at fault."""
-    return bool(o.effects) and o.effects[0].element == o.label.effects[0].element
+    """Tell whether the effect named first acts on the element that is at fault, or all of a class of tied ones do."""
+    if o.effects:
+        return o.effects[0].element == o.label.effects[0].element
+    tied = o.result.report.ambiguous_class if o.result.report else ()
+    return bool(tied) and all(text.endswith(f" {o.label.effects[0].element}") for text in tied)
 
 
 def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:

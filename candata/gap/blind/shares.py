@@ -70,7 +70,7 @@ def measure_shares(
     crew: Crew = alone,
     told: Callable[[int], None] = lambda count: None,
 ) -> dict[str, Shares]:
-    """Return the shares of every case with several causes; those that stand in `shares.jsonl` are taken as they are.
+    """Return the shares of every case with causes of the library; those that stand in `shares.jsonl` are kept.
 
     Parameters
     ----------
@@ -85,10 +85,10 @@ def measure_shares(
     told : callable
         Called with 1 for each case just done.
     """
-    several = [p for p in cases if len(labels[p.folder.name].effects) > 1]
+    hiding = [p for p in cases if labels[p.folder.name].effects]
     standing = {s.sealed: s for s in finished(out / SHARES, Shares)}
-    tasks = [(*p.anywhere, labels[p.folder.name].model_dump_json()) for p in several if p.sealed not in standing]
+    tasks = [(*p.anywhere, labels[p.folder.name].model_dump_json()) for p in hiding if p.sealed not in standing]
     for found in spread(out / SHARES, share_of, tasks, crew):
         standing[found.sealed] = found
         told(1)
-    return {p.folder.name: standing[p.sealed] for p in several}
+    return {p.folder.name: standing[p.sealed] for p in hiding}
