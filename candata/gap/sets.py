@@ -9,6 +9,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.candidates import candidate
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
 from candata.gap.refine import joint
@@ -53,7 +54,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
         full = is_full(best.members, problem.measured)
         grown = None if full else _grown(world, best, _beside(world, best.members, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
-            grown = _swapped(world, best) or _paired(world, best, alone)
+            grown = _swapped(world, best) or _widened(world, best) or _paired(world, best, alone)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -127,6 +128,27 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     return max(sets, key=lambda f: f.gain)
 
 
+def _widened(problem: Problem, best: Fit) -> Fit | None:
+    """Return the set with the fault of one element taken for one of all, where that explains more; None otherwise.
+
+    Under other causes a fault of all may first show on the one element that they spare.
+    """
+    if float(best.evidence.loss.mean()) - 1 < LEFT:
+        return None
+    base = problem.score.loss(problem.nominal)
+    for c, u in best.members:
+        if c.element is None:
+            continue
+        whole = candidate(c.name, problem.replayer.scene)
+        at = whole.neutral.copy()
+        at[c.own[whole.own]] = u
+        others = tuple(m for m in best.members if m[0].name != c.name)
+        fit = joint(problem, (*others, (whole, at)), base)
+        if _worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
+            return fit
+    return None
+
+
 def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     """Return the set with two more effects that are worth a name together though neither is beside `best`.
 
@@ -186,7 +208,8 @@ def jointly(problem: Problem, best: Fit) -> Grown:
         return best, problem, True
     if found.gain < MOST * float((base - 1).mean()):
         return best, problem, True
-    return _judged(problem, _rebuilt(problem, found, base))
+    fewest = _rebuilt(problem, found, base)
+    return _judged(problem, _widened(problem, fewest) or fewest)
 
 
 def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:

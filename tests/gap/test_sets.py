@@ -65,6 +65,25 @@ def test_no_pair_joins_where_next_to_nothing_is_left(arm, posed):
     assert sets._paired(problem, one, [replace(f, evidence=right.evidence) for f in others]) is None
 
 
+def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(arm, posed):
+    problem, base = posed
+    delay = members(arm, actuation_delay=0.03)
+    elbow = (candidate("joint_dry_friction", arm, "elbow"), np.array([0.3]))
+    found = sets._widened(problem, joint(problem, (*delay, elbow), base))
+    assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
+    assert sets._widened(problem, found) is None
+
+
+def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
+    effects = (*planted("joint_damping", damping_Nms_rad=0.3), *planted("actuation_delay", "elbow", delay_s=0.03))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
+    half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
+    assert float(half.evidence.loss.mean()) - 1 > sets.LEFT
+    assert sets._widened(problem, half) is None
+
+
 def test_few_true_names_replace_many(arm, posed):
     problem, base = posed
     many = joint(
