@@ -76,6 +76,7 @@ def test_a_gain_that_can_be_is_silent(told, times):
 def test_fingertips_with_factors_of_their_own_are_no_unit(told):
     assert told(np.array([KGF, 1, 1, 1, 1])[:, None], SPREAD) == []
     assert told(np.array([KGF, KGF, 0, 0, 0])[:, None], 0.1 * SPREAD) == []
+    assert told(np.array([KGF, KGF, KGF, 1, 1])[:, None], KGF * SPREAD) == []
 
 
 def test_a_finger_of_a_weak_motor_does_not_hide_a_unit(told):
@@ -93,3 +94,13 @@ def test_two_fingertips_that_feel_alike_are_not_called_exchanged(hand, pressed, 
     apart[:, FREE : 2 * FREE, 0] = apart[:, 2 * FREE :, 1] = 0
     (one,) = exchange_findings(two, plain_recordings(fingertip_force=apart[:, :, ::-1]), apart)
     assert one.elements == two.file.fingertips
+
+
+def test_fingertips_in_turned_frames_are_not_called_exchanged(hand, pressed, plain_recordings):
+    two = replace(hand, file=hand.file.model_copy(update={"fingertips": hand.file.fingertips[:2]}))
+    # One feels along z, the other along x, and a little later; both frames are turned so that it looks exchanged.
+    own = pressed[:, :, :2].copy()
+    own[:, 5:, 1] = own[:, :-5, 1][..., [2, 0, 1]]
+    real = np.stack([own[:, :, 0][..., [2, 0, 1]], own[:, :, 1][..., [1, 2, 0]]], axis=2)
+    assert exchange_findings(two, plain_recordings(fingertip_force=real), own) == []
+    assert exchange_findings(two, plain_recordings(fingertip_force=own[:, :, ::-1]), own) != []
