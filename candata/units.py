@@ -33,6 +33,7 @@ TO_SI: dict[str, float] = {
     "g": 1e-3,
     "kg m^2": 1.0,
     "gf": 9.80665e-3,
+    "kgf": 9.80665,
     "ppm": 1e-6,
 }
 

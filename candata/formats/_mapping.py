@@ -20,7 +20,7 @@ _SAME_KIND: dict[str, frozenset[str]] = {
     "rad": frozenset({"rad", "mrad", "deg"}),
     "m/s": frozenset({"m/s", "mm/s"}),
     "rad/s": frozenset({"rad/s", "deg/s"}),
-    "N": frozenset({"N", "mN", "gf"}),
+    "N": frozenset({"N", "mN", "gf", "kgf"}),
     "N m": frozenset({"N m", "mN m"}),
     "s": frozenset({"s", "ms", "us", "ns"}),
     "1": frozenset({"1"}),

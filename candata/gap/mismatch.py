@@ -16,13 +16,13 @@ from candata.gap.mismatch_commands import (
     late,
     paired,
     still_findings,
-    swap_finding,
-    swaps,
     unit_findings,
     within,
     zero_findings,
 )
+from candata.gap.mismatch_forces import exchange_findings, scale_findings
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
+from candata.gap.mismatch_swaps import confirmed, distances, ordered, swap_findings, swaps
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.starts import STILL_ROWS, is_toss, starts
@@ -57,8 +57,6 @@ RIVALS = (
 )
 #: By how much a shift must beat the best rival's joint error to be sure.
 SURELY = 0.7
-#: By how much an exchange of commands must bring the scene's joints closer to the recorded ones to be sure.
-CLOSER = 0.5
 
 
 @dataclass(frozen=True)
@@ -124,29 +122,43 @@ def _by_replay(look: _Look) -> list[Finding]:
         if not any(f.kind == "scene_stuck" for f in found):
             found += _shifted(look, look.pairs, own)
     if "fingertip_force" in nominal:
-        touching = touches(scene, look.recs, nominal["fingertip_force"])
-        if touching is not None:
-            found += distance_findings(scene, touching) or force_findings(scene, touching)
+        found += _by_force(scene, look.recs, nominal["fingertip_force"])
     return found
 
 
+def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+    """Return what fingertips tell that the scene's, `(E, T, F, 3)`, do not: frames, unit, order, directions."""
+    touching = touches(scene, recs, force)
+    if touching is not None and (far := distance_findings(scene, touching)):
+        return far
+    found = scale_findings(scene, recs, force)
+    if any(f.definite for f in found):
+        return found
+    found += exchange_findings(scene, recs, force)
+    if any(f.definite for f in found) or touching is None:
+        return found
+    return found + force_findings(scene, touching)
+
+
 def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
-    """Return that commands are in another order, where the scene agrees: with that order its joints come closer."""
-    drive, found = pairs.drive, np.arange(len(pairs.names))
+    """Return that commands or joints are in another order, where the scene agrees: with it its joints come closer."""
+    drive, found = pairs.drive, []
     for chosen in swaps(pairs):
-        commands = look.recs.commands.copy()
+        commands, joint = look.recs.commands.copy(), look.recs.readings["joint_position"].copy()
         commands[..., drive.columns] = (pairs.target[..., chosen] - drive.offset) / drive.slope
-        other = look.play(replace(look.recs, commands=commands))["joint_position"][..., drive.joints]
-        moved = chosen != np.arange(len(chosen))
-        given, new = (float(np.median(_distances(pairs.joint - v, moved))) for v in (own, other))
-        if new < CLOSER * given:
-            found = np.where(moved, chosen, found)
-    return [swap_finding(pairs, found)] if (found != np.arange(len(found))).any() else []
+        joint[..., drive.joints] = ordered(pairs.joint, chosen)
+        others = (
+            replace(look.recs, commands=commands),
+            replace(look.recs, readings=look.recs.readings | {"joint_position": joint}),
+        )
+        plays = (_Look(look.replayer, r, None).play(r)["joint_position"][..., drive.joints] for r in others)
+        found.append(confirmed(pairs, chosen, own, *plays))
+    return swap_findings(pairs, look.recs, [f for f in found if f is not None])
 
 
 def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     """Return that the joints of some episodes do not belong to their commands, while those of others do."""
-    off = _distances(pairs.joint - own, np.ones(len(pairs.names), bool))
+    off = distances(pairs.joint - own, np.ones(len(pairs.names), bool))
     strange = (off > STRANGE) & (off > STRANGER * np.quantile(off, 0.25))
     if not strange.any():
         return []
@@ -158,13 +170,6 @@ def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         f"{len(names)} of {len(off)} episodes looked at: {', '.join(names[:6])}{more}",
         "leave them out with `candata registry filter`, or mend their channels", "joint_position",
     )]  # fmt: skip
-
-
-def _distances(off: Array, some: NDArray[np.bool_]) -> Array:
-    """Return `(E,)` the RMS difference of some joints in each episode."""
-    part = off[..., some]
-    seen = np.isfinite(part)
-    return np.sqrt((np.where(seen, part, 0.0) ** 2).sum((1, 2)) / np.maximum(seen.sum((1, 2)), 1))
 
 
 def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
@@ -192,7 +197,7 @@ def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
 def _only_later(joint: Array, own: Array, steps: int) -> bool:
     """Tell whether joints `(E, T, J)` do what the scene's do, but later: a weak or damped servo also does less."""
     every = np.ones(joint.shape[2], bool)
-    shifted, before = _distances(joint[:, steps:] - own[:, :-steps], every), _distances(joint - own, every)
+    shifted, before = distances(joint[:, steps:] - own[:, :-steps], every), distances(joint - own, every)
     return bool(np.median(shifted) < MOSTLY_LATE * np.median(before))
 
 

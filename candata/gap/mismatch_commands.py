@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from candata.gap.finding import Finding
 from candata.gap.lagged import Drives, Lagged, at_best, centred, drives, lagged, own_lag
@@ -25,9 +24,6 @@ FOLLOWS = 0.8
 UNITS = {"degrees": 180 / np.pi, "thousandths (mm, mrad)": 1e3, "hundredths (cm, per cent)": 1e2}
 #: A slope this many times off the nearest unit's factor still counts as that unit: servos sag, fingers are stopped.
 UNIT_WITHIN = 1.7
-#: By how much the squared error must fall, as the mean of its logarithm over episodes, before a replay is asked
-#: whether a command is another joint's: little, as the replay decides.
-SWAP_GAIN = 1.3
 #: Rows below which stillness says nothing: motions begin at rest.
 TOLD_ROWS = 16
 #: A joint that moves by less than this share of what the scene's own moves is dead.
@@ -169,55 +165,6 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
                 ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
                 "give command and joint one zero and one sign", "joint_position", names,
             ))  # fmt: skip
-    return out
-
-
-def swaps(p: Paired) -> list[Index]:
-    """Return exchanges `(S,)` that are worth a replay: which command each joint may follow instead of its own.
-
-    The assignment of commands to joints with the least sum of costs (Kuhn 1955), one exchange for each of its cycles. A
-    cost is the log squared error, mean over episodes: those in which contact stops the fingers tell little, and weigh
-    little.
-    """
-    cost = np.mean([_cost(p, e) for e in range(len(p.joint))], axis=0)
-    each = np.arange(len(cost))
-    _, chosen = linear_sum_assignment(cost + np.log(SWAP_GAIN) * (1 - np.eye(len(cost))))
-    return [np.where(np.isin(each, cycle), chosen, each) for cycle in _cycles(chosen)]
-
-
-def _cost(p: Paired, episode: int) -> Array:
-    """Return `(S, S)` the log squared error of each joint with each command in one episode, at its best lag."""
-    found = lagged(p.joint[episode : episode + 1], p.target[episode : episode + 1], p.found.lags)
-    away = np.abs(found.mean_q[:, :, None] - found.mean_u)
-    error = (found.error() + np.maximum(away - ZERO_RAD, 0) ** 2).min(0)
-    # A joint that was not seen has no say.
-    return np.where(found.count[0][:, None] > 0, np.log(np.maximum(error, 0) + p.quiet[:, None] ** 2 + 1e-8), 0.0)
-
-
-def swap_finding(p: Paired, chosen: Index) -> Finding:
-    """Return the finding that joints follow each other's commands."""
-    moved = np.flatnonzero(chosen != np.arange(len(chosen)))
-    return Finding(
-        "swapped_commands", True, "commands are in another order than the scene's actuators",
-        "each joint follows its own command",
-        ", ".join(f"{p.names[i]} follows the command of {p.names[chosen[i]]}" for i in moved),
-        "put the columns of `action` in the order of `actuators` in scene.yaml, or name them", "action",
-        tuple(p.names[i] for i in moved),
-    )  # fmt: skip
-
-
-def _cycles(chosen: Index) -> list[list[int]]:
-    """Return the cycles of a permutation that are longer than one."""
-    left, out = set(range(len(chosen))), []
-    while left:
-        start = at = left.pop()
-        cycle = [start]
-        while int(chosen[at]) != start:
-            at = int(chosen[at])
-            left.discard(at)
-            cycle.append(at)
-        if len(cycle) > 1:
-            out.append(sorted(cycle))
     return out
 
 

@@ -24,8 +24,6 @@ SUNK_M = 0.012
 SUNK_RATIO = 1.8
 #: Force [N] that counts as a touch once the reading out of contact is taken off, and rows of it that are needed.
 TOUCH_N, TOUCH_ROWS = 0.5, 20
-#: Ratio to the scene's forces beyond which it is another unit: five times the largest `tactile_gain`.
-FORCE_RATIO = 30.0
 #: Rows that are looked at for geometry.
 LOOKED_AT = 400
 #: Cosine of recorded and expected forces below which they disagree, and above which another reading of them agrees.
@@ -233,13 +231,6 @@ def force_findings(scene: Scene, t: Touches) -> list[Finding]:
     """
     if t.both.sum() < TOUCH_ROWS:
         return []
-    times = float(np.median(np.linalg.norm(t.real[t.both], axis=1) / np.linalg.norm(t.nominal[t.both], axis=1)))
-    if times > FORCE_RATIO:
-        return [Finding(
-            "force_unit", True, "fingertip_force is not in newton", "forces near the scene's in contact, N",
-            f"{times:.3g} times those (thousands: mN)", "give its unit in map.yaml: `units: {fingertip_force: mN}`",
-            "fingertip_force",
-        )]  # fmt: skip
     there = np.einsum("nfji,nfj->nfi", t.frame, t.real)
     own, world = (_cosine(v, t.nominal, t.both) for v in (t.real, there))
     readings = (

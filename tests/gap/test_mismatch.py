@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -68,6 +69,11 @@ def handled(hand, played) -> list[Episode]:
     return played(hand, policies=("grasp_lift_shake", "push", "free_sweep"), count=6)
 
 
+@pytest.fixture(scope="module")
+def grasped(hand, played) -> list[Episode]:
+    return played(hand, policies=("grasp_lift_shake", "free_sweep", "squeeze", "roll"), count=12)
+
+
 def changed(scene: Scene, episodes: Sequence[Episode], change: Change) -> list[Episode]:
     """Episodes with some channels replaced; contact flags go, as they follow from forces."""
     kept = [{k: v for k, v in e.arrays.items() if not k.endswith("contact")} for e in episodes]
@@ -113,6 +119,8 @@ FAULTS: dict[str, tuple[Change, str]] = {
     "force in world": (to_world, "force_frame"),
     "force turned": (channel("fingertip_force", lambda f: f[..., [2, 0, 1]]), "force_frame"),
     "force in mN": (channel("fingertip_force", lambda f: 1e3 * f), "force_unit"),
+    "force in gf": (channel("fingertip_force", lambda f: f / 9.80665e-3), "force_unit"),
+    "force in kgf": (channel("fingertip_force", lambda f: f / 9.80665), "force_unit"),
 }
 GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
     "swapped": (columns("action", [1, 2], lambda a: a[:, ::-1]), "swapped_commands"),
@@ -125,6 +133,9 @@ GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
 }
 HAND_FAULTS = {k: v for k, v in FAULTS.items() if k != "later 3"} | {
     "swapped": (columns("action", [3, 7], lambda a: a[:, ::-1]), "swapped_commands"),
+    "joints swapped": (columns("joint_position", [3, 7], lambda q: q[:, ::-1]), "swapped_joints"),
+    "tips swapped": (columns("fingertip_force", [1, 2], lambda f: f[:, ::-1]), "swapped_fingertips"),
+    "tips in a cycle": (columns("fingertip_force", [0, 2, 4], lambda f: f[:, [1, 2, 0]]), "swapped_fingertips"),
     "cycle": (columns("action", [3, 4, 5], lambda a: a[:, [1, 2, 0]]), "swapped_commands"),
     "degrees": (columns("action", range(3, 15), np.degrees), "command_unit"),
     "x y z w": (channel("object_pose", lambda p: p[:, [0, 1, 2, 4, 5, 6, 3]]), "quaternion_order"),
@@ -145,6 +156,55 @@ def test_a_fault_of_a_users_gripper_is_found(gripper, gripped, fault):
 def test_a_fault_of_a_hand_is_found(hand, handled, fault):
     change, kind = HAND_FAULTS[fault]
     assert found(hand, changed(hand, handled, change))[0] == (kind, True)
+
+
+#: Faults that some episodes have, and what the message says of where.
+PARTS: dict[str, tuple[Change, str, str]] = {
+    "commands": (columns("action", [3, 7], lambda a: a[:, ::-1]), "swapped_commands", "`action` in the order"),
+    "joints": (columns("joint_position", [3, 7], lambda q: q[:, ::-1]), "swapped_joints", "`joint_position` in the"),
+    "tips": (columns("fingertip_force", [1, 2], lambda f: f[:, ::-1]), "swapped_fingertips", "`fingertip_force` in"),
+}
+
+
+@pytest.mark.parametrize("every", [2, 3])
+@pytest.mark.parametrize("part", PARTS)
+def test_an_exchange_in_some_episodes_is_found_and_they_are_named(hand, grasped, part, every):
+    change, kind, fix = PARTS[part]
+    mixed = [changed(hand, [e], change)[0] if i % every == 0 else e for i, e in enumerate(grasped)]
+    (one,) = mismatch(Replayer(hand), recordings(hand, mixed))
+    assert (one.kind, one.definite) == (kind, True)
+    assert fix in one.fix
+    # Those without a touch, or in which a joint hardly moves, have no say.
+    named = set(re.findall(r"e\d\d\d", one.found))
+    assert len(named) >= 2
+    assert named <= {e.meta.id for e in grasped[::every]}
+
+
+#: Effects on top of which faults are found, and are not told without one.
+EFFECTS = {
+    "heavy": ("object_mass", None, {"mass_scale": 1.5}),
+    "slippery": ("sliding_friction", None, {"scale": 0.5}),
+    "numb": ("tactile_gain", None, {"gain": 0.7}),
+    "tared": ("tactile_bias", None, {"bias_N": (0.3, -0.2, 0.4) * 5}),
+    "weak": ("torque_limit", "index1", {"limit_Nm": 0.15}),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_exchanged_tips_and_a_unit_are_found_on_top_of_an_effect(hand, played, planted, name):
+    cause, element, numbers = EFFECTS[name]
+    made = played(hand, planted(cause, element, **numbers), count=6, policies=("grasp_lift_shake", "squeeze"))
+    assert found(hand, made) == []
+    # Slipping, index and middle finger feel alike; the thumb does not.
+    exchanged = columns("fingertip_force", [0, 4], lambda f: f[:, ::-1])
+    assert found(hand, changed(hand, made, exchanged)) == [("swapped_fingertips", True)]
+    assert found(hand, changed(hand, made, FAULTS["force in kgf"][0])) == [("force_unit", True)]
+
+
+def test_a_dead_fingertip_is_not_taken_for_an_exchange_and_does_not_hide_one(hand, handled):
+    dead = changed(hand, handled, columns("fingertip_force", [4], lambda f: 0 * f))
+    assert found(hand, dead) == []
+    assert found(hand, changed(hand, dead, HAND_FAULTS["tips swapped"][0])) == [("swapped_fingertips", True)]
 
 
 def test_a_frame_that_hardly_differs_is_not_refused(gripper, gripped):

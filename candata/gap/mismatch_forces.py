@@ -1,0 +1,247 @@
+"""Fingertip forces in another unit, or under another fingertip's name: told by the scene's own forces."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from candata.effects import effect
+from candata.gap.finding import Finding
+from candata.gap.mismatch_sensors import TOUCH_N, TOUCH_ROWS, tare
+from candata.gap.mismatch_swaps import AT_LEAST, cycles, in_episodes, some_of
+from candata.gap.recordings import Recordings
+from candata.gap.starts import STILL_ROWS
+from candata.scenes import Scene
+from candata.units import TO_SI
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Units that forces are recorded in by mistake.
+UNITS = ("mN", "gf", "kgf")
+#: Ratio of the largest to the smallest factor between fingertips up to which they share one.
+ALIKE = 1.6
+#: How far the factor may lie from a unit's where no noise tells, and how far that of the noise where it does.
+ALONE, NOISE = 1.15, 1.5
+#: How far from 1 `tactile_gain` is drawn: forces this near a unit's factor may be in that unit. Weak motors and slip
+#: change forces as much.
+DRAWN = 2.0
+#: Ratio to the scene's forces beyond which it is another unit, known or not: five times the largest `tactile_gain`.
+FORCE_RATIO = 30.0
+#: A reading is a touch at this many times the spread of a free fingertip's.
+ABOVE_NOISE = 5.0
+#: Rise of the mean cosine with the scene's forces by which an exchange of fingertips is told, and what it must reach:
+#: in some 300 simulated worlds, each with other causes, no exchange gained anything in all episodes together; in some
+#: episodes it did, and reached 0.53.
+RISE, REACHED = 0.05, 0.6
+#: Rows of touch that let an episode ask for an exchange.
+ASKING_ROWS = 8
+
+
+def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+    """Return that all fingertips read a multiple of the scene's forces that is another unit's, or no gain's.
+
+    A unit scales the noise of free fingertips as well; a sensor that feels too little does not. So it is sure near a
+    unit's factor where the noise has that factor too, and only at that factor where noise does not tell. Else it is
+    noted, if it is near a unit's or if `tactile_gain` cannot explain it, unless noise is as declared in newtons.
+
+    Parameters
+    ----------
+    force : (E, T, F, 3) float64
+        Forces of a nominal replay [N].
+    """
+    if "fingertip_force" not in recs.readings:
+        return []
+    factors = _factors(recs.readings["fingertip_force"], force)
+    if not len(factors):
+        return []
+    times = float(np.median(factors))
+    unit = min(UNITS, key=lambda u: abs(np.log(times * TO_SI[u])))
+    near, noise = _ratio(times * TO_SI[unit]), _noise_factor(scene, recs, force)
+    # In newtons, free fingertips spread as declared; in another unit, nearer to `times` that.
+    newton = noise is not None and _ratio(noise) < _ratio(noise / times)
+    alike, told = factors.max() <= ALIKE * factors.min(), noise is not None and _ratio(noise * TO_SI[unit]) < NOISE
+    if not alike and (newton or (np.log(factors) / np.log(times)).min() < 0.5):
+        return []
+    if _ratio(times) > FORCE_RATIO or (near < DRAWN and told) or (near < ALONE and alike and not newton):
+        return [_unit(times, unit if near < DRAWN else "")]
+    if near < (ALONE if newton else DRAWN):
+        return [_doubtful(times, f"{unit} are {1 / TO_SI[unit]:.3g} times; `tactile_gain` explains it as well")]
+    low, high = effect("tactile_gain").parameters[0].bounds(scene)
+    return [] if low < times < high else [_doubtful(times, f"`tactile_gain` goes from {low:g} to {high:g}")]
+
+
+def _ratio(x: float) -> float:
+    """Return how far a factor is from 1, up or down."""
+    return max(x, 1 / x)
+
+
+def _factors(real: Array, force: Array) -> Array:
+    """Return what fingertips read over the scene's forces, of those that tell; empty where most of them do not."""
+    size = np.linalg.norm(real - tare(real, force), axis=-1)
+    own = np.linalg.norm(force, axis=-1)
+    touched = (own > TOUCH_N) & np.isfinite(size)
+    both = touched & (size > ABOVE_NOISE * _free_spread(real, force))
+    rows = both.sum((0, 1))
+    factors = [float(np.median(size[..., f][both[..., f]] / own[..., f][both[..., f]]))
+               for f in np.flatnonzero(rows >= TOUCH_ROWS)]  # fmt: skip
+    return np.array(factors) if 2 * len(factors) > (touched.sum((0, 1)) >= TOUCH_ROWS).sum() else np.zeros(0)
+
+
+def _free_spread(real: Array, force: Array) -> float:
+    """Return the usual spread of a component of a fingertip that the scene does not touch while motions begin."""
+    free = (np.linalg.norm(force[:, :STILL_ROWS], axis=-1) < 1e-6).all(1)
+    begin = np.moveaxis(real[:, :STILL_ROWS], 1, -1)[free]
+    begin = begin[np.isfinite(begin).all((1, 2))]
+    return float(np.sqrt(np.median(begin.var(-1, ddof=1).mean(-1)))) if len(begin) else 0.0
+
+
+def _noise_factor(scene: Scene, recs: Recordings, force: Array) -> float | None:
+    """Return the noise of free fingertips over the declared one; None where it does not tell."""
+    noise, spread = scene.file.noise, _free_spread(recs.readings["fingertip_force"], force)
+    if noise is None or not spread:
+        return None
+    # Rounding to steps of a width has a spread of width / sqrt(12) (Widrow and Kollar 2008, chapter 4).
+    declared = float(np.hypot(noise.fingertip_force, noise.force_step / np.sqrt(12)))
+    return spread / declared if declared > 0 else None
+
+
+def _unit(times: float, unit: str) -> Finding:
+    """Return the finding that forces are in another unit."""
+    name = f"{unit}: {1 / TO_SI[unit]:.4g}" if unit else "no known unit"
+    mapped = f"give its unit in map.yaml: `units: {{fingertip_force: {unit}}}`, or " if unit else ""
+    return Finding(
+        "force_unit", True, "fingertip_force is not in newton", "forces near the scene's in contact, N",
+        f"{times:.3g} times those on all fingertips ({name})", f"{mapped}scale them to newtons", "fingertip_force",
+    )  # fmt: skip
+
+
+def _doubtful(times: float, why: str) -> Finding:
+    """Return the note that forces may be in another unit."""
+    return Finding(
+        "force_unit", False, "fingertip_force may be in another unit", "forces near the scene's in contact, N",
+        f"{times:.3g} times those on all fingertips ({why})",
+        "if so, give its unit in map.yaml: `units: {fingertip_force: ...}`", "fingertip_force",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """How far recorded fingertips agree with the scene's, episode by episode.
+
+    Attributes
+    ----------
+    dot : (E, F, F) float64
+        Products of recorded (rows) and nominal forces, summed over time [N^2].
+    own : (E, F, 3, 3) float64
+        Products of the components of each recorded fingertip (rows) and of its own in the scene [N^2].
+    real, nominal : (E, F) float64
+        Squares of both.
+    asking : (E, F) bool
+        Where the scene touches long enough for an episode to ask for an exchange.
+    """
+
+    dot: Array
+    own: Array
+    real: Array
+    nominal: Array
+    asking: NDArray[np.bool_]
+
+    def cosines(self, episodes: NDArray[np.bool_]) -> Array:
+        """Return `(F, F)` the cosine of each recorded with each nominal fingertip, some episodes together."""
+        size = self.real[episodes].sum(0)[:, None] * self.nominal[episodes].sum(0)
+        return np.asarray(self.dot[episodes].sum(0) / np.sqrt(np.maximum(size, 1e-12)))
+
+    def turned(self, episodes: NDArray[np.bool_]) -> Array:
+        """Return `(F,)` each fingertip's cosine with its own when turned or mirrored at best (Kabsch 1976)."""
+        size = self.real[episodes].sum(0) * self.nominal[episodes].sum(0)
+        best = np.linalg.svd(self.own[episodes].sum(0), compute_uv=False).sum(-1)
+        return np.asarray(best / np.sqrt(np.maximum(size, 1e-12)))
+
+
+def exchange_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+    """Return fingertips that agree with each other's forces in the scene, and not with their own.
+
+    Nothing where the scene's fingertips feel alike, or where another frame or sign explains as much.
+
+    Parameters
+    ----------
+    force : (E, T, F, 3) float64
+        Forces of a nominal replay [N].
+    """
+    if "fingertip_force" not in recs.readings or len(scene.file.fingertips) < 2:
+        return []
+    a = _agreement(recs.readings["fingertip_force"], force)
+    for chosen in _exchanges(a):
+        moved = np.flatnonzero(chosen != np.arange(len(chosen)))
+        rise = _rises(a, chosen, moved)
+        asked, against = rise > RISE, rise < -RISE
+        if not asked.any() or (against.any() and asked.sum() < AT_LEAST):
+            continue
+        cosines = a.cosines(asked)
+        before, after = float(np.abs(cosines[moved, moved]).mean()), float(cosines[moved, chosen[moved]].mean())
+        rival = float(a.turned(asked)[moved].mean())
+        if after > max(before + RISE, rival, REACHED):
+            return [_exchanged(scene, recs, chosen, asked, against, (before, after))]
+    return []
+
+
+def _agreement(real: Array, force: Array) -> _Agreement:
+    """Return how far recorded forces agree with the scene's, zero out of contact taken off the recorded ones."""
+    own = np.where(np.isfinite(real), force, 0.0)
+    seen = np.nan_to_num(real - tare(real, force))
+    touched = (np.linalg.norm(own, axis=-1) > TOUCH_N).sum(1)
+    return _Agreement(
+        np.einsum("etic,etjc->eij", seen, own),
+        np.einsum("etic,etid->eicd", seen, own),
+        (seen**2).sum((1, 3)),
+        (own**2).sum((1, 3)),
+        touched >= ASKING_ROWS,
+    )
+
+
+def _exchanges(a: _Agreement) -> list[Index]:
+    """Return exchanges `(F,)` worth a look: those that all episodes together ask for, and those that several do."""
+    every = np.ones(len(a.dot), bool)
+    each = [a.cosines(row) for row in np.eye(len(every), dtype=bool)]
+    asked = Counter(c for e in each for c in _asked(e))
+    often = [c for c, count in asked.most_common() if count >= AT_LEAST]
+    found = [*_asked(a.cosines(every)), *often]
+    return [np.array(c) for c in dict.fromkeys(found)]
+
+
+def _asked(cosines: Array) -> list[tuple[int, ...]]:
+    """Return the exchanges by which recorded fingertips agree with nominal ones better, one for each cycle."""
+    _, chosen = linear_sum_assignment(-cosines + RISE * (1 - np.eye(len(cosines))))
+    return [some_of(chosen, cycle) for cycle in cycles(chosen)]
+
+
+def _rises(a: _Agreement, chosen: Index, moved: Index) -> Array:
+    """Return `(E,)` by how much the mean cosine rises with an exchange; 0 where an episode has no say."""
+    out = np.zeros(len(a.dot))
+    for e in np.flatnonzero(a.asking[:, moved].all(1)):
+        cosines = a.cosines(np.arange(len(out)) == e)
+        out[e] = (cosines[moved, chosen[moved]] - np.abs(cosines[moved, moved])).mean()
+    return out
+
+
+def _exchanged(
+    scene: Scene, recs: Recordings, chosen: Index, asked: NDArray[np.bool_], against: NDArray[np.bool_],
+    cosines: tuple[float, float],
+) -> Finding:  # fmt: skip
+    """Return the finding that fingertips are in another order, in all episodes or in those that ask for it."""
+    tips = scene.file.fingertips
+    moved = np.flatnonzero(chosen != np.arange(len(chosen)))
+    pairs = ", ".join(f"{tips[i]} reads what {tips[chosen[i]]} feels" for i in moved)
+    where = in_episodes(recs, asked) if against.any() else "in all episodes"
+    order = "put the columns of `fingertip_force` in the order of `fingertips` in scene.yaml, or name them"
+    return Finding(
+        "swapped_fingertips", True, "forces are in another order than the scene's fingertips",
+        "each fingertip agrees with its own in the scene",
+        f"{pairs}, {where} (cosine {cosines[1]:.2f}, as given {cosines[0]:.2f})",
+        f"{order}, the same in every episode" if against.any() else order, "fingertip_force",
+        tuple(tips[i] for i in moved),
+    )  # fmt: skip
