@@ -10,28 +10,24 @@ import time
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, Where
 from candata.gap.blind.running import Place
-from candata.gap.candidates import candidates, local_candidates
 from candata.gap.diagnosis import lasting, posed
 from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer
-from candata.gap.screen import screening
 from candata.gap.search import Problem
-from candata.gap.shortlist import brief
 from candata.gap.signatures import alike
 from candata.gap.starts import Starts, is_toss, starts
 from candata.gap.verdict import FEWEST
+from candata.gap.wanted import Depth, wanted
 from candata.scenes import load_scene
 from candata.schema.bench import Filled
 
 #: What a run has filled its cache with.
 FILLED = "filled.jsonl"
-#: What a filling holds: what every diagnosis looks at first; also what most of many diagnoses come to need; everything.
-Depth = Literal["first", "most", "all"]
 #: Cases from which on more than the first look pays. (Of what `most` adds, eight drawn cases of the built-in hand had
 #: asked for two thirds, 12 for four fifths, 38 for all; of what `all` adds 38 had asked for two fifths.)
 MANY = 12
@@ -95,28 +91,6 @@ def keep_signature(some: Source, depth: Depth, number: int) -> Filled:
     part, effects = _posed(some, depth)[number]
     part.library.keep(effects)
     return Filled(cpu_s=time.process_time() - start)
-
-
-def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
-    """Return the signatures to keep, each with the problem whose library keeps it; none for tosses.
-
-    First comes what every diagnosis looks at first, all effects on a few episodes; then their variants on one element
-    there, and the effects on every episode; then these variants on every episode.
-    """
-    scene = problem.replayer.scene
-    if is_toss(scene):
-        return []
-    possible = [c for c in candidates(scene, list(problem.recs.readings)) if c.name not in problem.ruled_out]
-    variants = [v for c in possible for v in local_candidates(c, scene)]
-    few, _ = brief(problem)
-    rounds = [(few, possible)]
-    if depth != "first":
-        rounds.append((few, variants))
-    if depth != "first" and few is not problem:
-        rounds.append((problem, possible))
-    if depth == "all" and few is not problem:
-        rounds.append((problem, variants))
-    return [(part, part.setting([(c, u)])) for part, some in rounds for c in some for u in screening(c, part)]
 
 
 def shared_tasks(places: Sequence[Place], cache: Path, seed: int) -> list[tuple[Source, Depth, int]]:
