@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import process_time
+from time import monotonic, process_time
 from typing import NamedTuple
 
 import mujoco
@@ -27,6 +27,8 @@ from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.origin import data_used, provenance, title
+from candata.gap.outlook import say_outlook
+from candata.gap.pace import REST, Pace
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, read
 from candata.gap.regime import with_regimes
@@ -43,16 +45,7 @@ from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile, Value
-from candata.schema.report import (
-    DataUsed,
-    EpisodeCount,
-    Estimate,
-    NamedEffect,
-    Ranked,
-    Report,
-    Symptom,
-    Verdict,
-)
+from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Ranked, Report, Symptom, Verdict
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -128,9 +121,9 @@ def diagnose(
     everything, untouched, problem = posed(dataset, replayer, seed, cache, only, progress, limit)
     if problem is None:
         return _too_little(dataset, scene, everything)
-    progress("searching effects")
+    say_outlook(problem)
     found = attribute(problem)
-    progress("measuring on held-out episodes")
+    problem.pace.say("measuring on held-out episodes", REST)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if len(untouched):
@@ -180,10 +173,11 @@ def _problem(
 ) -> Problem:
     """Return the search problem."""
     progress("replaying the nominal scene")
-    begin, before_s = starts(replayer.scene, recs), process_time()
+    begin, before_s, clock_s = starts(replayer.scene, recs), process_time(), monotonic()
     readings = replay_all(replayer, recs, begin, [()])[0]
     if limit:
         limit.check(process_time() - before_s, len(recs))
+    pace = Pace(progress, 0.0 if is_toss(replayer.scene) else monotonic() - clock_s)
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
@@ -191,7 +185,7 @@ def _problem(
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
+    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else problem
 
 
