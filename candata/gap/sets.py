@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
+from candata.gap.pace import ANOTHER, JOINT
 from candata.gap.refine import joint
 from candata.gap.score import score
 from candata.gap.search import Fit, Members, Problem
@@ -42,6 +43,7 @@ def forward(problem: Problem, best: Fit) -> Grown:
         remains = _leaves(world, best)
         if not remains or not _has_room(best):
             return best, world, remains
+        world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         full = is_full(best.members, problem.measured)
         grown = None if full else _grown(world, best, _beside(world, best.members))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
@@ -138,7 +140,10 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     """
     base = problem.score.loss(problem.nominal)
     left = float(best.evidence.loss.mean()) - 1
-    found = sparse(problem, best, base) if left > LEFT and _has_room(best) else None
+    if not (left > LEFT and _has_room(best)):
+        return best, problem, True
+    problem.pace.say("fitting all effects together", JOINT)
+    found = sparse(problem, best, base)
     if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
         return best, problem, True
     if found.gain < MOST * float((base - 1).mean()):
