@@ -26,7 +26,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.simulate.episodes import Job, make_episodes
 
-SCENE, DURATION_S = "xhand_tabletop", 3.2
+SCENE = "xhand_tabletop"
 TRUTH = (EffectSetting(name="joint_damping", parameters={"damping_Nms_rad": 0.03}),)
 #: CPU of several processes over that of one.
 SHARED = 1.2
@@ -40,13 +40,13 @@ class Cost(NamedTuple):
     count: int
 
 
-def recorded(scene: Scene, folder: Path, episodes: int) -> Path:
+def recorded(scene: Scene, folder: Path, episodes: int, duration_s: float) -> Path:
     """Return a dataset of the built-in hand with damped joints."""
     jobs = [Job(f"e{i:03d}", i, scene.policies[i % len(scene.policies)], 1, TRUTH, hidden=True)
             for i in range(episodes)]  # fmt: skip
     create_dataset(folder, "real")
     append(
-        folder, make_episodes(scene, jobs, duration_s=DURATION_S, noise=scene.file.noise), Lineage(operation="bench")
+        folder, make_episodes(scene, jobs, duration_s=duration_s, noise=scene.file.noise), Lineage(operation="bench")
     )
     return folder
 
@@ -72,13 +72,14 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=12)
+    parser.add_argument("--duration-s", type=float, default=3.2)
     parser.add_argument("--only", default="joint_damping,servo_gain,actuation_delay,object_mass")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
     scene = load_scene(SCENE)
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
-        data = recorded(scene, root / "real", args.episodes)
+        data = recorded(scene, root / "real", args.episodes, args.duration_s)
 
         def kept_in(name: str) -> Source:
             return source(data, SCENE, root / name)._replace(only=tuple(args.only.split(",")))
@@ -102,7 +103,7 @@ def main() -> None:
     for depth, cost in steps.items():
         print(f"filling, {depth}: {cost.count} signatures more, {cost.cpu_s:.1f} CPU s, {cost.wall_s:.1f} s")
     print(f"filling, all, {args.jobs} processes: {several.cpu_s:.1f} CPU s, {several.wall_s:.1f} s")
-    print(f"pays from about {total.cpu_s / max(cold.cpu_s - warm.cpu_s, 1e-9):.0f} such diagnoses on")
+    print(f"pays from about {max(1.0, total.cpu_s / max(cold.cpu_s - warm.cpu_s, 1e-9)):.0f} such diagnoses on")
 
 
 if __name__ == "__main__":
