@@ -47,6 +47,10 @@ def diagnose(
         bool,
         typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of the same commands."),
     ] = True,
+    cache_dir: Annotated[
+        Path | None,
+        typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
@@ -62,12 +66,14 @@ def diagnose(
         raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
+    if cache_dir is not None and not keep:
+        raise UsageError("--cache-dir with --no-cache", expected="one of them")
     world = load_scene(scene)
     other = None if edit is None else (console.opened(edit), load_scene(edit_scene) if edit_scene else world)
     if other is not None:
         _check_edit(*other)
     with console.stages() as stage:
-        data, cache = console.opened(dataset, version), user_cache() if keep else None
+        data, cache = console.opened(dataset, version), (cache_dir or user_cache()) if keep else None
         found = run(data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage)
         stage("writing the report")
         page = write_diagnosis(found, world, out)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
     from candata.gap.blind.sanity import Fitness
-    from candata.schema.bench import BenchFile, CaseResult, Kind
+    from candata.schema.bench import BenchFile, CaseResult, Filled, Kind
 
 KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
@@ -34,6 +34,11 @@ Examples:
 \b
 On a Ray cluster (pip install "candata[cluster]", the same candata on every machine) cases are made and diagnosed
 as tasks of one core each; --out must be a folder that all its machines see at the same path.
+
+\b
+Signatures that the cases share are simulated first, each once (a row of the table says their CPU time); of a dozen
+cases or more also those that only most of them need. The first case (of many, up to three) is diagnosed apart with
+nothing kept: that row is what a first diagnosis costs.
 
 \b
 Baselines: lowest_error (smallest training error), bic, one_se (forward and one standard error, no floor),
@@ -86,6 +91,7 @@ def bench(
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
     from candata.gap.blind.cases import CASES, LABELS, make_cases, missing_cases, seal_labels
+    from candata.gap.blind.cluster import crew_of
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
@@ -98,7 +104,7 @@ def bench(
             console.note(line)
         return fit.live
 
-    with _crew(jobs, ray, out) as crew:
+    with crew_of(jobs, ray, out) as crew:
         sealed = seal_labels(
             out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
         )  # fmt: skip
@@ -124,22 +130,11 @@ def score(
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
+    from candata.gap.blind.cluster import crew_of
+
     beside = _known(baselines, BASELINES, "baseline")
-    with _crew(jobs, ray, out) as crew:
+    with crew_of(jobs, ray, out) as crew:
         _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases), json)
-
-
-@contextmanager
-def _crew(jobs: int, ray: str | None, out: Path) -> Iterator[Crew]:
-    """Yield who does the work: processes of this machine, or a Ray cluster."""
-    from candata.gap.blind.cluster import on_ray
-    from candata.gap.blind.crew import local
-
-    if ray is None:
-        yield local(jobs)
-        return
-    with on_ray(ray, out.resolve(), jobs) as crew:
-        yield crew
 
 
 @dataclass(frozen=True)
@@ -168,19 +163,35 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
     standing = known(run.out)
-    with _countdown(sum(p.sealed not in standing for p in places)) as told:
+    left = [p for p in places if p.sealed not in standing]
+    filled = _filled(run, left)
+    with _countdown(len(left)) as told:
         results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told)
     labels = open_labels(cases, read_labels(run.labels))
-    several = sum(len(labels[path.name].effects) > 1 for path in cases)
-    with console.progress("weighing true causes", several) as advance:
+    hiding = sum(bool(labels[path.name].effects) for path in cases)
+    with console.progress("weighing true causes", hiding) as advance:
         shares = measure_shares(run.out, places, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
-    found = score_run(outcomes, scene=places[0].scene, cases=len(places))
+    found = score_run(outcomes, scene=places[0].scene, cases=len(places), filled=filled)
     if run.baselines:
         found = found.model_copy(update={"baselines": _beside(run, places, outcomes)})
     page = write_bench(found, run.out)
     console.out(found.model_dump_json(indent=2) if json else bench_text(found))
     console.note(f"score: {run.out / 'bench.json'}, {page}")
+
+
+def _filled(run: _Run, left: Sequence[Place]) -> list[Filled]:
+    """Return what has been simulated into the cache that the cases share, after simulating what they will need."""
+    from candata.gap.blind.filling import FILLED, keep_signature, shared_tasks
+    from candata.gap.blind.running import CACHE, finished, spread
+    from candata.schema.bench import Filled
+
+    tasks = shared_tasks(left, run.out / CACHE, run.seed)
+    if tasks:
+        with console.progress("simulating effects for all cases", len(tasks)) as advance:
+            for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew):
+                advance(1)
+    return finished(run.out / FILLED, Filled)
 
 
 def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from candata.gap.pace import SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import compared, forward, jointly, with_measured
@@ -45,10 +46,12 @@ def attribute(problem: Problem) -> Attribution:
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     if remains and first.faint and first.passing() is None:
         # Before the cause is called unknown, everything is looked at on every episode.
+        problem.pace.told("looking at every effect on every episode")
         first = look(problem, nominal, (), full=True)
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
+    problem.pace.say("comparing what is best so far", SHARPEN)
     first = narrowed(problem, nominal, first)
     first = sharpened(problem, first)
     best = first.fits[0]

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from time import process_time
+from time import monotonic, process_time
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata import __version__
 from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
@@ -22,10 +22,13 @@ from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import sensor_noise, spread
-from candata.gap.folds import FOLDS, folds
+from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, symptoms
 from candata.gap.mismatch import checked
+from candata.gap.origin import data_used, provenance, title
+from candata.gap.outlook import say_outlook
+from candata.gap.pace import REST, Pace
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings, read
 from candata.gap.regime import with_regimes
@@ -42,16 +45,7 @@ from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile, Value
-from candata.schema.report import (
-    DataUsed,
-    EpisodeCount,
-    Estimate,
-    NamedEffect,
-    Ranked,
-    Report,
-    Symptom,
-    Verdict,
-)
+from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Ranked, Report, Symptom, Verdict
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -122,28 +116,51 @@ def diagnose(
         When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
         says they are.
     """
-    if len(dataset) == 0:
-        raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
-    rng = np.random.default_rng(seed)
-    progress("reading")
     limit = None if budget is None else Budget(budget)
     replayer = limit.watched(Replayer(scene, jobs)) if limit else Replayer(scene, jobs)
-    everything = checked(replayer, read(scene, dataset))
-    if len(everything) < FEWEST or not everything.moving:
+    everything, untouched, problem = posed(dataset, replayer, seed, cache, only, progress, limit)
+    if problem is None:
         return _too_little(dataset, scene, everything)
-    order = rng.permutation(len(everything))
-    searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
-    left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
-    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit)
-    problem = replace(problem, ruled_out=problem.ruled_out | left_out)
-    progress("searching effects")
+    say_outlook(problem)
     found = attribute(problem)
-    progress("measuring on held-out episodes")
+    problem.pace.say("measuring on held-out episodes", REST)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
-    return _concluded(_Findings(dataset, scene, problem, found, world, held, len(everything)), rng)
+    return _concluded(_Findings(dataset, scene, problem, found, world, held, len(everything)), problem.rng)
+
+
+class Posed(NamedTuple):
+    """All recordings, which of them are left untouched by the search, and its problem; None where they are too few."""
+
+    everything: Recordings
+    untouched: NDArray[np.int64]
+    problem: Problem | None
+
+
+def posed(
+    dataset: Dataset,
+    replayer: Replayer,
+    seed: int,
+    cache: Path | None,
+    only: tuple[str, ...] = (),
+    progress: Progress = lambda stage: None,
+    limit: Budget | None = None,
+) -> Posed:
+    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose`."""
+    if len(dataset) == 0:
+        raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
+    rng, scene = np.random.default_rng(seed), replayer.scene
+    progress("reading")
+    everything = checked(replayer, read(scene, dataset))
+    order = rng.permutation(len(everything))
+    searched, untouched = np.sort(order[:SEARCHED]), np.sort(order[SEARCHED:])
+    if len(everything) < FEWEST or not everything.moving:
+        return Posed(everything, untouched, None)
+    left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit)
+    return Posed(everything, untouched, replace(problem, ruled_out=problem.ruled_out | left_out))
 
 
 def _problem(
@@ -156,10 +173,11 @@ def _problem(
 ) -> Problem:
     """Return the search problem."""
     progress("replaying the nominal scene")
-    begin, before_s = starts(replayer.scene, recs), process_time()
+    begin, before_s, clock_s = starts(replayer.scene, recs), process_time(), monotonic()
     readings = replay_all(replayer, recs, begin, [()])[0]
     if limit:
         limit.check(process_time() - before_s, len(recs))
+    pace = Pace(progress, 0.0 if is_toss(replayer.scene) else monotonic() - clock_s)
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
@@ -167,7 +185,7 @@ def _problem(
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
-    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw)
+    problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else problem
 
 
@@ -227,7 +245,7 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         gap=size,
         where=where,
         next_motion=proposed,
-        data=_data_used(f),
+        data=data_used(f.dataset, f.problem, f.episodes, len(f.held.recs)),
         measures=measures(f.held, np.isin(f.scene.file.joints, _slides(f.scene))),
         provenance=provenance(f.scene),
     )
@@ -357,21 +375,6 @@ def _judged(f: _Findings) -> Problem:
     return replace(f.problem, score=f.found.score)
 
 
-def _data_used(f: _Findings) -> DataUsed:
-    """Return what was looked at."""
-    untouched = f.episodes > SEARCHED
-    return DataUsed(
-        dataset=f"{f.dataset.name}@{f.dataset.digest[:12]}",
-        episodes=EpisodeCount(total=f.episodes, folds=FOLDS, held_out=len(f.held.recs)),
-        floor=f.problem.floor_kind,
-        channels=tuple(f.problem.recs.readings),
-        notes=(
-            *([f"effects searched on {SEARCHED} episodes, measured on the other {len(f.held.recs)}"] * untouched),
-            *f.problem.recs.notes,
-        ),
-    )
-
-
 def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
     """Return the verdict that there are too few episodes, or none that moves."""
     few = [f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out"] * (len(recs) < FEWEST)
@@ -379,7 +382,7 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
     report = Report(
         verdict="too_little_data",
         data=DataUsed(
-            dataset=f"{dataset.name}@{dataset.digest[:12]}",
+            dataset=title(dataset),
             episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
             channels=tuple(recs.readings),
             notes=(*few, *recs.notes),
@@ -388,13 +391,3 @@ def _too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
         provenance=provenance(scene),
     )
     return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name), motion)
-
-
-def provenance(scene: Scene) -> dict[str, str]:
-    """Return what a report was made with."""
-    return {
-        "candata": __version__,
-        "mujoco": mujoco.__version__,
-        "scene": scene.name,
-        "scene_digest": scene.digest,
-    }

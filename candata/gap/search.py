@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate
 from candata.gap.floor import FloorKind
 from candata.gap.folds import CrossFit, cross_fit
+from candata.gap.pace import Pace
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, residual
@@ -30,7 +31,7 @@ class Problem:
     """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
 
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
-    set where only a few of the episodes are looked at, and fewer signatures do.
+    set where only a few of the episodes are looked at, and fewer signatures do; `pace` tells how far the search is.
     """
 
     replayer: Replayer
@@ -48,6 +49,7 @@ class Problem:
     ruled_out: frozenset[str] = frozenset()
     measured: Members = ()
     brief: bool = False
+    pace: Pace = field(default_factory=Pace)
 
     @property
     def nominal(self) -> Compact:

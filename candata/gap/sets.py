@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import candidate
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
+from candata.gap.pace import ANOTHER, JOINT
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import score
@@ -51,6 +52,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
         remains = _leaves(world, best)
         if not remains or not _has_room(best):
             return best, world, remains
+        world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         full = is_full(best.members, problem.measured)
         grown = None if full else _grown(world, best, _beside(world, best.members, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
@@ -203,7 +205,10 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     """
     base = problem.score.loss(problem.nominal)
     left = float(best.evidence.loss.mean()) - 1
-    found = sparse(problem, best, base) if left > LEFT and _has_room(best) else None
+    if not (left > LEFT and _has_room(best)):
+        return best, problem, True
+    problem.pace.say("fitting all effects together", JOINT)
+    found = sparse(problem, best, base)
     if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
         return best, problem, True
     if found.gain < MOST * float((base - 1).mean()):

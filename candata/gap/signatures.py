@@ -109,10 +109,19 @@ class Library:
                 self.told(f"simulating effects: {len(found)} of {len(settings)}, about {left:.0f} s left of these")
         return [found[i] for i in range(len(settings))]
 
+    def lacks(self, some: EffectSet) -> bool:
+        """Tell whether the cache has no file for a signature."""
+        file = self._file(_text(some))
+        return file is None or not file.exists()
+
+    def keep(self, some: EffectSet) -> None:
+        """Simulate a signature into the cache, unless it is there; nothing of it stays in memory."""
+        if _read(self._file(_text(some))) is None:
+            _keep(self._file(_text(some)), residual=self._residual(some) - self.nominal)
+
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
-        text = json.dumps([s.model_dump(mode="json") for s in some], sort_keys=True)
-        return self._kept(text, lambda: self._residual(some) - self.nominal)
+        return self._kept(_text(some), lambda: self._residual(some) - self.nominal)
 
     def _residual(self, some: EffectSet) -> Compact:
         """Return the residual of noise-free recordings of a world under the nominal replay."""
@@ -158,6 +167,17 @@ def library(
         folder, begin = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
     blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder, told=told)
     return replace(blank, nominal=blank._kept("nominal", lambda: blank._residual(())))
+
+
+def alike(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:
+    """Tell whether diagnoses of two sets of recordings share their signatures."""
+    same = _key(replayer, *one) == _key(replayer, *other)
+    return same and _is_same(replayer.scene, one[1], other[1])
+
+
+def _text(some: EffectSet) -> str:
+    """Return what names an effect set."""
+    return json.dumps([s.model_dump(mode="json") for s in some], sort_keys=True)
 
 
 def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout, world: EffectSet) -> Compact:

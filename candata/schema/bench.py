@@ -59,7 +59,7 @@ class LabelsFile(Record):
 class CaseResult(Record):
     """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not; `sealed` is the case's own.
 
-    `cold` marks the first case of a process (by its number, `process`) in a fresh folder, where nothing is cached.
+    `cold` marks a case that was diagnosed with nothing kept from others; `process` is the number of the process.
     """
 
     case: str
@@ -70,6 +70,12 @@ class CaseResult(Record):
     process: int = 0
     report: Report | None = None
     error: str | None = None
+
+
+class Filled(Record):
+    """One line of `filled.jsonl`: a signature was simulated into the cache that all cases share."""
+
+    cpu_s: float
 
 
 class CaseResults(Record):

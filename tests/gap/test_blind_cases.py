@@ -19,7 +19,7 @@ from candata.gap.blind.cases import (
     scene_of,
     seal_labels,
 )
-from candata.gap.blind.running import RESULTS, Place, finished, run_cases
+from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
 from candata.schema.bench import CaseResult, Label
@@ -131,6 +131,20 @@ def test_a_killed_run_goes_on_where_it_stopped(run, tmp_path):
     assert heard + again == [r.case for r in results] == [p.folder.name for p in places(run)]
     assert len(finished(log, CaseResult)) == 5
     assert [r.cold for r in results] == [True] + [False] * 4
+
+
+def test_few_cases_are_diagnosed_with_nothing_kept_and_that_is_told(run, tmp_path):
+    caches = []
+
+    def noted(dataset, scene, seed, cache):
+        caches.append(cache)
+        return silent(dataset, scene, seed, cache)
+
+    one = places(run)[0]
+    many = [one._replace(sealed=str(i)) for i in range(2 * COLD_EACH)]
+    results = run_cases(tmp_path, many, judge=noted)
+    assert [r.cold for r in results] == [c is None for c in caches] == [True] * 2 + [False] * (2 * COLD_EACH - 2)
+    assert set(caches[2:]) == {(tmp_path / CACHE).resolve()}
 
 
 def test_results_of_other_cases_are_not_taken_for_these(run, tmp_path):

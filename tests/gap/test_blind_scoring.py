@@ -7,7 +7,7 @@ import pytest
 
 from candata.gap.blind.outcomes import Outcome, covered, parameter_error
 from candata.gap.blind.scoring import calibration, confusion, miss, score_run
-from candata.schema.bench import CaseResult, Label, Outside, Shares
+from candata.schema.bench import CaseResult, Filled, Label, Outside, Shares
 from candata.schema.effect import EffectSetting
 from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Ranked, Report, Unknown
 
@@ -208,3 +208,9 @@ def test_first_cases_are_timed_apart():
     some = [case("null", cpu_s=90.0, cold=True), case("null", cpu_s=12.0)]
     assert row(some, "CPU s of a first case: median").value == 90
     assert row(some, "CPU s a case, cached signatures: median").value == 12
+
+
+def test_what_was_kept_before_is_summed_once_for_all():
+    found = score_run([case("null")], scene="x", cases=1, filled=[Filled(cpu_s=2.0), Filled(cpu_s=3.5)])
+    (told,) = [r for r in found.rows if r.measure.startswith("CPU s of the signatures kept before")]
+    assert (told.value, told.n, told.met) == (5.5, 2, None)

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 from candata import __version__
 from candata.errors import CandataError, MissingExtraError, SetupError
-from candata.gap.blind.crew import Crew
+from candata.gap.blind.crew import Crew, local
 
 T = TypeVar("T")
 #: Address that means a cluster of this machine alone, started for the run and ended with it.
@@ -28,6 +28,16 @@ ANSWER_S, JOIN_S = 5.0, 60.0
 LOOK_S = 300.0
 #: Memory for what tasks return [bytes], near the least that Ray takes: results are a few kilobytes.
 STORE_BYTES = 100_000_000
+
+
+@contextmanager
+def crew_of(jobs: int, ray: str | None, shared: Path) -> Iterator[Crew]:
+    """Yield who does the work: processes of this machine, or where an address is given a Ray cluster, as `on_ray`."""
+    if ray is None:
+        yield local(jobs)
+        return
+    with on_ray(ray, shared.resolve(), jobs) as crew:
+        yield crew
 
 
 @contextmanager
@@ -145,7 +155,7 @@ def _check_machine(found: tuple[bool, str], name: str, shared: Path) -> None:
     if not seen:
         raise SetupError(
             f"{name} of the Ray cluster does not see {shared}", expected="a folder that all its machines share",
-            fix="give an --out on a shared folder, mounted at the same path everywhere",
+            fix="give an --out (or --cache-dir) on a shared folder, mounted at the same path everywhere",
         )  # fmt: skip
     if version != __version__:
         raise SetupError(f"{name} of the Ray cluster holds another candata", expected=__version__, found=version)

@@ -19,7 +19,9 @@ from candata.schema.record import Record
 from candata.schema.report import Report
 
 RESULTS, CACHE = "results.jsonl", "cache"
-Judge = Callable[[Dataset, Scene, int, Path], Report]
+Judge = Callable[[Dataset, Scene, int, Path | None], Report]
+#: Cases diagnosed with nothing kept, to tell what a first one costs: one, and of many one in so many, up to so many.
+COLD_EACH, COLD = 40, 3
 R = TypeVar("R", bound=Record)
 
 
@@ -36,8 +38,8 @@ class Place(NamedTuple):
         return str(self.folder.resolve()), lasting(self.scene), self.sealed
 
 
-def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path) -> Report:
-    """Return candata's own report of a dataset; signatures are kept in `cache`."""
+def judged(dataset: Dataset, scene: Scene, seed: int, cache: Path | None) -> Report:
+    """Return candata's own report of a dataset; signatures are kept in `cache`, or not at all."""
     return diagnose(dataset, scene, jobs=1, seed=seed, cache=cache).report
 
 
@@ -64,7 +66,8 @@ def run_cases(
     seed : int
         Seed of each diagnosis.
     judge : callable
-        `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module.
+        `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module. The first case, of many
+        the first few, is diagnosed with no cache: what it costs is what a diagnosis costs that finds nothing kept.
     method : str
         What the results are filed under.
     told : callable
@@ -72,18 +75,12 @@ def run_cases(
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
     standing = known(out, method)
-    # Processes share the work of filling the cache: what a diagnosis costs without it, one alone can tell.
-    fresh = not standing and crew is alone and not cache.exists()
-    tasks = [(*p.anywhere, seed, method, fresh, judge, str(cache)) for p in cases if p.sealed not in standing]
-    processes: set[int] = set()
-
-    def first_only(result: CaseResult) -> CaseResult:
-        """Return a result that is cold only where it is the first of its process."""
-        known = result.process in processes
-        processes.add(result.process)
-        return result.model_copy(update={"cold": result.cold and not known})
-
-    for result in spread(log, run_case, tasks, crew, first_only):
+    cold = {p.sealed for p in cases[: min(max(len(cases) // COLD_EACH, 1), COLD)]}
+    tasks = [
+        (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
+        for p in cases if p.sealed not in standing
+    ]  # fmt: skip
+    for result in spread(log, run_case, tasks, crew):
         standing[result.sealed] = result
         told(result)
     return [standing[p.sealed] for p in cases]
@@ -99,7 +96,6 @@ def spread(
     work: Callable[..., R],
     tasks: Sequence[tuple[Any, ...]],
     crew: Crew,
-    last: Callable[[R], R] = lambda record: record,
 ) -> Iterator[R]:
     """Yield a record for each task as it comes, each written to the log first: what is yielded outlives a kill.
 
@@ -113,12 +109,10 @@ def spread(
         Arguments of `work`.
     crew : Crew
         Who does the work.
-    last : callable
-        Completes a record here, in the order of the log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as file:
-        for record in map(last, crew(work, tasks)):
+        for record in crew(work, tasks):
             file.write(record.model_dump_json() + "\n")
             file.flush()
             os.fsync(file.fileno())
@@ -126,9 +120,9 @@ def spread(
 
 
 def run_case(
-    folder: str, scene: str, sealed: str, seed: int, method: str, fresh: bool, judge: Judge, cache: str
+    folder: str, scene: str, sealed: str, seed: int, method: str, judge: Judge, cache: str | None
 ) -> CaseResult:
-    """Return the result of one case.
+    """Return the result of one case; without a cache it is a cold one.
 
     A method that fails on a case has not solved it: the failure is the result.
     """
@@ -136,7 +130,7 @@ def run_case(
     world = load_scene(scene)
     start, report, error = time.process_time(), None, None
     try:
-        report = judge(open_dataset(path), world, seed, Path(cache))
+        report = judge(open_dataset(path), world, seed, Path(cache) if cache else None)
     except CandataError as problem:
         error = problem.problem
     spent = time.process_time() - start
@@ -145,7 +139,7 @@ def run_case(
         sealed=sealed,
         method=method,
         cpu_s=spent,
-        cold=fresh,
+        cold=cache is None,
         process=os.getpid(),
         report=report,
         error=error,

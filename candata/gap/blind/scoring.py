@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
-from candata.schema.bench import BenchFile, Bin, Kind, Miss, Row
+from candata.schema.bench import BenchFile, Bin, Filled, Kind, Miss, Row
 
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
@@ -20,7 +20,9 @@ ALIKE = 0.8
 KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
 
 
-def score_run(outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata") -> BenchFile:
+def score_run(
+    outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata", filled: Sequence[Filled] = ()
+) -> BenchFile:
     """Return the table of a run with its misses.
 
     Parameters
@@ -33,8 +35,10 @@ def score_run(outcomes: Sequence[Outcome], *, scene: str, cases: int, method: st
         How many cases there are, diagnosed or not.
     method : str
         Whose diagnoses they are.
+    filled : sequence of Filled
+        What was simulated into their shared cache before they were diagnosed.
     """
-    rows = [row for row in _rows(outcomes) if row.n]
+    rows = [row for row in (*_rows(outcomes), _filling(filled)) if row.n]
     order = {False: 0, True: 2, None: 3}
     return BenchFile(
         method=method, scene=scene, cases=cases, done=len(outcomes),
@@ -157,13 +161,19 @@ def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
 
 
 def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Return CPU time with what is cached, and without: the first case of a run of one process in a fresh folder."""
+    """Return CPU time with what is cached, and without: of the few cases that were diagnosed with nothing kept."""
     spent = {cold: [o.result.cpu_s for o in outcomes if o.result.cold == cold] for cold in (False, True)}
     names = {False: ("CPU s a case, cached signatures: median", 20.0), True: ("CPU s of a first case: median", 120.0)}
     return [
         Row(measure=names[c][0], value=float(np.median(v)) if v else None, n=len(v), high=names[c][1], unit="s")
         for c, v in spent.items()
     ]
+
+
+def _filling(filled: Sequence[Filled]) -> Row:
+    """Return CPU time of what all cases share, counted by signatures."""
+    spent = sum(one.cpu_s for one in filled)
+    return Row(measure="CPU s of the signatures kept before, once for all", value=spent, n=len(filled), unit="s")
 
 
 def _share(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> Row:
