@@ -11,7 +11,7 @@ from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import diagnose
 from candata.gap.diagnosis import _problem
 from candata.gap.outlook import LATER, say_outlook
-from candata.gap.pace import ANOTHER, FITTING_S, ONE, SIGNATURE, Pace, Span
+from candata.gap.pace import ANOTHER, ONE, SIGNATURE, Pace, Span
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.wanted import wanted
@@ -62,7 +62,7 @@ def test_before_a_search_it_is_said_what_it_takes_and_what_is_not_kept(posed):
 
 
 def test_a_problem_knows_how_long_its_replay_took(posed):
-    assert 0 < posed.pace.replay_s < FITTING_S
+    assert posed.pace.replay_s > 0
 
 
 def test_a_search_tells_what_it_found_and_that_it_goes_on(arm, arm_episodes, planted, tmp_path):
@@ -75,7 +75,8 @@ def test_a_search_tells_what_it_found_and_that_it_goes_on(arm, arm_episodes, pla
     assert {e.name for e in found.report.effects} == set(names)
     first, *rest = [step for step in told if "searching" in step or "comparing" in step or "found" in step]
     assert first.startswith("searching effects")
-    assert rest[0] == "comparing what is best so far"
-    assert rest[1].endswith(" found, looking for what is beside")
+    # A slow machine adds how long that takes.
+    assert rest[0].startswith("comparing what is best so far")
+    assert " found, looking for what is beside" in rest[1]
     assert rest[1].split()[0] in names
     assert told[-1] == "measuring on held-out episodes"
