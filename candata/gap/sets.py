@@ -9,15 +9,16 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import candidate
+from candata.gap.candidates import Candidate, candidate, local_candidates
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
 from candata.gap.pace import ANOTHER, JOINT
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import score
-from candata.gap.search import Fit, Members, Problem
-from candata.gap.sparse import sparse
+from candata.gap.screen import respond
+from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, null_level, standard_error
 
 Array = NDArray[np.float64]
@@ -56,7 +57,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
         full = is_full(best.members, problem.measured)
         grown = None if full else _grown(world, best, _beside(world, best.members, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
-            grown = _swapped(world, best) or _widened(world, best) or _paired(world, best, alone)
+            grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -130,10 +131,11 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     return max(sets, key=lambda f: f.gain)
 
 
-def _widened(problem: Problem, best: Fit) -> Fit | None:
-    """Return the set with the fault of one element taken for one of all, where that explains more; None otherwise.
+def _moved(problem: Problem, best: Fit) -> Fit | None:
+    """Return the set with the fault of one element taken for one of all or of another, where that explains more.
 
-    Under other causes a fault of all may first show on the one element that they spare.
+    None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
+    moves; what made up for the wrong place is dropped with it.
     """
     if float(best.evidence.loss.mean()) - 1 < LEFT:
         return None
@@ -141,14 +143,31 @@ def _widened(problem: Problem, best: Fit) -> Fit | None:
     for c, u in best.members:
         if c.element is None:
             continue
-        whole = candidate(c.name, problem.replayer.scene)
-        at = whole.neutral.copy()
-        at[c.own[whole.own]] = u
         others = tuple(m for m in best.members if m[0].name != c.name)
-        fit = joint(problem, (*others, (whole, at)), base)
+        places = (_everywhere(problem, c, u), *_neighbour(problem, others, c))
+        fit = max((joint(problem, (*others, place), base) for place in places), key=lambda f: f.gain)
         if _worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
-            return fit
+            return pruned(problem, fit, base)
     return None
+
+
+def _everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:
+    """Return the effect of which `c` is the variant on one element, as strong there."""
+    whole = candidate(c.name, problem.replayer.scene)
+    at = whole.neutral.copy()
+    at[c.own[whole.own]] = u
+    return whole, at
+
+
+def _neighbour(problem: Problem, others: Members, c: Candidate) -> Members:
+    """Return the same effect on the other element that promises most beside the others; nothing where none does."""
+    scene = problem.replayer.scene
+    here = problem.residuals([problem.setting(others)])[0]
+    variants = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
+    base = problem.score.loss(here)
+    fits = [fit_one(problem, v, response, base) for v, response in respond(problem, here, variants, others)[0]]
+    best = max(fits, key=lambda f: f.gain, default=None)
+    return best.members if best is not None and best.gain > 0 else ()
 
 
 def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
@@ -214,7 +233,7 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     if found.gain < MOST * float((base - 1).mean()):
         return best, problem, True
     fewest = _rebuilt(problem, found, base)
-    return _judged(problem, _widened(problem, fewest) or fewest)
+    return _judged(problem, _moved(problem, fewest) or fewest)
 
 
 def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:

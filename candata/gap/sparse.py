@@ -59,7 +59,7 @@ def sparse(problem: Problem, start: Fit, base: Array) -> Fit | None:
     kept = world(plane.at)
     if len(kept) <= len(start.members):
         return None
-    return _pruned(problem, joint(problem, kept, base), base)
+    return pruned(problem, joint(problem, kept, base), base)
 
 
 def _everything(problem: Problem, start: Fit) -> Members:
@@ -141,14 +141,14 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], st
     return t
 
 
-def _pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
+def pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
     """Return the fit without the members that are worth nothing, the others refitted, until all are worth something."""
     losses = problem.score.loss(fit.plane.z)
     gain = float((base - losses).mean())
     without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
     rises = [problem.score.loss(z) - losses for z in problem.residuals(without)]
     kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
-    return fit if len(kept) in (0, len(fit.members)) else _pruned(problem, joint(problem, kept, base), base)
+    return fit if len(kept) in (0, len(fit.members)) else pruned(problem, joint(problem, kept, base), base)
 
 
 def _is_worth(rise: Array, gain: float) -> bool:

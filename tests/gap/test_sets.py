@@ -69,9 +69,9 @@ def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(a
     problem, base = posed
     delay = members(arm, actuation_delay=0.03)
     elbow = (candidate("joint_dry_friction", arm, "elbow"), np.array([0.3]))
-    found = sets._widened(problem, joint(problem, (*delay, elbow), base))
+    found = sets._moved(problem, joint(problem, (*delay, elbow), base))
     assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
-    assert sets._widened(problem, found) is None
+    assert sets._moved(problem, found) is None
 
 
 def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
@@ -81,7 +81,15 @@ def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
     assert float(half.evidence.loss.mean()) - 1 > sets.LEFT
-    assert sets._widened(problem, half) is None
+    assert sets._moved(problem, half) is None
+
+
+def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm, arm_episodes, planted):
+    recs = recordings(arm, arm_episodes(planted("actuation_delay", "shoulder", delay_s=0.03), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.005]))
+    wrong = joint(problem, (*members(arm, armature=0.0005), elbow), problem.score.loss(problem.nominal))
+    assert sets._moved(problem, wrong).labels == ("actuation_delay shoulder",)
 
 
 def test_few_true_names_replace_many(arm, posed):
