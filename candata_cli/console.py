@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 #: Seconds between lines of progress where stderr is no terminal.
 EVERY_S = 30.0
 GAP = "Check the diagnosis itself, and what it found."
+RAY = "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT."
 
 
 def group(app: typer.Typer, name: str, about: str) -> typer.Typer:
@@ -44,6 +45,11 @@ def opened(dataset: str, version: str | None = None, partial: bool = False) -> D
 def number(text: str | None) -> int | str | None:
     """Return a short number as a number, a tag or the start of a digest as it is."""
     return int(text) if text and text.isdigit() and len(text) < 6 else text
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Return the words of a comma-separated list."""
+    return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
 def out(text: str) -> None:

@@ -61,7 +61,7 @@ def diagnose(
     from candata.scenes import load_scene
     from candata_cli import console
 
-    refused, names = _verdicts(fail_on), _words(only)
+    refused, names = _verdicts(fail_on), console.words(only)
     if out.is_file():
         raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
     if edit_scene is not None and edit is None:
@@ -86,19 +86,15 @@ def diagnose(
         raise typer.Exit(1)
 
 
-def _words(text: str) -> tuple[str, ...]:
-    """Return the words of a comma-separated list."""
-    return tuple(word.strip() for word in text.split(",") if word.strip())
-
-
 def _verdicts(text: str) -> tuple[str, ...]:
     """Return the verdicts of a comma-separated list, each a known one."""
     from candata.errors import UnknownNameError
+    from candata_cli import console
 
-    for word in _words(text):
+    for word in console.words(text):
         if word not in VERDICTS:
             raise UnknownNameError("verdict", word, VERDICTS)
-    return _words(text)
+    return console.words(text)
 
 
 def _check_edit(dataset: Dataset, scene: Scene) -> None:

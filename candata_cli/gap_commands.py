@@ -47,10 +47,7 @@ which needs the packages of mujoco[sysid] and a parameter written for each effec
 """
 #: Results whose pace tells the time left.
 LATEST = 21
-RAY = (
-    "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT. "
-    "--out must be on a folder that all its machines share."
-)
+RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 SCORE_EXAMPLE = """\b
 Example: candata gap score cases --labels sealed.json --out out/score
 
@@ -95,7 +92,7 @@ def bench(
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
-    wanted, names, beside = _counts(kinds, counts), _words(only), _known(baselines, BASELINES, "baseline")
+    wanted, names, beside = _counts(kinds, counts), console.words(only), _known(baselines, BASELINES, "baseline")
     world = load_scene(scene)
 
     def live() -> tuple[str, ...]:
@@ -147,7 +144,7 @@ class _Run:
     crew: Crew
     seed: int
     scene: str | None
-    baselines: list[str]
+    baselines: tuple[str, ...]
     baseline_cases: int
 
 
@@ -218,29 +215,24 @@ def _counts(kinds: str, counts: str) -> dict[Kind, int]:
     from candata.gap.blind.draws import COUNTS
 
     given: dict[str, int] = {}
-    for word in _words(counts):
+    for word in console.words(counts):
         name, _, number = word.partition("=")
         if not number.isdigit():
             raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
         given[name] = int(number)
-    wanted = _words(kinds)
+    wanted = console.words(kinds)
     _known(",".join((*wanted, *given)), KINDS, "kind of case")
     return {kind: given.get(kind, number) for kind, number in COUNTS.items() if kind in wanted}
 
 
-def _words(text: str) -> list[str]:
-    """Return the words of a comma-separated list."""
-    return [word.strip() for word in text.split(",") if word.strip()]
-
-
-def _known(text: str, names: Sequence[str], kind: str) -> list[str]:
+def _known(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:
     """Return the words of a comma-separated list, each one of `names`."""
     from candata.errors import UnknownNameError
 
-    for word in _words(text):
+    for word in console.words(text):
         if word not in names:
             raise UnknownNameError(kind, word, names)
-    return _words(text)
+    return console.words(text)
 
 
 def _fitness(fit: Fitness) -> list[str]:

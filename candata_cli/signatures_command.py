@@ -20,7 +20,6 @@ Examples:
 It pays where the same commands are recorded again and again (about ten diagnoses of them; one diagnosis simulates
 only what it needs). On a Ray cluster, dataset, scene and --cache-dir must lie in folders that all its machines see.
 """
-RAY = "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT."
 
 
 def register(app: typer.Typer) -> None:
@@ -40,7 +39,7 @@ def signatures(
         int, typer.Option(min=0, help="Seed of the diagnoses: decides which of more than 64 episodes are searched.")
     ] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = os.cpu_count() or 1,
-    ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
+    ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=console.RAY)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the counts as JSON.")] = False,
 ) -> None:
     """Simulate what every effect does under these commands, so that later diagnoses of them need not.
@@ -52,10 +51,9 @@ def signatures(
     from candata.gap.blind.cluster import crew_of
     from candata.gap.blind.filling import keep_signature, planned, source
 
-    names = tuple(word.strip() for word in only.split(",") if word.strip())
     folder = cache_dir or user_cache()
     data = console.opened(dataset, version)
-    some = source(data.path, scene, folder, seed, data.digest)._replace(only=names)
+    some = source(data.path, scene, folder, seed, data.digest)._replace(only=console.words(only))
     with crew_of(jobs, ray, folder) as crew:
         console.note("replaying the nominal scene, measuring the floor")
         plan = planned(some)

@@ -15,7 +15,7 @@ from candata.gap.folds import cross_fit
 from candata.gap.pace import ANOTHER, JOINT
 from candata.gap.refine import joint
 from candata.gap.response import Plane
-from candata.gap.score import score
+from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sparse import pruned, sparse
@@ -55,7 +55,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         full = is_full(best.members, problem.measured)
-        grown = None if full else _grown(world, best, _beside(world, best.members, best))
+        grown = None if full else _grown(world, best, look(world, _here(world, best), best.members))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
         if grown is None:
@@ -97,11 +97,16 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
     return fit, world, _leaves(world, fit)
 
 
-def _beside(problem: Problem, members: Members, done: Fit | None = None) -> Stage:
-    """Return the evidence of every candidate beside effects that act already; `done`: their fit, if simulated there."""
-    simulated = done is not None and isinstance(done.response, Plane)
-    here = done.plane.z if done and simulated else problem.residuals([problem.setting(members)])[0]
-    return look(problem, here, members)
+def _beside(problem: Problem, members: Members) -> Stage:
+    """Return the evidence of every candidate beside effects that act already."""
+    return look(problem, problem.residuals([problem.setting(members)])[0], members)
+
+
+def _here(problem: Problem, fit: Fit) -> Compact:
+    """Return the residuals `(E, K)` where a fit is: a plane was simulated there, a curve is read between rollouts."""
+    if isinstance(fit.response, Plane):
+        return fit.response.z
+    return problem.residuals([problem.setting(fit.members)])[0]
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:

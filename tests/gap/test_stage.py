@@ -74,6 +74,16 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     assert found.fits[1].gain == pytest.approx(2.0 - 1.4)
 
 
+def test_a_rival_that_gains_less_is_near_while_episodes_do_not_tell_the_two_apart(arm):
+    best = fit(candidate("joint_damping", arm), np.full(8, 1.0))
+    c, swing = candidate("servo_damping", arm), np.tile([1.0, -1.0], 4)
+    # It gains 30 % less; the standard error of that is 0.38 where episodes disagree, 0.01 where they agree.
+    unsure, surely = fit(c, 1.3 + swing), fit(c, 1.3 + 0.03 * swing)
+    assert staging.is_near(unsure, best)
+    assert not staging.is_near(surely, best)
+    assert staging.is_near(fit(c, np.full(8, 1.1)), best)
+
+
 def test_what_lies_below_the_loss_of_true_worlds_cannot_be_told_apart(arm):
     best, rival = (
         fit(candidate(name, arm), np.full(8, loss)) for name, loss in [("armature", 0.8), ("time_step", 0.9)]
