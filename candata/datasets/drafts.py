@@ -33,9 +33,9 @@ def draft_beside(out: Path) -> Iterator[Path]:
     _sweep(out.parent)
     folder, lock = _locked_draft(out)
     try:
-        yield folder
+        with durable.passing(folder):
+            yield folder
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
         if lock is not None:
             os.close(lock)
 

@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -22,6 +23,9 @@ from candata.schema.record import Record
 STAGING = "staging"
 #: Folder in it where a pull keeps whole files until their part is whole.
 PULLING = "pull"
+
+#: How long a thread that still writes after a failure is waited for, in s, before each further removal.
+LATE_S = (0.05, 0.25)
 
 #: What file systems without hard links answer.
 NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS)
@@ -69,8 +73,23 @@ def staged(root: Path) -> Iterator[Path]:
     """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed."""
     folder = ensure_folder(root / STAGING) / uuid.uuid4().hex
     folder.mkdir()
-    try:
+    with passing(folder):
         yield folder
+
+
+@contextmanager
+def passing(folder: Path) -> Iterator[None]:
+    """Remove a folder at the end of the block, and after a failure also what other threads still put there.
+
+    zarr writes in threads and waits for none of them when one fails; the last may make the folder anew.
+    """
+    try:
+        yield
+    except BaseException:
+        for pause_s in LATE_S:
+            shutil.rmtree(folder, ignore_errors=True)
+            time.sleep(pause_s)
+        raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

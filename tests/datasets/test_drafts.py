@@ -46,6 +46,23 @@ def test_what_a_killed_process_left_goes_with_the_next_draft(tmp_path):
     assert names(tmp_path) == []
 
 
+def test_what_a_thread_still_writes_after_a_failure_goes_too(tmp_path, monkeypatch):
+    waits = []
+
+    def late(pause_s):
+        waits.append(pause_s)
+        if len(waits) == 1:
+            assert names(tmp_path) == []
+            (folder / "deep").mkdir(parents=True)
+            (folder / "deep" / "late").write_text("late")
+
+    monkeypatch.setattr(drafts.durable.time, "sleep", late)
+    with pytest.raises(OSError, match="full"), draft_beside(tmp_path / "out") as folder:
+        raise OSError("full")
+    assert names(tmp_path) == []
+    assert waits == list(drafts.durable.LATE_S)
+
+
 def test_a_draft_in_use_and_what_is_no_draft_stay(tmp_path):
     (tmp_path / ".old.mine").mkdir()
     (tmp_path / LEFT).write_text("a file")
