@@ -57,7 +57,7 @@ def attribute(problem: Problem) -> Attribution:
     best = first.fits[0]
     tied = tied_with(best, first.fits, first.reachable)
     chosen, world, remains = forward(problem, best, first.fits)
-    if len(tied) > 1 and len(chosen.members) > 1:
+    if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
     if remains and len(tied) == 1:

@@ -15,6 +15,8 @@ from candata.schema.effect import EffectSetting
 Array = NDArray[np.float64]
 #: How far the end of what is plausible must lie beyond the probes to be probed too, as a share of what is plausible.
 BEYOND = 0.1
+#: How many times the neutral value the nearest probe of a scale or time may be before one halfway is added.
+FAR = 2.1
 
 
 @dataclass(frozen=True)
@@ -114,15 +116,16 @@ def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
 def probes(c: Candidate, scene: Scene) -> list[Array]:
     """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each.
 
-    A scalar is also probed at the ends of what is plausible, where those lie beyond its probes. A single number of a
-    vector takes both signs of its probes, where its bounds do.
+    A scalar is also probed at the ends of what is plausible, where those lie beyond its probes, and halfway to the
+    nearest of them, where that is far: a limit acts near its neutral value at other times than farther out. A single
+    number of a vector takes both signs of its probes, where its bounds do.
     """
     numbers = [np.array(p.probes(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
     mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
     if c.size == 1 and len(c.own) > 1 and c.low[0] < 0 < c.high[0]:
         mine = [np.unique(np.concatenate([-n, n])) for n in mine]
     if c.size == 1 and not c.choices:
-        mine = [np.unique(np.concatenate([mine[0], _plausible_ends(c, scene, mine[0])]))]
+        mine = [np.unique(np.concatenate([mine[0], _plausible_ends(c, scene, mine[0]), _halfway(c, mine[0])]))]
     out = []
     for column, values in enumerate(mine):
         for value in np.log(values) if c.logarithmic[column] else values:
@@ -144,6 +147,16 @@ def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
     return np.clip(beyond, *inside)
 
 
+def _halfway(c: Candidate, known: Array) -> Array:
+    """Return the values between a logarithmic coordinate's neutral one and its nearest probes, where those are far."""
+    if not c.logarithmic[0]:
+        return np.zeros(0)
+    own = float(np.exp(c.neutral[0]))
+    known = np.sort(known)
+    nearest = [*known[known < own][-1:], *known[known > own][:1]]
+    return np.array([np.sqrt(own * v) for v in nearest if max(v / own, own / v) > FAR])
+
+
 def typical_size(c: Candidate, scene: Scene) -> Array:
     """Return `(d,)` how far from neutral a plausible effect of this kind lies, between a faint and a strong one."""
     ends = [np.array(p.draws(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
@@ -156,7 +169,8 @@ def typical_size(c: Candidate, scene: Scene) -> Array:
 def first_probes(c: Candidate, scene: Scene) -> list[Array]:
     """Return the probes of a first look: of a scalar three of each side at most, of a vector one of each number.
 
-    Of four or more on a side, the middle and the farthest.
+    Of four or more on a side, the middle and the farthest, and of an effect that acts everywhere the nearest too: what
+    sets in at a limit, as of a motor's torque, does near the neutral value what it does not do farther out.
     """
     points = probes(c, scene)
     if c.choices:
@@ -165,10 +179,12 @@ def first_probes(c: Candidate, scene: Scene) -> list[Array]:
         return list({int(np.flatnonzero(p != c.neutral)[0]): p for p in points}.values())
     below = sorted((p for p in points if p[0] < c.neutral[0]), key=lambda p: -p[0])
     above = sorted((p for p in points if p[0] >= c.neutral[0]), key=lambda p: p[0])
-    found = [side[i] for side in (below, above) for i in _first(len(side))]
+    found = [side[i] for side in (below, above) for i in _first(len(side), c.element is None)]
     return sorted(found, key=lambda p: float(p[0]))
 
 
-def _first(count: int) -> tuple[int, ...]:
-    """Return which of the probes of one side, nearest first, are looked at first."""
-    return tuple(range(count)) if count <= 3 else ((count - 1) // 2, count - 1)
+def _first(count: int, nearest: bool) -> tuple[int, ...]:
+    """Return which of the probes of one side, nearest first, are looked at first; of many, `nearest` too."""
+    if count <= 3:
+        return tuple(range(count))
+    return ((0,) if nearest else ()) + ((count - 1) // 2, count - 1)

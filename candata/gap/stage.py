@@ -21,8 +21,10 @@ from candata.gap.shortlist import rivals, screened
 from candata.gap.starts import Starts
 
 Array = NDArray[np.float64]
-#: How many times its threshold and standard error a gain must be where the loss lies within the nulls' range.
-PLAIN = 3.0
+#: Where the loss lies within the nulls' range: how many times its threshold and its standard error a gain must be, how
+#: large the product of the two, and from how many times its threshold it counts when it removes most of the loss. (Of
+#: 60 null worlds the largest product was 4.1; of 12 faint effects that came out first there, 8 had more than 5.)
+CLEAR, PLAIN, MOST_OF_IT = 1.5, 5.0, 3.0
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
 MATTERS = 0.02
 #: Share of the best gain above which another effect's fit is sharpened too before the two are compared, and how many.
@@ -82,8 +84,9 @@ class Stage:
 
         Either it is sure, or it removes most of the loss, which no floor of the right height allows.
         """
-        sure = best.gain > PLAIN * standard_error(best.evidence.gain)
-        return best.gain > PLAIN * self.threshold and (sure or best.gain > float(self.base.mean()) / 2)
+        error = standard_error(best.evidence.gain)
+        sure = best.gain > CLEAR * max(self.threshold, error) and best.gain**2 > PLAIN * self.threshold * error
+        return sure or best.gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
 
 
 def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> Stage:

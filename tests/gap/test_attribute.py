@@ -24,6 +24,8 @@ def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
     ("gain", "plain"),
     [
         (np.full(8, 0.4), True),  # the same in every episode
+        (np.array([0.3, 0.0, 0.3, 0.1, 0.0, 0.2, 0.2, 0.1]), True),  # twice what null sets reach, and nearly sure
+        (np.array([0.6, -0.1, 0.5, 0.1, -0.2, 0.3, 0.0, 0.0]), False),  # twice as well, and as likely luck
         (0.95 * BASE, True),  # uneven, as the episodes are, but nearly all of the loss
         (np.array([2.9, -0.1, 0.0, 0.1, 0.0, 0.2, -0.1, 0.1]), False),  # one episode's doing
         (np.full(8, 0.1), False),  # what null sets nearly reach

@@ -82,8 +82,16 @@ def test_a_first_look_is_near_and_far_on_each_side_that_a_scalar_has(hand, name)
     for side in {*np.sign(away)}:
         mine = np.sort(np.abs(away[np.sign(away) == side]))
         seen = np.sort(np.abs((first[:, 0] - c.neutral[0])[np.sign(first[:, 0] - c.neutral[0]) == side]))
-        assert len(seen) == (len(mine) if len(mine) <= 3 else 2)
-        assert seen[-1] == mine[-1]
+        assert len(seen) == (len(mine) if len(mine) <= 3 else 3)
+        assert (seen[0], seen[-1]) == (mine[0], mine[-1])
+
+
+def test_a_first_look_at_one_element_leaves_out_the_nearest_of_many(hand):
+    elements = [v for v in local_candidates(candidate("torque_limit", hand), hand) if len(probes(v, hand)) > 3]
+    assert elements
+    for v in elements:
+        away = sorted(abs(float(u[0] - v.neutral[0])) for u in probes(v, hand))
+        assert {abs(float(u[0] - v.neutral[0])) for u in first_probes(v, hand)} == {away[(len(away) - 1) // 2], away[-1]}
 
 
 @pytest.mark.parametrize("name", effect_names())
