@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from candata.gap.pace import SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import compared, forward, jointly, with_measured
+from candata.gap.sets import LEFT, MOST, compared, forward, jointly, with_measured
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with
+from candata.gap.starts import is_toss
+
+#: How many times the best gain by signatures one by simulations must be for the search to be made again, and to what
+#: share of what the first search leaves the second must come down to replace it. Chosen.
+BETTER, SMALLER = 1.2, 0.8
 
 
 @dataclass(frozen=True)
@@ -39,10 +44,32 @@ class Attribution:
 def attribute(problem: Problem) -> Attribution:
     """Return the effects that explain the gap, by forward selection on held-out episodes.
 
-    What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere.
+    What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
+    even then, effects are looked at again, simulated on the recording: in a world far from the nominal one, signatures
+    say little of what an effect does there.
     """
+    found = _searched(problem, look(problem, problem.nominal, ()))
+    if is_toss(problem.replayer.scene) or not (found.remains and _left(problem, found) > MOST):
+        return found
+    problem.pace.told("simulating every effect on the recording itself")
+    problem = replace(problem, simulated=True)
+    again, gained = look(problem, problem.nominal, ()), max((f.gain for f in found.first.fits), default=0.0)
+    if again.passing() is None or again.fits[0].gain < BETTER * gained:
+        return found
+    other = _searched(problem, again)
+    return other if _left(problem, other) < SMALLER * _left(problem, found) else found
+
+
+def _left(problem: Problem, found: Attribution) -> float:
+    """Return the share of the loss above the floor that is left on held-out episodes."""
+    before = float(found.score.loss(found.score.normal(problem.raw)).mean()) - 1
+    after = float(found.chosen.evidence.loss.mean()) - 1 if found.chosen else before
+    return after / before if before > LEFT else 0.0
+
+
+def _searched(problem: Problem, first: Stage) -> Attribution:
+    """Return what the search finds that begins with the evidence of every candidate alone."""
     nominal = problem.nominal
-    first = look(problem, nominal, ())
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     if remains and first.faint and first.passing() is None:
         # Before the cause is called unknown, everything is looked at on every episode.

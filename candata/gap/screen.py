@@ -28,12 +28,13 @@ def respond(
 
     Tosses are simulated on the recording itself, beside the effects `held`: where a toss lands decides how it goes on,
     so that a signature of another landing says little, and a toss is short. So are choices beside effects: what a
-    solver setting does in one world it does not do in another, and there is nothing in between to mend it by.
+    solver setting does in one world it does not do in another, and there is nothing in between to mend it by; and all
+    candidates where the problem says so.
     """
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
     toss = is_toss(problem.replayer.scene)
-    own = [toss or bool(held and c.choices) for c in found]
+    own = [toss or problem.simulated or bool(held and c.choices) for c in found]
     played = [tuple((c, u) for c, o in zip(found, own, strict=True) if o is kind for u in screening(c, problem))
               for kind in (True, False)]  # fmt: skip
     moved = {

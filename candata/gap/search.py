@@ -31,7 +31,8 @@ class Problem:
     """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
 
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
-    set where only a few of the episodes are looked at, and fewer signatures do; `pace` tells how far the search is.
+    set where only a few of the episodes are looked at, and fewer signatures do; `simulated` where every candidate is
+    simulated on the recording, its signature set aside; `pace` tells how far the search is.
     """
 
     replayer: Replayer
@@ -49,6 +50,7 @@ class Problem:
     ruled_out: frozenset[str] = frozenset()
     measured: Members = ()
     brief: bool = False
+    simulated: bool = False
     pace: Pace = field(default_factory=Pace)
 
     @property

@@ -178,7 +178,8 @@ def _neighbour(problem: Problem, others: Members, c: Candidate) -> Members:
 def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     """Return the set with two more effects that are worth a name together though neither is beside `best`.
 
-    Tried are those that gained surely alone: beside a cause that took their share, each may need the other.
+    Tried are those that gained surely alone: beside a cause that took their share, each may need the other. A pair that
+    gains nothing at any share of what each is alone is not fitted.
     """
     taken = {c.name for c, _ in best.members}
     too_many = _searched(best.members, problem.measured) + 2 > LARGEST_SET
@@ -188,19 +189,22 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
     base = problem.score.loss(problem.nominal)
     pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
+    now = float(problem.score.loss(_here(problem, best)).mean()) if pairs else 0.0
     sets = [_nearest(problem, best.members, pair) for pair in pairs]
-    found = max((joint(problem, members, base) for members in sets), key=lambda f: f.gain, default=None)
+    fits = [joint(problem, members, base) for members, loss in sets if loss < now]
+    found = max(fits, key=lambda f: f.gain, default=None)
     if found is None or not _worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
         return None
     return found
 
 
-def _nearest(problem: Problem, held: Members, pair: Members) -> Members:
-    """Return the set with two effects at the shares of their distance from neutral that leave the least loss."""
+def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[Members, float]:
+    """Return the set with two effects at the shares of their distance from neutral that leave the least loss, and it."""
     shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
     tried = [(*held, a, b) for a, b in product(*shares)]
-    losses = [problem.score.loss(z).mean() for z in problem.residuals([problem.setting(m) for m in tried])]
-    return tried[int(np.argmin(losses))]
+    losses = [float(problem.score.loss(z).mean()) for z in problem.residuals([problem.setting(m) for m in tried])]
+    best = int(np.argmin(losses))
+    return tried[best], losses[best]
 
 
 def is_full(members: Members, measured: Members) -> bool:

@@ -159,3 +159,15 @@ def test_a_first_cause_that_was_exchanged_is_tied_with_nothing(arm, posed, alone
     tied, (best, _, _) = sets.compared(problem, chosen, alone, False)
     assert tied == alone[:1]
     assert best is chosen
+
+
+def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, posed, monkeypatch):
+    problem, base = posed
+    best = joint(problem, members(arm, actuation_delay=0.03), base)
+    harmful = [joint(problem, members(arm, **{name: 0.0}), base) for name in ("joint_damping", "armature")]
+    alone = [
+        replace(f, members=members(arm, **{name: value}), evidence=best.evidence)
+        for f, (name, value) in zip(harmful, (("joint_damping", 5.0), ("armature", 0.5)), strict=True)
+    ]
+    monkeypatch.setattr(sets, "joint", lambda *_: pytest.fail("it was fitted"))
+    assert sets._paired(problem, best, alone) is None

@@ -1,0 +1,79 @@
+"""Where signatures explain little, effects are simulated on the recording itself, and the better search counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import attribute as attribution
+from candata.gap.attribute import Attribution, attribute
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.gap.screen import respond, screening
+from candata.gap.stage import look
+
+
+@pytest.fixture(scope="module")
+def problem(arm, arm_episodes, planted):
+    """The problem that an arm with dry joints poses."""
+    episodes = arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)
+    return _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+
+
+@pytest.fixture(scope="module")
+def poor(problem):
+    """A search that names nothing."""
+    return Attribution(look(problem, problem.nominal, ()), None, (), problem.score, True)
+
+
+def searches(monkeypatch, *, first, second):
+    """Let the search by signatures find `first`, the one by simulations `second`; return which were made."""
+    made, real = [], attribution._searched
+
+    def searched(problem, stage):
+        made.append(problem.simulated)
+        found = second if problem.simulated else first
+        return real(problem, stage) if found is None else found
+
+    monkeypatch.setattr(attribution, "_searched", searched)
+    return made
+
+
+def test_effects_are_simulated_where_most_is_left(problem, poor, monkeypatch):
+    monkeypatch.setattr(attribution, "BETTER", 0.9)
+    made = searches(monkeypatch, first=poor, second=None)
+    assert attribute(problem).chosen.labels == ("joint_dry_friction",)
+    assert made == [False, True]
+
+
+def test_a_search_that_explains_most_is_not_made_again(problem, poor, monkeypatch):
+    made = searches(monkeypatch, first=None, second=poor)
+    assert attribute(problem).chosen.labels == ("joint_dry_friction",)
+    assert made == [False]
+
+
+def test_a_second_search_that_leaves_as_much_is_not_believed(problem, poor, monkeypatch):
+    monkeypatch.setattr(attribution, "BETTER", 0.9)
+    made = searches(monkeypatch, first=poor, second=replace(poor))
+    assert attribute(problem) is poor
+    assert made == [False, True]
+
+
+def test_where_simulations_promise_no_more_than_signatures_no_second_search_is_made(problem, poor, monkeypatch):
+    made = searches(monkeypatch, first=poor, second=None)
+    assert attribute(problem) is poor
+    assert made == [False]
+
+
+def test_simulated_responses_are_what_rollouts_leave(arm, problem):
+    c = candidate("armature", arm)
+    ((_, curve),), dead = respond(replace(problem, simulated=True), problem.nominal, [c])
+    assert not dead
+    for u in screening(c, problem):
+        (there,) = problem.residuals([problem.setting([(c, u)])])
+        assert np.allclose(curve.read(u), there, atol=1e-4)
+        assert curve.nearest_sure(u) == 0
