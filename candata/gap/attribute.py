@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from candata.gap.pace import SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import LEFT, MOST, compared, forward, jointly, with_measured
-from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with
+from candata.gap.shortlist import gains_more
+from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 
-#: How many times the best gain by signatures one by simulations must be for the search to be made again, and to what
-#: share of what the first search leaves the second must come down to replace it. Chosen.
-BETTER, SMALLER = 1.2, 0.8
+#: How many times the best gain by signatures one by simulations of a few episodes must be for the search to be made
+#: again, and what share of the gap it must be; to what share of what the first search leaves the second must come down
+#: to replace it. Chosen.
+BETTER, WORTH, SMALLER = 1.2, 0.1, 0.8
 
 
 @dataclass(frozen=True)
@@ -53,10 +57,12 @@ def attribute(problem: Problem) -> Attribution:
         return found
     problem.pace.told("simulating every effect on the recording itself")
     problem = replace(problem, simulated=True)
-    again, gained = look(problem, problem.nominal, ()), max((f.gain for f in found.first.fits), default=0.0)
-    if again.passing() is None or again.fits[0].gain < BETTER * gained:
+    first = found.first
+    gain = first.fits[0].evidence.gain if first.fits else np.zeros(len(first.base))
+    least = max(BETTER * gain, WORTH * (first.base - 1), key=np.mean)
+    if not gains_more(problem, problem.nominal, unheld(problem, ()), first.base, least):
         return found
-    other = _searched(problem, again)
+    other = _searched(problem, look(problem, problem.nominal, ()))
     return other if _left(problem, other) < SMALLER * _left(problem, found) else found
 
 

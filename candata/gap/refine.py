@@ -125,13 +125,13 @@ def stepped(problem: Problem, plane: Plane, target: Array, world: World) -> Plan
     return plane
 
 
-def joint(problem: Problem, members: Members, base: Array) -> Fit:
-    """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts."""
+def joint(problem: Problem, members: Members, base: Array, widths: Sequence[float] = WIDTHS) -> Fit:
+    """Return a set refitted by Gauss-Newton: slopes from signatures, then by rollouts that differ by `widths`."""
     world = partial(divided, members)
     plane = around(problem, members, world)
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     plane = _descended(problem, fit, plane, None)
-    for width in WIDTHS if len(plane.at) <= MOST_SLOPES else ():
+    for width in widths if len(plane.at) <= MOST_SLOPES else ():
         slope = _differences(problem, fit.split(plane.at), world, plane.z, width)
         plane = _descended(problem, fit, replace(plane, slope=slope), slope)
         if float(problem.score.loss(plane.z).mean()) < 1:

@@ -199,7 +199,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
 
 
 def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[Members, float]:
-    """Return the set with two effects at the shares of their distance from neutral that leave the least loss, and it."""
+    """Return the set with two effects at the shares of their distances that leave the least loss, and that loss."""
     shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
     tried = [(*held, a, b) for a, b in product(*shares)]
     losses = [float(problem.score.loss(z).mean()) for z in problem.residuals([problem.setting(m) for m in tried])]
@@ -236,10 +236,11 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     if not (left > LEFT and _has_room(best)):
         return best, problem, True
     problem.pace.say("fitting all effects together", JOINT)
-    found = sparse(problem, best, base)
+    least = MOST * float((base - 1).mean())
+    found = sparse(problem, best, base, least)
     if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
         return best, problem, True
-    if found.gain < MOST * float((base - 1).mean()):
+    if found.gain < least:
         return best, problem, True
     fewest = _rebuilt(problem, found, base)
     return _judged(problem, _moved(problem, fewest) or fewest)

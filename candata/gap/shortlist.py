@@ -129,6 +129,13 @@ def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Ar
     return [c for own, c in _gains(part, responses, base[index]) if own > least]
 
 
+def gains_more(problem: Problem, here: Compact, found: Sequence[Candidate], base: Array, gain: Array) -> bool:
+    """Tell whether a candidate gains more than `gain (E,)` on a few episodes, by the problem's own responses."""
+    part, index = brief(problem)
+    responses, _ = respond(part, here[index], found)
+    return bool(responses) and _gains(part, responses, base[index])[0][0] > float(gain[index].mean())
+
+
 def brief(problem: Problem) -> tuple[Problem, Index]:
     """Return the problem that a few of the episodes pose, and which; itself where that saves little.
 

@@ -91,11 +91,8 @@ class Stage:
 
 def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> Stage:
     """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them."""
-    channels = list(problem.recs.readings)
-    taken = {c.name for c, _ in held}
-    found = [c for c in candidates(problem.replayer.scene, channels) if c.name not in taken | problem.ruled_out]
     base, luck = typical(problem, here, held)
-    seen = screened(problem, here, found, held, base, full)
+    seen = screened(problem, here, unheld(problem, held), held, base, full)
     responses = [r for _, r in seen.responses]
     threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
     found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
@@ -105,6 +102,12 @@ def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> 
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
     return Stage(base, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
+
+
+def unheld(problem: Problem, held: Members) -> list[Candidate]:
+    """Return the candidates that may be tried beside the effects held."""
+    taken = {c.name for c, _ in held} | problem.ruled_out
+    return [c for c in candidates(problem.replayer.scene, list(problem.recs.readings)) if c.name not in taken]
 
 
 def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
@@ -130,8 +133,7 @@ def _kin(problem: Problem, best: Fit, stage: Stage) -> list[Candidate]:
         variants = local_candidates(c, scene)
         promised = promises(problem, c, variants, best.response, stage.base) if variants else []
         return [v for _, v in promised[:LOCAL]]
-    every = [w for w in candidates(scene, list(problem.recs.readings)) if w.name not in problem.ruled_out]
-    variants = [v for w in every if w.label not in stage.dead for v in local_candidates(w, scene)]
+    variants = [v for w in unheld(problem, ()) if w.label not in stage.dead for v in local_candidates(w, scene)]
     return [v for v in variants if v.name == c.name or v.element == c.element]
 
 

@@ -10,7 +10,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
-from candata.gap.sparse import sparse
+from candata.gap.sparse import _without, pruned, sparse
 from candata.gap.stage import typical
 
 #: Four things wrong at once, the damping most of all.
@@ -31,24 +31,50 @@ def found(arm, arm_episodes, planted):
     base, _ = typical(problem, problem.nominal, ())
     c = candidate("joint_damping", arm)
     start = joint(problem, ((c, np.full(1, 0.2)),), base)
-    return sparse(problem, start, base), start, base
+    return sparse(problem, start, base), start, base, problem
 
 
 def test_all_that_is_wrong_is_in_the_set_and_nothing_else(found):
-    fit, _, _ = found
+    fit, *_ = found
     assert {c.name for c, _ in fit.members} == set(WRONG)
 
 
 def test_the_set_closes_what_one_cause_could_not(found):
-    fit, start, base = found
+    fit, start, base, _ = found
     assert fit.evidence.loss.mean() < 1.3 < start.evidence.loss.mean()
     assert fit.gain > start.gain
     assert fit.evidence.loss == pytest.approx(base - fit.evidence.gain)
 
 
 def test_values_are_near_the_true_ones(found):
-    fit, _, _ = found
+    fit, *_ = found
     values = {c.name: float(c.values(u)[0]) for c, u in fit.members if c.size == 1}
     # Four overlapping causes from 1 mrad of noise: a tenth of each.
     assert values["joint_damping"] == pytest.approx(0.2, rel=0.1)
     assert values["actuation_delay"] == pytest.approx(0.004, rel=0.1)
+
+
+def test_slopes_promise_what_a_simulation_without_a_member_shows(found):
+    fit, _, _, problem = found
+    here = problem.score.loss(fit.plane.z).mean()
+    promised = [problem.score.loss(z).mean() - here for z in _without(fit)]
+    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
+    shown = [problem.score.loss(z).mean() - here for z in problem.residuals(without)]
+    assert promised == pytest.approx(shown, rel=0.5)
+    assert np.argmax(promised) == np.argmax(shown)
+
+
+def test_a_member_that_slopes_promise_nothing_of_is_dropped_without_a_simulation_of_the_others(found, arm, monkeypatch):
+    fit, _, base, problem = found
+    c = candidate("backlash", arm)
+    more = joint(problem, (*fit.members, (c, c.neutral + 1e-5)), base)
+    worlds, real = [], type(problem).residuals
+    monkeypatch.setattr(type(problem), "residuals", lambda p, v, b=None: worlds.extend(v) or real(p, v, b))
+    assert {c.name for c, _ in pruned(problem, more, base).members} == set(WRONG)
+    assert not any("backlash" in {s.name for s in world} for world in worlds)
+
+
+def test_a_fit_that_cannot_reach_what_is_asked_ends_before_its_members_are_tried(found, monkeypatch):
+    _, start, base, problem = found
+    monkeypatch.setattr("candata.gap.sparse.pruned", lambda *_: pytest.fail("its members are tried"))
+    assert sparse(problem, start, base, least=2 * float(base.mean())) is None
