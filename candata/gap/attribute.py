@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from candata.gap.pace import SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import LEFT, MOST, compared, forward, jointly, with_measured
-from candata.gap.shortlist import gains_more
+from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 
-#: How many times the best gain by signatures one by simulations of a few episodes must be for the search to be made
-#: again, and what share of the gap it must be; to what share of what the first search leaves the second must come down
-#: to replace it. Chosen.
-BETTER, WORTH, SMALLER = 1.2, 0.1, 0.8
+#: Share of what the first effect leaves that another, simulated on a few episodes, must close for a second search to be
+#: made, and to what share of what the first search leaves that one must come down to replace it. Chosen.
+WORTH, SMALLER = 0.1, 0.8
 
 
 @dataclass(frozen=True)
@@ -57,10 +54,9 @@ def attribute(problem: Problem) -> Attribution:
         return found
     problem.pace.told("simulating every effect on the recording itself")
     problem = replace(problem, simulated=True)
-    first = found.first
-    gain = first.fits[0].evidence.gain if first.fits else np.zeros(len(first.base))
-    least = max(BETTER * gain, WORTH * (first.base - 1), key=np.mean)
-    if not gains_more(problem, problem.nominal, unheld(problem, ()), first.base, least):
+    held = found.first.fits[0].members if found.chosen else ()
+    here = problem.residuals([problem.setting(held)])[0]
+    if not gains_share(problem, here, unheld(problem, held), held, WORTH):
         return found
     other = _searched(problem, look(problem, problem.nominal, ()))
     return other if _left(problem, other) < SMALLER * _left(problem, found) else found

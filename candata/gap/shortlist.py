@@ -129,11 +129,12 @@ def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Ar
     return [c for own, c in _gains(part, responses, base[index]) if own > least]
 
 
-def gains_more(problem: Problem, here: Compact, found: Sequence[Candidate], base: Array, gain: Array) -> bool:
-    """Tell whether a candidate gains more than `gain (E,)` on a few episodes, by the problem's own responses."""
+def gains_share(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, share: float) -> bool:
+    """Tell whether a candidate closes a share of what the effects held leave, `here (E, K)`, on a few episodes."""
     part, index = brief(problem)
-    responses, _ = respond(part, here[index], found)
-    return bool(responses) and _gains(part, responses, base[index])[0][0] > float(gain[index].mean())
+    base = part.score.loss(here[index])
+    responses, _ = respond(part, here[index], found, held)
+    return bool(responses) and _gains(part, responses, base)[0][0] > share * float((base - 1).mean())
 
 
 def brief(problem: Problem) -> tuple[Problem, Index]:
