@@ -112,8 +112,11 @@ def _here(problem: Problem, fit: Fit) -> Compact:
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
     """Return the set with an early member exchanged for what explains more beside the others; None where none does.
 
-    The first of several causes is chosen while the others are missing; the last one was chosen beside all others.
+    The first of several causes is chosen while the others are missing; the last one was chosen beside all others. Not
+    tried where each candidate is simulated on the recording: a look takes minutes there.
     """
+    if problem.simulated:
+        return None
     base = problem.score.loss(problem.nominal)
     for left in [m for m in best.members[:-1] if m[0].name not in {c.name for c, _ in problem.measured}]:
         others = tuple(m for m in best.members if m is not left)

@@ -88,8 +88,13 @@ def screened(
 def _all(
     problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array
 ) -> tuple[Responses, tuple[str, ...]]:
-    """Return the responses of all candidates and of promising variants of them, and the labels of dead ones."""
+    """Return the responses of all candidates and of promising variants of them, and the labels of dead ones.
+
+    Where each is simulated on the recording, variants would cost too much: the search by signatures has tried them.
+    """
     responses, dead = respond(problem, here, found, held)
+    if problem.simulated:
+        return responses, tuple(dead)
     responses += respond(problem, here, promising(problem, here, responses, base), held)[0]
     return responses, tuple(dead)
 
@@ -97,9 +102,12 @@ def _all(
 def _best(problem: Problem, responses: Responses, base: Array) -> list[Candidate]:
     """Return the candidates that gain most on a few episodes, held out, and those that gain most where all are fitted.
 
-    A few episodes hardly fit the numbers of a vector without one of them.
+    A few episodes hardly fit the numbers of a vector without one of them. Where each is simulated on the recording,
+    only the fewest.
     """
     gains = _gains(problem, responses, base)
+    if problem.simulated:
+        return [c for _, c in gains[:LEAST]]
     wanted = sum(gain > SHARE * gains[0][0] for gain, _ in gains)
     found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
     fitted = sorted(responses, key=lambda pair: -_fitted_gain(problem, pair[1], base))

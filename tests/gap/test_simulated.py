@@ -14,7 +14,9 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond, screening
-from candata.gap.stage import look
+from candata.gap.sets import _swapped
+from candata.gap.shortlist import LEAST, screened
+from candata.gap.stage import look, unheld
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +78,21 @@ def test_simulated_responses_are_what_rollouts_leave(arm, problem):
         (there,) = problem.residuals([problem.setting([(c, u)])])
         assert np.allclose(curve.read(u), there, atol=1e-4)
         assert curve.nearest_sure(u) == 0
+
+
+def test_where_all_is_simulated_only_the_fewest_are_on_every_episode_and_none_on_one_element(problem):
+    base = problem.score.loss(problem.nominal)
+    found = unheld(problem, ())
+    by_signatures = screened(problem, problem.nominal, found, (), base)
+    seen = screened(replace(problem, simulated=True), problem.nominal, found, (), base)
+    assert len(seen.responses) == LEAST < len(by_signatures.responses)
+    assert all(c.element is None for c, _ in seen.responses)
+    assert "joint_dry_friction" in {c.name for c, _ in seen.responses}
+
+
+def test_where_all_is_simulated_no_early_member_is_exchanged(problem, poor, monkeypatch):
+    monkeypatch.setattr("candata.gap.sets._beside", lambda *_: pytest.fail("a look was taken"))
+    best = replace(poor.first.fits[0], members=poor.first.fits[0].members * 2)
+    assert _swapped(replace(problem, simulated=True), best) is None
+    with pytest.raises(pytest.fail.Exception):
+        _swapped(problem, best)
