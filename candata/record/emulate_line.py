@@ -16,6 +16,10 @@ from typing import Self
 
 from candata.errors import SetupError, UsageError, Where
 
+#: Looks in a row that must find nothing waiting before a port counts as read out: on a busy machine the system hands on
+#: in pieces what was written.
+EMPTY = 5
+
 
 class Line:
     """One end of a line; the other is a port that any program can open.
@@ -103,10 +107,11 @@ class Line:
             port = os.open(self.port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:
             return
-        while time.monotonic() < until:
-            time.sleep(0.02)  # also for what is still between the two ends
-            if not int.from_bytes(fcntl.ioctl(port, termios.FIONREAD, bytes(4)), sys.byteorder):
-                break
+        empty = 0
+        while time.monotonic() < until and empty < EMPTY:
+            time.sleep(0.02)  # what is still between the two ends comes when the system gets to it
+            waiting = int.from_bytes(fcntl.ioctl(port, termios.FIONREAD, bytes(4)), sys.byteorder)
+            empty = 0 if waiting else empty + 1
         os.close(port)
 
     def close(self) -> None:

@@ -210,14 +210,18 @@ def test_the_report_counts(script, whole):
     assert reader.bytes + report["dropped_bytes"] == 41 * ROW_BYTES
 
 
-def test_a_reader_that_sleeps_loses_bytes_and_they_are_counted(script):
+def test_a_reader_that_sleeps_loses_bytes_and_they_are_counted(script, monkeypatch):
     """The port keeps about 12 kB; the rest is dropped without making the writer wait."""
+    real = Line.drain
+
+    def drain(line, _limit_s):
+        reader.start()  # it wakes when all is sent, and is given the time that it takes
+        real(line, 30.0)
+
+    monkeypatch.setattr(Line, "drain", drain)
     with Line() as line:
         reader = Reader(line.port)
-        wake = threading.Timer(1.0, reader.start)
-        wake.start()
         sent = play(script, line, np.random.default_rng(0))
-    wake.join()
     reader.join(5)
     report = sent.report()
     assert report["dropped_frames"] > 60
