@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from candata.gap.pace import SHARPEN
+from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import LEFT, MOST, compared, forward, jointly, with_measured
@@ -49,16 +49,16 @@ def attribute(problem: Problem) -> Attribution:
     even then, effects are looked at again, simulated on the recording: in a world far from the nominal one, signatures
     say little of what an effect does there.
     """
-    found = _searched(problem, look(problem, problem.nominal, ()))
+    found = _search(problem, look(problem, problem.nominal, ()))
     if is_toss(problem.replayer.scene) or not (found.remains and _left(problem, found) > MOST):
         return found
-    problem.pace.told("simulating every effect on the recording itself")
+    problem.pace.say("simulating every effect on the recording itself", AGAIN)
     problem = replace(problem, simulated=True)
     held = found.first.fits[0].members if found.chosen else ()
     here = problem.residuals([problem.setting(held)])[0]
     if not gains_share(problem, here, unheld(problem, held), held, WORTH):
         return found
-    other = _searched(problem, look(problem, problem.nominal, ()))
+    other = _search(problem, look(problem, problem.nominal, ()))
     return other if _left(problem, other) < SMALLER * _left(problem, found) else found
 
 
@@ -69,7 +69,7 @@ def _left(problem: Problem, found: Attribution) -> float:
     return after / before if before > LEFT else 0.0
 
 
-def _searched(problem: Problem, first: Stage) -> Attribution:
+def _search(problem: Problem, first: Stage) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone."""
     nominal = problem.nominal
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))

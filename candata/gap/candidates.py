@@ -15,7 +15,8 @@ from candata.schema.effect import EffectSetting
 Array = NDArray[np.float64]
 #: How far the end of what is plausible must lie beyond the probes to be probed too, as a share of what is plausible.
 BEYOND = 0.1
-#: How many times the neutral value the nearest probe of a scale or time may be before one halfway is added.
+#: How many times the neutral value the nearest probe of a scale or time may be before one halfway is added. Chosen: a
+#: probe at half or double is near enough; only limits and some contact parameters are probed no nearer than that.
 FAR = 2.1
 
 

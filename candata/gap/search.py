@@ -63,6 +63,10 @@ class Problem:
         found = replay_all(self.replayer, self.recs, begin or self.begin, variants)
         return [self.score.normal(residual(self.recs, self.plan, r)) for r in found]
 
+    def without_each(self, members: Members) -> list[Compact]:
+        """Return normalised residuals `(E, K)` of a set without each of its members, the others as they are."""
+        return self.residuals([self.setting([m for m in members if m is not left]) for left in members])
+
     def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
         """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene."""
         return [self.score.normal(s) for s in self.library.signatures([self.setting([point]) for point in points])]

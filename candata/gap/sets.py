@@ -254,8 +254,7 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
 
     Together, numbers that are a little off make up for one another; alone, the true ones need no such help.
     """
-    without = [problem.setting([m for m in found.members if m is not left]) for left in found.members]
-    losses = [problem.score.loss(z).mean() for z in problem.residuals(without)]
+    losses = [problem.score.loss(z).mean() for z in problem.without_each(found.members)]
     order = [found.members[i] for i in np.argsort(losses)[::-1]]
     for count in range(1, min(LARGEST_SET, len(order) - 1) + 1):
         fit = joint(problem, tuple(order[:count]), base)

@@ -215,12 +215,11 @@ def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[f
     """
     if len(fit.members) == 1:
         return [(1.0, float("nan"))]
-    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
     own = problem.score.loss(fit.plane.z)
     whole = max(float((problem.score.loss(problem.nominal) - own).mean()), 1e-9)
     picks = rng.integers(len(own), size=(RESAMPLES, len(own)))
     out = []
-    for z in problem.residuals(without):
+    for z in problem.without_each(fit.members):
         rise = problem.score.loss(z) - own
         out.append((round(float(rise.mean()) / whole, 3), float((rise[picks].mean(1) > 0).mean())))
     return out

@@ -170,8 +170,7 @@ def _worthy(problem: Problem, fit: Fit, base: Array) -> Members:
     likely = tuple(m for m, rise in zip(fit.members, promised, strict=True) if m[0].choices or rise > HARDLY * gain)
     if 0 < len(likely) < len(fit.members):
         return likely
-    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
-    rises = [problem.score.loss(z) - losses for z in problem.residuals(without)]
+    rises = [problem.score.loss(z) - losses for z in problem.without_each(fit.members)]
     kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
     return kept or fit.members
 

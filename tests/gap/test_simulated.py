@@ -34,14 +34,14 @@ def poor(problem):
 
 def searches(monkeypatch, *, first, second):
     """Let the search by signatures find `first`, the one by simulations `second`; return which were made."""
-    made, real = [], attribution._searched
+    made, real = [], attribution._search
 
     def searched(problem, stage):
         made.append(problem.simulated)
         found = second if problem.simulated else first
         return real(problem, stage) if found is None else found
 
-    monkeypatch.setattr(attribution, "_searched", searched)
+    monkeypatch.setattr(attribution, "_search", searched)
     return made
 
 

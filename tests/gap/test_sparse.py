@@ -58,8 +58,7 @@ def test_slopes_promise_what_a_simulation_without_a_member_shows(found):
     fit, _, _, problem = found
     here = problem.score.loss(fit.plane.z).mean()
     promised = [problem.score.loss(z).mean() - here for z in _without(fit)]
-    without = [problem.setting([m for m in fit.members if m is not left]) for left in fit.members]
-    shown = [problem.score.loss(z).mean() - here for z in problem.residuals(without)]
+    shown = [problem.score.loss(z).mean() - here for z in problem.without_each(fit.members)]
     assert promised == pytest.approx(shown, rel=0.5)
     assert np.argmax(promised) == np.argmax(shown)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
 import time
 import tty
@@ -16,6 +17,7 @@ from candata.errors import SetupError, UsageError
 from candata.formats import table
 from candata.record import emulate as emulation
 from candata.record import emulate_files as files
+from candata.record import emulate_line
 from candata.record.devices import Frame, device
 from candata.record.emulate import Sent, play, wait_for_reader
 from candata.record.emulate_faults import parse_faults
@@ -227,6 +229,17 @@ def test_a_reader_that_sleeps_loses_bytes_and_they_are_counted(script, monkeypat
     assert report["dropped_frames"] > 60
     assert reader.bytes + report["dropped_bytes"] == 41 * ROW_BYTES
     assert len(reader.frames) == sent.command_whole.sum() + sent.state_whole.sum() < 20
+
+
+def test_a_port_that_is_empty_for_a_moment_is_not_read_out(monkeypatch):
+    """The system hands on in pieces what was written: it looks empty between them."""
+    looks = [100, 0, 0, 100, *[0] * 50]
+    monkeypatch.setattr(emulate_line.fcntl, "ioctl", lambda *_: looks.pop(0).to_bytes(4, sys.byteorder))
+    with Line() as line:
+        reader = Reader(line.port)
+        line.drain(30.0)
+        os.close(reader.port_file)
+    assert len(looks) == 50 - emulate_line.EMPTY
 
 
 def test_without_a_reader_all_is_lost(script):
