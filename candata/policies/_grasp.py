@@ -23,6 +23,9 @@ FALL_M, TOUCH_M = 0.3, 1e-3
 #: Distance that counts in the search as much as one actuator's whole range [m], and how much the forces that do not
 #: cancel count beside it.
 SCALE_M, BALANCE = 0.002, 5.0
+#: How far from its ends each servo's range is kept at the starts of the search, as shares of it: the best of the three
+#: postures found counts. (Of the built-in hand, the first of them ends in one that the object slips out of.)
+MARGINS = (0.1, 0.2, 0.3)
 #: A fingertip farther than this from the object after the search has not reached it [m].
 REACHED_M = 0.01
 #: A tendon couples its joints when its range is less than this share of what one of them alone can pull.
@@ -34,8 +37,9 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     """Return the commands `(A,)` that press the fingertips on the object, or None where no two of them reach it.
 
     The fingers' servos are searched for the posture in which the fingertips touch the object where it stands, from
-    sides that balance (least squares, nearest to the model's own start); the servos are then asked for more than
-    that, by the joint torques J^T f of balanced forces towards the object's centre. The rest stays where it is.
+    sides that balance (least squares from several starts, nearest to the model's own); the servos are then asked for
+    more than that, by the joint torques J^T f of balanced forces towards the object's centre. The rest stays where it
+    is.
     """
     free = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
     tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
@@ -141,10 +145,11 @@ class _Hand:
             points, gaps = self._contacts()
             return np.concatenate([gaps / SCALE_M, BALANCE * self._forces(points).sum(0), share - own])
 
-        first = np.clip(own, 0.1, 0.9)
-        found = least_squares(errors, first, bounds=(0.0, 1.0), diff_step=1e-4, max_nfev=40).x
-        self._pose(low + found * span)
-        return low + found * span, self._contacts()[1]
+        starts = [np.clip(own, margin, 1 - margin) for margin in MARGINS]
+        ends = [least_squares(errors, s, bounds=(0.0, 1.0), diff_step=1e-4, max_nfev=40) for s in starts]
+        best = low + min(ends, key=lambda end: float(end.cost)).x * span
+        self._pose(best)
+        return best, self._contacts()[1]
 
     def press(self, commands: Array, distances: Array) -> Array:
         """Return how much more to ask of the servos, so that the fingertips that touch press on the object."""
