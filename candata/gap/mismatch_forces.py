@@ -55,16 +55,20 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     """
     if "fingertip_force" not in recs.readings:
         return []
-    factors = _factors(recs.readings["fingertip_force"], force)
+    real = recs.readings["fingertip_force"]
+    each = _factors(real, force)
+    factors = each[np.isfinite(each)]
     if not len(factors):
         return []
+    if alone := _alone(scene, real, force, each):
+        return [alone]
     times = float(np.median(factors))
     unit = min(UNITS, key=lambda u: abs(np.log(times * TO_SI[u])))
     near, noise = _ratio(times * TO_SI[unit]), _noise_factor(scene, recs, force)
     # In newtons, free fingertips spread as declared; in another unit, nearer to `times` that.
     newton = noise is not None and _ratio(noise) < _ratio(noise / times)
     alike, told = factors.max() <= ALIKE * factors.min(), noise is not None and _ratio(noise * TO_SI[unit]) < NOISE
-    if not alike and (newton or (np.log(factors) / np.log(times)).min() < 0.5):
+    if not alike and (newton or (np.log(factors) * np.sign(np.log(times))).min() < 0.5 * abs(np.log(times))):
         return []
     if _ratio(times) > FORCE_RATIO or (near < DRAWN and told) or (near < ALONE and alike and not newton):
         return [_unit(times, unit if near < DRAWN else "")]
@@ -74,21 +78,51 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     return [] if low < times < high else [_doubtful(times, f"`tactile_gain` goes from {low:g} to {high:g}")]
 
 
+def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding | None:
+    """Return that fingertips read in a unit of their own, noise and all, while the others do not; None if none do.
+
+    A gain that one sensor alone may have leaves its noise where that of the others is. Without noise to tell, only the
+    factor of a unit that no gain reaches is sure.
+    """
+    tips = np.arange(len(factors))
+    noise = np.array([_free_spread(real[:, :, [f]], force[:, :, [f]]) for f in tips])
+    units: dict[int, str] = {}
+    for f in np.flatnonzero(np.isfinite(factors)):
+        others = np.median(noise[np.isfinite(factors) & (tips != f)]) if np.isfinite(factors).sum() > 1 else np.nan
+        unit = min(UNITS, key=lambda u: abs(np.log(factors[f] * TO_SI[u])))
+        near = _ratio(factors[f] * TO_SI[unit])
+        loud = _ratio(noise[f] / others * TO_SI[unit]) < NOISE if noise[f] > 0 and others > 0 else None
+        if (loud and near < DRAWN) or (loud is None and near < ALONE and _ratio(factors[f]) > FORCE_RATIO):
+            units[int(f)] = unit
+    if not units or len(units) == np.isfinite(factors).sum():
+        return None
+    names = tuple(scene.file.fingertips[f] for f in units)
+    told = ", ".join(f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
+                     for name, (f, u) in zip(names, units.items(), strict=True))  # fmt: skip
+    return Finding(
+        "force_unit", True, "fingertip_force of some fingertips is not in newton",
+        "forces near the scene's in contact, N, on every fingertip", told,
+        "scale the columns of those fingertips to newtons", "fingertip_force", names,
+    )  # fmt: skip
+
+
 def _ratio(x: float) -> float:
     """Return how far a factor is from 1, up or down."""
     return max(x, 1 / x)
 
 
 def _factors(real: Array, force: Array) -> Array:
-    """Return what fingertips read over the scene's forces, of those that tell; empty where most of them do not."""
+    """Return `(F,)` what fingertips read over the scene's forces, NaN where one does not tell, or most do not."""
     size = np.linalg.norm(real - tare(real, force), axis=-1)
     own = np.linalg.norm(force, axis=-1)
     touched = (own > TOUCH_N) & np.isfinite(size)
     both = touched & (size > ABOVE_NOISE * _free_spread(real, force))
     rows = both.sum((0, 1))
-    factors = [float(np.median(size[..., f][both[..., f]] / own[..., f][both[..., f]]))
-               for f in np.flatnonzero(rows >= TOUCH_ROWS)]  # fmt: skip
-    return np.array(factors) if 2 * len(factors) > (touched.sum((0, 1)) >= TOUCH_ROWS).sum() else np.zeros(0)
+    telling = np.flatnonzero(rows >= TOUCH_ROWS)
+    factors = np.full(len(rows), np.nan)
+    if 2 * len(telling) > (touched.sum((0, 1)) >= TOUCH_ROWS).sum():
+        factors[telling] = [np.median(size[..., f][both[..., f]] / own[..., f][both[..., f]]) for f in telling]
+    return factors
 
 
 def _free_spread(real: Array, force: Array) -> float:

@@ -138,6 +138,7 @@ HAND_FAULTS = {k: v for k, v in FAULTS.items() if k != "later 3"} | {
     "tips in a cycle": (columns("fingertip_force", [0, 2, 4], lambda f: f[:, [1, 2, 0]]), "swapped_fingertips"),
     "cycle": (columns("action", [3, 4, 5], lambda a: a[:, [1, 2, 0]]), "swapped_commands"),
     "degrees": (columns("action", range(3, 15), np.degrees), "command_unit"),
+    "tip in gf": (columns("fingertip_force", [3], lambda f: f / 9.80665e-3), "force_unit"),
     "x y z w": (channel("object_pose", lambda p: p[:, [0, 1, 2, 4, 5, 6, 3]]), "quaternion_order"),
 }
 

@@ -79,6 +79,24 @@ def test_fingertips_with_factors_of_their_own_are_no_unit(told):
     assert told(np.array([KGF, KGF, KGF, 1, 1])[:, None], KGF * SPREAD) == []
 
 
+@pytest.mark.parametrize(("times", "unit"), [(1e3, "mN: 1000"), (102.0, "gf: 102"), (KGF, "kgf: 0.102")])
+@pytest.mark.parametrize("declared", [True, False])
+def test_one_fingertip_in_another_unit_is_named(told, hand, times, unit, declared):
+    factors = np.array([1, 1.2, times, 0.8, 1])[:, None]
+    ((sure, text),) = told(factors, factors * SPREAD, declared)
+    assert sure
+    assert text.startswith(hand.file.fingertips[2])
+    assert unit in text
+    # Without noise, a tenth may be a gain: only what no gain reaches is a unit.
+    assert bool(told(factors, 0.0, declared)) == (times > 6)
+
+
+def test_one_fingertip_of_another_gain_is_no_unit(told):
+    for times in (0.15, 0.3, 3.0, 6.0):
+        assert told(np.array([1, times, 1, 1, 1])[:, None], SPREAD) == []
+        assert told(np.array([1, times, 1, 1, 1])[:, None], 0.0) == []
+
+
 def test_a_finger_of_a_weak_motor_does_not_hide_a_unit(told):
     factors = KGF * np.array([1, 0.5, 1.2, 1.1, 1])[:, None]
     assert [sure for sure, _ in told(factors, KGF * SPREAD)] == [True]
