@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,6 +29,7 @@ Examples:
   candata gap bench --out out/bench
   candata gap bench --out out/small --kinds one,null --counts one=40,null=10 --jobs 2
   candata gap bench --out out/mine --scene my/scene.yaml --episodes 12
+  candata gap bench --out out/bench --minutes 90
   candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
   candata gap bench --out /shared/bench --ray auto
 
@@ -47,6 +49,7 @@ which needs the packages of mujoco[sysid] and a parameter written for each effec
 """
 #: Results whose pace tells the time left.
 LATEST = 21
+MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 SCORE_EXAMPLE = """\b
 Example: candata gap score cases --labels sealed.json --out out/score
@@ -80,6 +83,7 @@ def bench(
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
+    minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
@@ -93,6 +97,7 @@ def bench(
     from candata.scenes import load_scene
 
     wanted, names, beside = _counts(kinds, counts), console.words(only), _known(baselines, BASELINES, "baseline")
+    until = _until(minutes)
     world = load_scene(scene)
 
     def live() -> tuple[str, ...]:
@@ -110,7 +115,7 @@ def bench(
                 out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, crew=crew,
                 told=lambda _name: advance(1),
             )  # fmt: skip
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases)
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until)
         _diagnose_and_score(run, json)
 
 
@@ -124,14 +129,15 @@ def score(
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
+    minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
     from candata.gap.blind.cluster import crew_of
 
-    beside = _known(baselines, BASELINES, "baseline")
+    beside, until = _known(baselines, BASELINES, "baseline"), _until(minutes)
     with crew_of(jobs, ray, out) as crew:
-        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases), json)
+        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases, until), json)
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,7 @@ class _Run:
     scene: str | None
     baselines: tuple[str, ...]
     baseline_cases: int
+    until: float
 
 
 def _diagnose_and_score(run: _Run, json: bool) -> None:
@@ -163,15 +170,18 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     left = [p for p in places if p.sealed not in standing]
     filled = _filled(run, left)
     with _countdown(len(left)) as told:
-        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told)
+        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told, until=run.until)
     labels = open_labels(cases, read_labels(run.labels))
-    hiding = sum(bool(labels[path.name].effects) for path in cases)
+    done = [p for p in places if p.sealed in {r.sealed for r in results}]
+    if len(done) < len(places):
+        console.note(f"{len(done)} of {len(places)} cases in the time given; the same command goes on with the others")
+    hiding = sum(bool(labels[p.folder.name].effects) for p in done)
     with console.progress("weighing true causes", hiding) as advance:
-        shares = measure_shares(run.out, places, labels, crew=run.crew, told=advance)
+        shares = measure_shares(run.out, done, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
     found = score_run(outcomes, scene=places[0].scene, cases=len(places), filled=filled)
     if run.baselines:
-        found = found.model_copy(update={"baselines": _beside(run, places, outcomes)})
+        found = found.model_copy(update={"baselines": _beside(run, done, outcomes)})
     page = write_bench(found, run.out)
     console.out(found.model_dump_json(indent=2) if json else bench_text(found))
     console.note(f"score: {run.out / 'bench.json'}, {page}")
@@ -186,7 +196,7 @@ def _filled(run: _Run, left: Sequence[Place]) -> list[Filled]:
     tasks = shared_tasks(left, run.out / CACHE, run.seed)
     if tasks:
         with console.progress("simulating effects for all cases", len(tasks)) as advance:
-            for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew):
+            for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew, run.until):
                 advance(1)
     return finished(run.out / FILLED, Filled)
 
@@ -207,6 +217,11 @@ def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[Be
         theirs = [replace(o, result=r) for o, r in zip(some, results, strict=True)]
         scores.append(score_run(theirs, scene=places[0].scene, cases=count, method=method))
     return tuple(scores)
+
+
+def _until(minutes: float | None) -> float:
+    """Return the time [s since the epoch] from which on no case is begun."""
+    return inf if minutes is None else time.time() + 60 * minutes
 
 
 def _counts(kinds: str, counts: str) -> dict[Kind, int]:

@@ -71,6 +71,29 @@ def test_a_run_that_goes_on_counts_what_is_left(bench, quiet):
     assert [line.split(":")[0] for line in again.err.splitlines() if " left" in line] == ["1 of 2", "2 of 2"]
 
 
+def test_when_time_is_over_no_case_is_begun_and_what_is_done_is_scored(bench, quiet):
+    log = bench.folder / "results.jsonl"
+    log.write_text(log.read_text().split("\n")[0] + "\n")
+    over = run("gap", "bench", "--out", bench.folder, *SMALL, *FEW, "--minutes", 0)
+    assert over.code == 0
+    assert over.out.startswith("cube_toss: 1 of 3 cases, ")
+    assert "1 of 3 cases in the time given" in over.err
+    assert len(log.read_text().splitlines()) == 1
+    found = BenchFile.model_validate_json((bench.folder / "bench.json").read_text())
+    assert (found.done, found.cases) == (1, 3)
+    whole = run("gap", "bench", "--out", bench.folder, *SMALL, *FEW, "--minutes", 60)
+    assert whole.out == bench.out
+    assert "in the time given" not in whole.err
+
+
+def test_a_run_that_has_no_time_at_all_says_so_and_scores_nothing(quiet, tmp_path):
+    done = run("gap", "bench", "--out", tmp_path / "b", *SMALL, *FEW, "--minutes", 0)
+    assert done.code == 0
+    assert done.out.startswith("cube_toss: 0 of 3 cases")
+    assert "0 of 3 cases in the time given" in done.err
+    assert run("gap", "bench", "--out", tmp_path / "b", *SMALL, *FEW, "--minutes", -1).code == 2
+
+
 def test_where_no_terminal_is_a_line_now_and_then_tells_the_time_left(monkeypatch, capsys):
     now = [0.0]
     monkeypatch.setattr(console.time, "monotonic", lambda: now[0])

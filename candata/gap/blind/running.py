@@ -6,6 +6,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -52,8 +53,9 @@ def run_cases(
     judge: Judge = judged,
     method: str = "candata",
     told: Callable[[CaseResult], None] = lambda result: None,
+    until: float = inf,
 ) -> list[CaseResult]:
-    """Return a result for each case, in their order; those that stand in `results.jsonl` are taken as they are.
+    """Return the results of the cases, in their order; those that stand in `results.jsonl` are taken as they are.
 
     Parameters
     ----------
@@ -72,6 +74,8 @@ def run_cases(
         What the results are filed under.
     told : callable
         Hears of each new result.
+    until : float
+        Time [s since the epoch] from which on no case is begun: those have no result.
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
     standing = known(out, method)
@@ -80,10 +84,10 @@ def run_cases(
         (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
         for p in cases if p.sealed not in standing
     ]  # fmt: skip
-    for result in spread(log, run_case, tasks, crew):
+    for result in spread(log, run_case, tasks, crew, until):
         standing[result.sealed] = result
         told(result)
-    return [standing[p.sealed] for p in cases]
+    return [standing[p.sealed] for p in cases if p.sealed in standing]
 
 
 def known(out: Path, method: str = "candata") -> dict[str, CaseResult]:
@@ -96,6 +100,7 @@ def spread(
     work: Callable[..., R],
     tasks: Sequence[tuple[Any, ...]],
     crew: Crew,
+    until: float = inf,
 ) -> Iterator[R]:
     """Yield a record for each task as it comes, each written to the log first: what is yielded outlives a kill.
 
@@ -109,14 +114,23 @@ def spread(
         Arguments of `work`.
     crew : Crew
         Who does the work.
+    until : float
+        Time [s since the epoch] from which on no task is begun.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("a", encoding="utf-8") as file:
-        for record in crew(work, tasks):
+        for record in crew(in_time, [(until, work, *task) for task in tasks]):
+            if record is None:
+                continue
             file.write(record.model_dump_json() + "\n")
             file.flush()
             os.fsync(file.fileno())
             yield record
+
+
+def in_time(until: float, work: Callable[..., R], *task: Any) -> R | None:
+    """Return what `work` makes of a task; None, and nothing is done, where the time is over. Runs in any process."""
+    return work(*task) if time.time() < until else None
 
 
 def run_case(
