@@ -102,7 +102,7 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
     return Finding(
         "force_unit", True, "fingertip_force of some fingertips is not in newton",
         "forces near the scene's in contact, N, on every fingertip", told,
-        "scale the columns of those fingertips to newtons", "fingertip_force", names,
+        "give the unit of their columns in map.yaml, or scale these to newtons", "fingertip_force", names,
     )  # fmt: skip
 
 
