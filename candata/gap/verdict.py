@@ -6,12 +6,15 @@ from collections.abc import Sequence
 
 from candata.gap.attribute import Attribution
 from candata.gap.search import Fit
+from candata.gap.shrink import trust
 from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
 EXPLAINED, PARTLY = 0.8, 0.3
 #: Floors that may remain for `explained` whatever the share.
 REMAINING = 0.30
+#: Trust below which a set passes no more where the whole gap is that small: it is wrong more often than right.
+DOUBTED = 0.5
 #: Fewest episodes on which anything is decided.
 FEWEST = 8
 
@@ -21,7 +24,7 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
     if found.chosen is None:
         return "unknown_effect" if found.remains else "no_gap"
     closed = size.closed or 0.0
-    if closed < PARTLY:
+    if closed < PARTLY or (size.before - size.floor <= REMAINING and trust(size) < DOUBTED):
         return "unknown_effect"
     if len(found.tied) > 1:
         return "ambiguous"
