@@ -125,15 +125,26 @@ def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
     assert curve.read(np.array([u])) == pytest.approx(beside, abs=1e-5)
 
 
-def test_the_best_of_near_rivals_joins_the_set(arm, posed):
-    """What came second by signatures beside what is held is fitted too."""
+@pytest.mark.parametrize("many", [sets.MANY, 1])
+def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, many):
+    """What came second by signatures beside what is held is fitted too; of many numbers only the best one sharply."""
     problem, base = posed
+    sharp: list[tuple[str, ...]] = []
+
+    def counted(problem, chosen, base, **widths):
+        sharp.extend([tuple(c.label for c, _ in chosen)] if not widths else [])
+        return joint(problem, chosen, base, **widths)
+
+    monkeypatch.setattr(sets, "MANY", many)
+    monkeypatch.setattr(sets, "joint", counted)
     start = joint(problem, members(arm, actuation_delay=0.03), base)
     stage = sets._beside(problem, start.members)
     true = next(f for f in stage.fits if f.labels == ("joint_dry_friction",))
     other = next(f for f in stage.fits if f.members[0][0].name != "joint_dry_friction")
     swapped = replace(stage, fits=(replace(other, evidence=true.evidence), replace(true, evidence=true.evidence)))
     assert sets._grown(problem, start, swapped).labels == ("actuation_delay", "joint_dry_friction")
+    assert (len(sharp) == 1) == (many == 1)
+    assert ("actuation_delay", "joint_dry_friction") in sharp
 
 
 @pytest.fixture(scope="module")
