@@ -63,7 +63,7 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     if alone := _alone(scene, real, force, each):
         return [alone]
     times = float(np.median(factors))
-    unit = min(UNITS, key=lambda u: abs(np.log(times * TO_SI[u])))
+    unit = _nearest(times)
     near, noise = _ratio(times * TO_SI[unit]), _noise_factor(scene, recs, force)
     # In newtons, free fingertips spread as declared; in another unit, nearer to `times` that.
     newton = noise is not None and _ratio(noise) < _ratio(noise / times)
@@ -84,17 +84,16 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
     A gain that one sensor alone may have leaves its noise where that of the others is. Without noise to tell, only the
     factor of a unit that no gain reaches is sure.
     """
-    tips = np.arange(len(factors))
-    noise = np.array([_free_spread(real[:, :, [f]], force[:, :, [f]]) for f in tips])
+    telling = np.flatnonzero(np.isfinite(factors))
+    noise = np.array([_free_spread(real[:, :, [f]], force[:, :, [f]]) for f in range(len(factors))])
     units: dict[int, str] = {}
-    for f in np.flatnonzero(np.isfinite(factors)):
-        others = np.median(noise[np.isfinite(factors) & (tips != f)]) if np.isfinite(factors).sum() > 1 else np.nan
-        unit = min(UNITS, key=lambda u: abs(np.log(factors[f] * TO_SI[u])))
+    for f in telling if len(telling) > 1 else ():
+        others, unit = np.median(noise[telling[telling != f]]), _nearest(factors[f])
         near = _ratio(factors[f] * TO_SI[unit])
         loud = _ratio(noise[f] / others * TO_SI[unit]) < NOISE if noise[f] > 0 and others > 0 else None
         if (loud and near < DRAWN) or (loud is None and near < ALONE and _ratio(factors[f]) > FORCE_RATIO):
             units[int(f)] = unit
-    if not units or len(units) == np.isfinite(factors).sum():
+    if not units or len(units) == len(telling):
         return None
     names = tuple(scene.file.fingertips[f] for f in units)
     told = ", ".join(f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
@@ -104,6 +103,11 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
         "forces near the scene's in contact, N, on every fingertip", told,
         "give the unit of their columns in map.yaml, or scale these to newtons", "fingertip_force", names,
     )  # fmt: skip
+
+
+def _nearest(times: float) -> str:
+    """Return the unit in which forces come nearest to `times` those in newtons."""
+    return min(UNITS, key=lambda u: abs(np.log(times * TO_SI[u])))
 
 
 def _ratio(x: float) -> float:

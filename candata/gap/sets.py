@@ -36,8 +36,8 @@ MOST = 0.5
 SURELY, PAIRED = 2.0, 3
 #: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
 PARTLY = (1.0, 0.6, 0.3)
-#: Numbers from which on near rivals are compared before slopes are simulated, and only the best is fitted sharply: each
-#: takes as many replays as three times its numbers. (Of twelve joint offsets and one more effect: 53 CPU s.)
+#: Numbers of a set up to which each near rival is fitted sharply, by three times as many replays; of more numbers,
+#: only the best by fits that simulate no slopes. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import time
 import tty
@@ -17,7 +16,6 @@ from candata.errors import SetupError, UsageError
 from candata.formats import table
 from candata.record import emulate as emulation
 from candata.record import emulate_files as files
-from candata.record import emulate_line
 from candata.record.devices import Frame, device
 from candata.record.emulate import Sent, play, wait_for_reader
 from candata.record.emulate_faults import parse_faults
@@ -231,17 +229,6 @@ def test_a_reader_that_sleeps_loses_bytes_and_they_are_counted(script, monkeypat
     assert len(reader.frames) == sent.command_whole.sum() + sent.state_whole.sum() < 20
 
 
-def test_a_port_that_is_empty_for_a_moment_is_not_read_out(monkeypatch):
-    """The system hands on in pieces what was written: it looks empty between them."""
-    looks = [100, 0, 0, 100, *[0] * 50]
-    monkeypatch.setattr(emulate_line.fcntl, "ioctl", lambda *_: looks.pop(0).to_bytes(4, sys.byteorder))
-    with Line() as line:
-        reader = Reader(line.port)
-        line.drain(30.0)
-        os.close(reader.port_file)
-    assert len(looks) == 50 - emulate_line.EMPTY
-
-
 def test_without_a_reader_all_is_lost(script):
     with Line() as line:
         report = play(script, line, np.random.default_rng(0)).report()
@@ -343,20 +330,6 @@ def test_the_wait_for_a_reader_ends_with_one_or_a_stop():
         assert wait_for_reader(line, lambda: False) is True
         os.close(port)
         assert not line.has_reader()
-
-
-def test_a_link_replaces_a_link_and_nothing_else(tmp_path):
-    link, file = tmp_path / "hand", tmp_path / "file"
-    link.symlink_to("nowhere")
-    file.write_text("kept")
-    with Line(link) as line:
-        assert os.readlink(link) == line.port
-    assert not os.path.lexists(link)
-    with pytest.raises(UsageError, match="the link's place is taken"):
-        Line(file)
-    assert file.read_text() == "kept"
-    with pytest.raises(SetupError, match="the link cannot be made"):
-        Line(tmp_path / "no" / "hand")
 
 
 def test_the_table_is_read_by_its_map(script, whole, tmp_path):

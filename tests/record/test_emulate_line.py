@@ -1,0 +1,37 @@
+"""The line of an emulated hand: the link that leads to its port, and when its reader has taken everything."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import pytest
+
+from candata.errors import SetupError, UsageError
+from candata.record import emulate_line
+from candata.record.emulate_line import Line
+
+
+def test_a_port_that_is_empty_for_a_moment_is_not_read_out(monkeypatch):
+    """The system hands on in pieces what was written: it looks empty between them."""
+    looks = [100, 0, 0, 100, *[0] * 50]
+    monkeypatch.setattr(emulate_line.fcntl, "ioctl", lambda *_: looks.pop(0).to_bytes(4, sys.byteorder))
+    with Line() as line:
+        reader = os.open(line.port, os.O_RDWR | os.O_NOCTTY)
+        line.drain(30.0)
+        os.close(reader)
+    assert len(looks) == 50 - emulate_line.EMPTY
+
+
+def test_a_link_replaces_a_link_and_nothing_else(tmp_path):
+    link, file = tmp_path / "hand", tmp_path / "file"
+    link.symlink_to("nowhere")
+    file.write_text("kept")
+    with Line(link) as line:
+        assert os.readlink(link) == line.port
+    assert not os.path.lexists(link)
+    with pytest.raises(UsageError, match="the link's place is taken"):
+        Line(file)
+    assert file.read_text() == "kept"
+    with pytest.raises(SetupError, match="the link cannot be made"):
+        Line(tmp_path / "no" / "hand")
