@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,20 +12,12 @@ import yaml
 from candata.datasets import create_dataset, open_dataset
 from candata.schema.effect import EffectsFile
 from candata.schema.report import Report
-from candata_cli import main as entry
+from tests.cli.command import run
 
 SCHEMAS = Path(__file__).resolve().parents[2] / "schemas"
 FILES = ["effects.yaml", "report.html", "report.json"]
 #: Short throws that still strike and settle; eight are the fewest that are diagnosed.
 TOSSES = ("generate-sim", "--scene", "cube_toss", "--duration-s", 0.7, "--jobs", 1)
-
-
-def run(*arguments: object) -> SimpleNamespace:
-    """Run a command in this process; return exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
 
 
 def toss(folder: Path, episodes: int, *more: object) -> Path:

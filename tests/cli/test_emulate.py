@@ -19,15 +19,9 @@ from candata.datasets import append, create_dataset
 from candata.record.devices import device
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
-from candata_cli import main as entry
+from tests.cli.command import exit_code
 
 XHAND = device("xhand")
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return stop.value.code or 0
 
 
 def hand(name: str, rows: int = 10) -> Episode:
@@ -86,7 +80,7 @@ def test_an_episode_of_a_dataset_is_played_to_whom_opens_the_port(dataset, tmp_p
     link, truth = tmp_path / "port", tmp_path / "truth.npz"
     thread, heard = listen(link)
     words = ("emulate", "xhand", "--dataset", dataset, "--still", 0.2, "--rate", 25, "--link", link, "--truth", truth)
-    assert run(*words) == 0
+    assert exit_code(*words) == 0
     thread.join(5)
     printed = capsys.readouterr()
     lines = printed.out.splitlines()
@@ -107,7 +101,7 @@ def test_an_episode_of_a_dataset_is_played_to_whom_opens_the_port(dataset, tmp_p
 
 def test_json_is_two_lines(dataset, capsys):
     words = ("emulate", "xhand", "--dataset", dataset, "--still", 0, "--no-wait", "--json", "--rate", 83)
-    assert run(*words, "--faults", "garbage:1") == 0
+    assert exit_code(*words, "--faults", "garbage:1") == 0
     port, report = (json.loads(line) for line in capsys.readouterr().out.splitlines())
     assert (port["link"], port["rate_hz"], port["rows"]) == (None, 83, 10)
     assert (report["rows"], report["whole_states"], report["dropped_frames"]) == (10, 0, 20)
@@ -117,9 +111,9 @@ def test_json_is_two_lines(dataset, capsys):
 def test_a_simulated_episode_leaves_a_table_that_imports(tmp_path, capsys):
     table = tmp_path / "poses" / "poses.parquet"
     words = ("emulate", "xhand", "--policy", "squeeze", "--duration-s", 0.2, "--still", 0.1, "--no-wait")
-    assert run(*words, "--with-table", table) == 0
-    assert run("import", "table", table.with_name("map.yaml"), "--out", tmp_path / "poses.ds") == 0
-    assert run("inspect", tmp_path / "poses.ds") == 0
+    assert exit_code(*words, "--with-table", table) == 0
+    assert exit_code("import", "table", table.with_name("map.yaml"), "--out", tmp_path / "poses.ds") == 0
+    assert exit_code("inspect", tmp_path / "poses.ds") == 0
     printed = capsys.readouterr().out
     assert "1 episodes, 24 rows" in printed
     assert "tasks: squeeze 1" in printed
@@ -158,7 +152,7 @@ def test_an_interrupt_ends_it_with_a_report(dataset):
     ],
 )
 def test_a_wrong_word_is_a_usage_error(dataset, capsys, words, text):
-    assert run("emulate", *(dataset if word == "DATASET" else word for word in words)) == 2
+    assert exit_code("emulate", *(dataset if word == "DATASET" else word for word in words)) == 2
     printed = capsys.readouterr()
     assert printed.err.startswith(text)
     assert printed.out == ""
@@ -166,10 +160,10 @@ def test_a_wrong_word_is_a_usage_error(dataset, capsys, words, text):
 
 def test_one_of_several_episodes_must_be_named(dataset, capsys):
     append(dataset, [hand("second")], Lineage(operation="made"))
-    assert run("emulate", "xhand", "--dataset", dataset) == 2
+    assert exit_code("emulate", "xhand", "--dataset", dataset) == 2
     assert "2: only, second" in capsys.readouterr().err
 
 
 def test_a_link_in_a_missing_folder_is_no_traceback(dataset, tmp_path, capsys):
-    assert run("emulate", "xhand", "--dataset", dataset, "--link", tmp_path / "no" / "hand") == 3
+    assert exit_code("emulate", "xhand", "--dataset", dataset, "--link", tmp_path / "no" / "hand") == 3
     assert capsys.readouterr().err.startswith("the link cannot be made\n  found: No such file or directory\n")

@@ -10,16 +10,10 @@ import pytest
 
 from candata.datasets import append, create_dataset, get_cloud, open_dataset, put_cloud
 from candata.schema.manifest import Lineage
-from candata_cli import main as entry
+from tests.cli.command import exit_code
 from tests.conftest import make_episode
 
 pytest.importorskip("h5py")
-
-
-def run(*arguments) -> int:
-    with pytest.raises(SystemExit) as stop:
-        entry.main([str(argument) for argument in arguments])
-    return stop.value.code or 0
 
 
 @pytest.fixture
@@ -34,22 +28,22 @@ def dataset(tmp_path):
 @pytest.mark.parametrize("way", [["lerobot"], ["lerobot", "--v21"], ["robomimic"], ["diffusion_policy"]])
 def test_episodes_and_digest_survive_an_export_and_an_import(way, dataset, tmp_path, capsys):
     out, back = tmp_path / "out", tmp_path / "back"
-    assert run("export", way[0], dataset, "--out", out, *way[1:]) == 0
+    assert exit_code("export", way[0], dataset, "--out", out, *way[1:]) == 0
     one = open_dataset(dataset)
     assert capsys.readouterr().out == f"{out}: 3 episodes of ds@{one.digest[:12]}\n"
-    assert run("import", way[0], out, "--out", back) == 0
+    assert exit_code("import", way[0], out, "--out", back) == 0
     assert capsys.readouterr().out == f"{back}: 3 episodes added, 3 in version 1\n"
     other = open_dataset(back)
     assert (other.ids, other.digest) == (one.ids, one.digest)
     assert other.lineage[0].operation == f"import {way[0]}"
     cloud = one.episode(one.ids[0]).meta.point_cloud
     assert np.array_equal(get_cloud(back, cloud), get_cloud(dataset, cloud))
-    assert run("import", way[0], out, "--out", back, "--append") == 0
+    assert exit_code("import", way[0], out, "--out", back, "--append") == 0
     assert capsys.readouterr().out == f"{back}: 0 episodes added, 3 in version 1\n"
 
 
 def test_a_cloud_that_was_changed_is_refused(dataset, tmp_path, capsys):
-    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    exit_code("export", "lerobot", dataset, "--out", tmp_path / "out")
     path = tmp_path / "out" / "meta" / "candata.json"
     sidecar = json.loads(path.read_text())
     (name,) = sidecar["clouds"]
@@ -60,7 +54,7 @@ def test_a_cloud_that_was_changed_is_refused(dataset, tmp_path, capsys):
     ):
         path.write_text(json.dumps(sidecar | {"clouds": {name: code}}))
         capsys.readouterr()
-        assert run("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
+        assert exit_code("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
         printed = capsys.readouterr().err
         assert printed.startswith("the data are not what was exported")
         assert words in printed
@@ -68,7 +62,7 @@ def test_a_cloud_that_was_changed_is_refused(dataset, tmp_path, capsys):
 
 
 def test_the_sidecar_says_whose_data_it_is(dataset, tmp_path):
-    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    exit_code("export", "lerobot", dataset, "--out", tmp_path / "out")
     sidecar = json.loads((tmp_path / "out" / "meta" / "candata.json").read_text())
     assert sidecar["digest"] == open_dataset(dataset).digest
     assert sidecar["lineage"][0]["operation"] == "made"
@@ -78,13 +72,13 @@ def test_the_sidecar_says_whose_data_it_is(dataset, tmp_path):
 
 def test_wrong_arguments(dataset, tmp_path, capsys):
     out = tmp_path / "out"
-    assert run("export", "lerobott", dataset, "--out", out) == 2
+    assert exit_code("export", "lerobott", dataset, "--out", out) == 2
     assert "did you mean 'lerobot'" in capsys.readouterr().err
-    assert run("export", "robomimic", dataset, "--out", out, "--v21") == 2
+    assert exit_code("export", "robomimic", dataset, "--out", out, "--v21") == 2
     assert "`export robomimic` takes no --v21" in capsys.readouterr().err
-    assert run("export", "lerobot", tmp_path / "none", "--out", out) == 2
+    assert exit_code("export", "lerobot", tmp_path / "none", "--out", out) == 2
     out.mkdir()
-    assert run("export", "lerobot", dataset, "--out", out) == 2
+    assert exit_code("export", "lerobot", dataset, "--out", out) == 2
     assert "the output exists already" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["ds", "out"]
 
@@ -92,18 +86,18 @@ def test_wrong_arguments(dataset, tmp_path, capsys):
 def test_a_refused_export_leaves_nothing(dataset, tmp_path, capsys):
     append(dataset, [make_episode("fast", rate_hz=500.0)], Lineage(operation="made"))
     for name in ("lerobot", "robomimic", "diffusion_policy"):
-        assert run("export", name, dataset, "--out", tmp_path / "out") == 2
+        assert exit_code("export", name, dataset, "--out", tmp_path / "out") == 2
         assert "the episodes differ in rate_hz" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["ds"]
 
 
 def test_a_damaged_export_imports_nothing(dataset, tmp_path, capsys):
-    run("export", "lerobot", dataset, "--out", tmp_path / "out")
+    exit_code("export", "lerobot", dataset, "--out", tmp_path / "out")
     path = tmp_path / "out" / "data" / "chunk-000" / "file-000.parquet"
     path.write_bytes(path.read_bytes()[:-40])
     before = path.read_bytes()
     capsys.readouterr()
-    assert run("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
+    assert exit_code("import", "lerobot", tmp_path / "out", "--out", tmp_path / "back") == 2
     error = capsys.readouterr().err
     assert "file-000.parquet cannot be read" in error
     assert "Traceback" not in error
@@ -113,8 +107,8 @@ def test_a_damaged_export_imports_nothing(dataset, tmp_path, capsys):
 
 def test_a_registered_name_exports_its_clouds_too(dataset, tmp_path, monkeypatch):
     monkeypatch.setenv("CANDATA_REGISTRY", str(tmp_path / "registry.json"))
-    assert run("registry", "add", "named", dataset) == 0
-    assert run("export", "lerobot", "named", "--out", tmp_path / "out") == 0
+    assert exit_code("registry", "add", "named", dataset) == 0
+    assert exit_code("export", "lerobot", "named", "--out", tmp_path / "out") == 0
     assert json.loads((tmp_path / "out" / "meta" / "candata.json").read_text())["clouds"]
 
 
@@ -124,7 +118,7 @@ def test_a_disk_that_is_full_is_one_error_and_leaves_nothing(format_name, room, 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
     try:
-        code = run("export", format_name, dataset, "--out", tmp_path / "full" / "out")
+        code = exit_code("export", format_name, dataset, "--out", tmp_path / "full" / "out")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     large = (tmp_path / "full" / "out").exists()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 from types import SimpleNamespace
 
@@ -14,18 +12,10 @@ from candata.gap.blind.baselines import BASELINES
 from candata.schema.bench import BenchFile
 from candata.schema.report import DataUsed, EpisodeCount, Report
 from candata_cli import console, gap_commands
-from candata_cli import main as entry
+from tests.cli.command import run
 
 SMALL = ("--scene", "cube_toss", "--episodes", 2, "--duration-s", 0.4, "--jobs", 1)
 FEW = ("--kinds", "one,null", "--counts", "one=2,null=1", "--only", "sliding_friction,pose_bias")
-
-
-def run(*arguments: object) -> SimpleNamespace:
-    """Run a command in this process; return exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
 
 
 @pytest.fixture

@@ -8,13 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Report
-from candata_cli import main as entry
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return stop.value.code or 0
+from tests.cli.command import exit_code
 
 
 @pytest.fixture
@@ -27,25 +21,25 @@ def toss(tmp_path):
 
 def test_generate_says_what_stands(toss, capsys):
     words, out = toss
-    assert run(*words, "--seed", 3) == 0
+    assert exit_code(*words, "--seed", 3) == 0
     first = capsys.readouterr()
     assert first.out.startswith(f"{out}: 2 episodes in version 1, digest ")
     assert first.err == "episodes: 2 done\n"
-    assert run(*words, "--seed", 3) == 0
+    assert exit_code(*words, "--seed", 3) == 0
     assert capsys.readouterr().out == first.out
 
 
 def test_generated_sets_are_valid(toss, capsys):
     words, out = toss
-    run(*words)
+    exit_code(*words)
     capsys.readouterr()
-    assert run("validate", out) == 0
+    assert exit_code("validate", out) == 0
     assert capsys.readouterr().out.startswith("2 episodes, no findings\n")
 
 
 def test_a_withheld_effect_is_not_printed(toss, capsys):
     words, out = toss
-    assert run(*words, "--withhold", "object_mass", "--seed", 98765) == 0
+    assert exit_code(*words, "--withhold", "object_mass", "--seed", 98765) == 0
     printed = capsys.readouterr()
     assert printed.err.endswith(f"withheld effect sealed in {out}.seal.json\n")
     seal = json.loads(out.with_name("set.seal.json").read_text())
@@ -67,7 +61,7 @@ def test_effects_come_from_a_file_that_may_name_the_scene(tmp_path, capsys):
         "--out",
         tmp_path / "set",
     )
-    assert run(*words) == 0
+    assert exit_code(*words) == 0
     from candata.datasets import open_dataset
 
     (episode,) = open_dataset(tmp_path / "set")
@@ -111,15 +105,15 @@ def test_a_policy_file_is_played_as_it_is(arm, tmp_path, capsys):
     words, save = arm
     wave = [0.0, 0.2, 0.4, 0.2]
     path = save("wave.parquet", time_s=[0.0, 0.02, 0.04, 0.06], arm=wave)
-    assert run(*words, "--policy-file", path) == 0
+    assert exit_code(*words, "--policy-file", path) == 0
     episodes = list(open_dataset(tmp_path / "set"))
     assert [e.meta.task for e in episodes] == ["wave", "wave"]
     assert all(e["action"][:, 0].tolist() == pytest.approx(wave) for e in episodes)
     first = capsys.readouterr().out
-    assert run(*words, "--policy-file", path) == 0
+    assert exit_code(*words, "--policy-file", path) == 0
     assert capsys.readouterr().out == first, "nothing twice"
     save("wave.parquet", time_s=[0.0, 0.02, 0.04, 0.06], arm=[0.0, 0.2, 0.5, 0.2])
-    assert run(*words, "--policy-file", path) == 2
+    assert exit_code(*words, "--policy-file", path) == 2
     assert capsys.readouterr().err.startswith(
         "the dataset holds episodes of these ids, made from another configuration"
     )
@@ -128,9 +122,9 @@ def test_a_policy_file_is_played_as_it_is(arm, tmp_path, capsys):
 def test_a_bad_policy_file_is_a_usage_error(arm, tmp_path, capsys):
     words, save = arm
     path = save(time_s=[0.0, 0.02], arm=[0.0, 1.5])
-    assert run(*words, "--policy-file", path) == 2
+    assert exit_code(*words, "--policy-file", path) == 2
     assert capsys.readouterr().err.startswith("motion 'motion' goes beyond a limit\n  expected: -1 to 1 rad\n")
-    assert run(*words, "--policy-file", path, "--policies", "free_sweep") == 2
+    assert exit_code(*words, "--policy-file", path, "--policies", "free_sweep") == 2
     assert capsys.readouterr().err.startswith("policies and a policy file at once\n")
     assert not (tmp_path / "set").exists()
 
@@ -150,7 +144,7 @@ def test_a_bad_policy_file_is_a_usage_error(arm, tmp_path, capsys):
     ],
 )
 def test_a_wrong_word_is_a_usage_error(tmp_path, capsys, words, text):
-    assert run("generate-sim", "--episodes", 2, *words, "--out", tmp_path / "set") == 2
+    assert exit_code("generate-sim", "--episodes", 2, *words, "--out", tmp_path / "set") == 2
     assert capsys.readouterr().err.startswith(text)
     assert not (tmp_path / "set").exists()
     assert not (tmp_path / "set.seal.json").exists()
@@ -159,20 +153,20 @@ def test_a_wrong_word_is_a_usage_error(tmp_path, capsys, words, text):
 def test_an_effects_file_that_is_wrong_names_the_field(tmp_path, capsys):
     path = tmp_path / "effects.yaml"
     path.write_text("effects: [{nam: object_mass}]\n")
-    assert run("generate-sim", "--episodes", 1, "--effects", path, "--out", tmp_path / "set") == 2
+    assert exit_code("generate-sim", "--episodes", 1, "--effects", path, "--out", tmp_path / "set") == 2
     assert capsys.readouterr().err.startswith("effects.yaml is not valid: effects.0.name: Field required\n")
 
 
 def test_scene_list(capsys):
-    assert run("scene", "list") == 0
+    assert exit_code("scene", "list") == 0
     assert capsys.readouterr().out.splitlines()[1].split()[:6] == ["cube_toss", "0", "0", "0", "148", "Hz"]
-    assert run("scene", "list", "--json") == 0
+    assert exit_code("scene", "list", "--json") == 0
     assert [e["name"] for e in json.loads(capsys.readouterr().out)] == ["cube_toss", "xhand_tabletop"]
 
 
 def test_scene_show(tmp_path, capsys):
     picture = tmp_path / "pictures" / "scene.png"
-    assert run("scene", "show", "xhand_tabletop", "--out", picture) == 0
+    assert exit_code("scene", "show", "xhand_tabletop", "--out", picture) == 0
     lines = capsys.readouterr().out.splitlines()
     assert "control   80 Hz, 5 physics steps of 2.5 ms; implicitfast, elliptic cone, newton solver" in lines
     assert "object    object, 0.25 kg; support table" in lines
@@ -194,13 +188,13 @@ def test_scene_show(tmp_path, capsys):
 
 
 def test_scene_show_json_is_one_object(capsys):
-    assert run("scene", "show", "cube_toss", "--json") == 0
+    assert exit_code("scene", "show", "cube_toss", "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["object"], found["rate_hz"], found["policies"]) == ("object", 148.0, ["toss"])
 
 
 def test_scene_show_of_an_unknown_scene(capsys):
-    assert run("scene", "show", "cube") == 2
+    assert exit_code("scene", "show", "cube") == 2
     assert capsys.readouterr().err.startswith("unknown scene 'cube'\n")
 
 
@@ -229,7 +223,7 @@ def diagnosis(monkeypatch):
 
 def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
     calls = diagnosis("tactile_lag", {"timeconst_s": 0.05})
-    assert run("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
+    assert exit_code("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
     printed = capsys.readouterr().out
     folder = tmp_path / "seed-2"
     assert calls == [("real", "xhand_tabletop", 1, 2)]
@@ -241,7 +235,7 @@ def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
 def test_demo_says_so_when_it_misses(tmp_path, capsys, diagnosis):
     diagnosis("armature", {"armature_kgm2": 0.1})
     words = ("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1, "--json")
-    assert run(*words) == 0
+    assert exit_code(*words) == 0
     found = json.loads(capsys.readouterr().out)
     assert (found["outcome"], found["truth"]["name"]) == ("missed", "tactile_lag")
     assert (tmp_path / "seed-2" / "nominal" / "versions" / "000001.json").is_file()

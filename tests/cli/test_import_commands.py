@@ -11,15 +11,9 @@ import yaml
 from candata.datasets import create_dataset, open_dataset
 from candata.datasets.filtering import filter_dataset
 from candata_cli import import_commands
-from candata_cli import main as entry
+from tests.cli.command import exit_code
 
 POSE = ["px", "py", "pz", "qw", "qx", "qy", "qz"]
-
-
-def run(*arguments) -> int:
-    with pytest.raises(SystemExit) as stop:
-        entry.main([str(argument) for argument in arguments])
-    return stop.value.code or 0
 
 
 @pytest.fixture
@@ -48,7 +42,7 @@ def out(tmp_path):
 
 
 def test_an_import_makes_one_version(source, out, capsys):
-    assert run("import", "table", source(), "--out", out) == 0
+    assert exit_code("import", "table", source(), "--out", out) == 0
     printed = capsys.readouterr()
     assert printed.out == f"{out}: 2 episodes added, 2 in version 1\n"
     dataset = open_dataset(out)
@@ -62,9 +56,9 @@ def test_an_import_makes_one_version(source, out, capsys):
 
 
 def test_an_output_that_stands_is_refused(source, out, capsys):
-    run("import", "table", source(), "--out", out)
+    exit_code("import", "table", source(), "--out", out)
     capsys.readouterr()
-    assert run("import", "table", source(3), "--out", out) == 2
+    assert exit_code("import", "table", source(3), "--out", out) == 2
     assert capsys.readouterr().err == (
         f"the output exists already\n  where: {out}\n  do: choose another --out, or add to it with --append\n"
     )
@@ -72,22 +66,22 @@ def test_an_output_that_stands_is_refused(source, out, capsys):
 
 
 def test_the_same_source_twice_adds_nothing(source, out, capsys):
-    run("import", "table", source(), "--out", out)
+    exit_code("import", "table", source(), "--out", out)
     digest = open_dataset(out).digest
     capsys.readouterr()
-    assert run("import", "table", source(), "--out", out, "--append") == 0
+    assert exit_code("import", "table", source(), "--out", out, "--append") == 0
     assert capsys.readouterr().out == f"{out}: 0 episodes added, 2 in version 1\n"
     assert open_dataset(out).digest == digest
-    assert run("import", "table", source(3), "--out", out, "--append") == 0
+    assert exit_code("import", "table", source(3), "--out", out, "--append") == 0
     assert capsys.readouterr().out == f"{out}: 1 episodes added, 3 in version 2\n"
 
 
 def test_what_a_version_leaves_out_is_not_counted(source, out, tmp_path, capsys):
     pytest.importorskip("duckdb")
-    run("import", "table", source(), "--out", out)
+    exit_code("import", "table", source(), "--out", out)
     filter_dataset(open_dataset(out), "id = 'run-0'", tmp_path / "some")
     capsys.readouterr()
-    assert run("import", "table", source(3), "--out", tmp_path / "some", "--append") == 0
+    assert exit_code("import", "table", source(3), "--out", tmp_path / "some", "--append") == 0
     printed = capsys.readouterr()
     assert printed.out == f"{tmp_path / 'some'}: 1 episodes added, 2 in version 2\n"
     assert printed.err.startswith("1 episodes stay left out, as in the version before: run-1; to bring them back")
@@ -96,29 +90,29 @@ def test_what_a_version_leaves_out_is_not_counted(source, out, tmp_path, capsys)
 
 def test_what_the_note_says_brings_a_left_out_episode_back(source, out, tmp_path, capsys):
     pytest.importorskip("duckdb")
-    run("import", "table", source(), "--out", out)
+    exit_code("import", "table", source(), "--out", out)
     some, new = tmp_path / "some", tmp_path / "new"
     filter_dataset(open_dataset(out), "id = 'run-0'", some)
-    run("import", "table", source(), "--out", some, "--append")
+    exit_code("import", "table", source(), "--out", some, "--append")
     command = capsys.readouterr().err.partition("candata ")[2].replace("NEW", str(new)).split()
-    assert run("import", "table", source(), "--out", new) == 0
-    assert run(*command) == 0
+    assert exit_code("import", "table", source(), "--out", new) == 0
+    assert exit_code(*command) == 0
     assert open_dataset(some).ids == ("run-0", "run-1")
 
 
 def test_a_table_without_its_map_asks_for_one(source, out, capsys):
     table = source().parent / "run.parquet"
-    assert run("import", "table", table, "--out", out) == 2
+    assert exit_code("import", "table", table, "--out", out) == 2
     told = capsys.readouterr().err
     assert told.startswith("a table is imported by a map, which says what each column is\n  expected: a map.yaml")
     assert "file: run.parquet" in told
     assert "candata import table map.yaml --out recordings" in told
-    assert run("import", "table", table.parent, "--out", out) == 2
+    assert exit_code("import", "table", table.parent, "--out", out) == 2
     assert capsys.readouterr().err.startswith("a table is imported by a map")
 
 
 def test_appending_to_nothing_makes_it(source, out):
-    assert run("import", "table", source(), "--out", out, "--append") == 0
+    assert exit_code("import", "table", source(), "--out", out, "--append") == 0
     assert len(open_dataset(out)) == 2
 
 
@@ -151,11 +145,11 @@ def spoil(column, value):
 @pytest.mark.parametrize("standing", [False, True])
 def test_bad_input_is_one_message_exit_2_and_nothing_written(source, out, capsys, edit, changed, problem, standing):
     if standing:
-        run("import", "table", source(), "--out", out)
+        exit_code("import", "table", source(), "--out", out)
         before = open_dataset(out).file
         capsys.readouterr()
     path = source(40, edit, **changed)  # more than two parts: the last row is wrong
-    assert run("import", "table", path, "--out", out, "--append") == 2
+    assert exit_code("import", "table", path, "--out", out, "--append") == 2
     printed = capsys.readouterr()
     assert printed.out == ""
     assert printed.err.startswith(problem)
@@ -167,7 +161,7 @@ def test_bad_input_is_one_message_exit_2_and_nothing_written(source, out, capsys
 
 
 def test_gaps_are_taken_when_asked(source, out, capsys):
-    assert run("import", "table", source(2, spoil("px", np.nan)), "--out", out, "--allow-gaps") == 0
+    assert exit_code("import", "table", source(2, spoil("px", np.nan)), "--out", out, "--allow-gaps") == 0
     episode = open_dataset(out).episode("run-1")
     assert episode.meta.invalid_counts == {"object_pose": 1}
     assert episode.valid("object_pose").tolist() == [True, True, False]
@@ -175,38 +169,38 @@ def test_gaps_are_taken_when_asked(source, out, capsys):
 
 
 def test_other_content_under_a_known_id_is_refused(source, out, capsys):
-    run("import", "table", source(), "--out", out)
-    assert run("import", "table", source(2, spoil("px", 1.0)), "--out", out, "--append") == 2
+    exit_code("import", "table", source(), "--out", out)
+    assert exit_code("import", "table", source(2, spoil("px", 1.0)), "--out", out, "--append") == 2
     assert len(open_dataset(out).lineage) == 1
 
 
 def test_unknown_formats_and_sources_list_the_known(source, out, capsys):
-    assert run("import", "tabel", source(), "--out", out) == 2
+    assert exit_code("import", "tabel", source(), "--out", out) == 2
     assert capsys.readouterr().err.startswith("unknown format 'tabel'\n  expected: one of ")
-    assert run("fetch", "cube-toss", "--out", out) == 2
+    assert exit_code("fetch", "cube-toss", "--out", out) == 2
     assert capsys.readouterr().err.endswith("did you mean 'cube_tosses'?\n")
 
 
 def test_a_fetch_from_a_wrong_folder(tmp_path, out, capsys):
-    assert run("fetch", "cube-tosses", "--from", tmp_path, "--out", out) == 2
+    assert exit_code("fetch", "cube-tosses", "--from", tmp_path, "--out", out) == 2
     assert "LICENSE.txt is missing" in capsys.readouterr().err
     assert not out.exists()
 
 
 def test_a_fetch_without_network(out, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv("https_proxy", "http://127.0.0.1:9")  # the discard port: refused at once
-    assert run("fetch", "cube-tosses", "--cache", tmp_path / "cache", "--out", out) == 3
+    assert exit_code("fetch", "cube-tosses", "--cache", tmp_path / "cache", "--out", out) == 3
     assert "the download failed\n" in capsys.readouterr().err
     assert not out.exists()
 
 
 def test_the_cube_tosses(shared, out, capsys):
     folder = shared / "realdata" / "cube_tosses"
-    assert run("fetch", "cube-tosses", "--from", folder, "--out", out) == 0
+    assert exit_code("fetch", "cube-tosses", "--from", folder, "--out", out) == 0
     assert capsys.readouterr().out == f"{out}: 550 episodes added, 550 in version 1\n"
     dataset = open_dataset(out)
     assert dataset.lineage[0].details["licence_text"].startswith("BSD 3-Clause License")
-    assert run("fetch", "cube_tosses", "--from", folder, "--out", out, "--append") == 0
+    assert exit_code("fetch", "cube_tosses", "--from", folder, "--out", out, "--append") == 0
     assert open_dataset(out).version == 1
 
 
@@ -215,6 +209,6 @@ def test_a_dataset_made_meanwhile_is_not_added_to(source, out, capsys, monkeypat
         create_dataset(path)  # another import, after the check and before the end of ours
 
     monkeypatch.setattr(import_commands, "_refuse_standing", late)
-    assert run("import", "table", source(), "--out", out) == 2
+    assert exit_code("import", "table", source(), "--out", out) == 2
     assert "the output exists already" in capsys.readouterr().err
     assert not (out / "versions").exists()

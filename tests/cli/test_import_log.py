@@ -20,7 +20,7 @@ from candata.scenes import load_scene
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
 from candata.simulate.episodes import Job, make_episodes
-from candata_cli import main as entry
+from tests.cli.command import exit_code
 
 SCENE = "xhand_tabletop"
 RATE = 80.0
@@ -109,16 +109,10 @@ def sent(tmp_path_factory, played) -> Sent:
     return send(tmp_path_factory.mktemp("sent"), played)
 
 
-def run(*arguments) -> int:
-    with pytest.raises(SystemExit) as stop:
-        entry.main([str(argument) for argument in arguments])
-    return stop.value.code or 0
-
-
 @pytest.fixture(scope="session")
 def imported(tmp_path_factory, sent) -> Path:
     out = tmp_path_factory.mktemp("imported") / "ds"
-    assert run("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out) == 0
+    assert exit_code("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out) == 0
     return out
 
 
@@ -190,21 +184,21 @@ def test_the_lineage_tells_how(sent, imported, capsys):
     assert list(details["saturated"]["force"].values()) == wanted.tolist()
     assert "/" not in json.dumps(details["recipe"]), "a path of the machine"
     assert episode.meta.alignment.offset_s == 0
-    assert run("inspect", imported, "--json") == 0
+    assert exit_code("inspect", imported, "--json") == 0
     assert json.loads(capsys.readouterr().out)["lineage"][0]["details"]["logs"] == [details]
 
 
 def test_validate_and_inspect_run_on_it(imported, capsys):
-    assert run("validate", imported) == 0
+    assert exit_code("validate", imported) == 0
     assert capsys.readouterr().out.startswith("1 episode, no findings\n")
-    assert run("inspect", imported) == 0
+    assert exit_code("inspect", imported) == 0
     printed = capsys.readouterr().out
     assert "taxels count (T, 5, 120, 3) 0 " in " ".join(printed.split())
     assert "lineage: import log" in printed
 
 
 def test_diagnose_takes_it(imported, tmp_path, capsys):
-    assert run("diagnose", imported, "--scene", SCENE, "--out", tmp_path / "d", "--jobs", "1", "--json") == 0
+    assert exit_code("diagnose", imported, "--scene", SCENE, "--out", tmp_path / "d", "--jobs", "1", "--json") == 0
     report = json.loads(capsys.readouterr().out)
     assert report["verdict"] == "too_little_data"  # one episode; joints, rate and commands were accepted
     assert report["data"]["episodes"]["total"] == 1
@@ -214,33 +208,33 @@ def test_lost_frames_are_marked_on_the_way(tmp_path, played, capsys):
     lost = range(STILL + 100, STILL + 120)
     sent = send(tmp_path, played, lost=lost)
     out = tmp_path / "ds"
-    assert run("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out) == 0
+    assert exit_code("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out) == 0
     assert "rows marked invalid by gaps: joint_position 21, action 21, " in capsys.readouterr().err
     (episode,) = open_dataset(out)
     assert episode.meta.invalid_counts["fingertip_force"] in (20, 21)
     assert "object_pose" not in episode.meta.invalid_counts
-    assert run("validate", out) == 0
+    assert exit_code("validate", out) == 0
 
 
 def test_the_same_log_twice_adds_nothing(sent, tmp_path, capsys):
     out = tmp_path / "ds"
     command = ("import", "log", sent.log, "--with", sent.table, "--scene", SCENE, "--out", out)
-    assert run(*command) == 0
+    assert exit_code(*command) == 0
     before = open_dataset(out).file
-    assert run(*command) == 2
+    assert exit_code(*command) == 2
     assert "the output exists already" in capsys.readouterr().err
-    assert run(*command, "--append") == 0
+    assert exit_code(*command, "--append") == 0
     assert capsys.readouterr().out.endswith("0 episodes added, 1 in version 1\n")
     assert open_dataset(out).file == before
-    assert run(*command, "--append", "--threshold", "0.5") == 2
+    assert exit_code(*command, "--append", "--threshold", "0.5") == 2
     assert "another content" in capsys.readouterr().err
-    assert run(*command, "--append", "--threshold", "0.5", "--episode", "strict", "--object", "can") == 0
+    assert exit_code(*command, "--append", "--threshold", "0.5", "--episode", "strict", "--object", "can") == 0
     assert open_dataset(out).episode("strict").meta.object == "can"
 
 
 def test_several_logs_are_one_version(tmp_path, played, capsys):
     logs = [send(tmp_path, played, log_name=f"run{i}.mcap", bias=(i, i, i)).log for i in range(2)]
-    assert run("import", "log", *logs, "--rate", "40", "--out", tmp_path / "ds") == 0
+    assert exit_code("import", "log", *logs, "--rate", "40", "--out", tmp_path / "ds") == 0
     assert capsys.readouterr().out.endswith("2 episodes added, 2 in version 1\n")
     dataset = open_dataset(tmp_path / "ds")
     assert dataset.ids == ("run0", "run1")
@@ -285,10 +279,10 @@ def empty(folder: Path) -> Path:
 def test_bad_input_is_one_message_and_nothing_written(sent, tmp_path, capsys, arguments, words, standing):
     out = tmp_path / "made" / "ds"
     if standing:
-        run("import", "log", sent.log, "--episode", "first", "--out", out)
+        exit_code("import", "log", sent.log, "--episode", "first", "--out", out)
         before = open_dataset(out).file
     capsys.readouterr()
-    assert run("import", "log", *arguments(sent, tmp_path), "--out", out, "--append") == 2
+    assert exit_code("import", "log", *arguments(sent, tmp_path), "--out", out, "--append") == 2
     printed = capsys.readouterr()
     assert words in printed.err
     assert "Traceback" not in printed.err
@@ -302,14 +296,14 @@ def test_bad_input_is_one_message_and_nothing_written(sent, tmp_path, capsys, ar
 def test_what_belongs_to_logs_is_refused_elsewhere(sent, out_of_table, capsys):
     source, out = out_of_table
     for option in (("--with", sent.table), ("--scene", SCENE), ("--threshold", "1"), ("--uncalibrated",)):
-        assert run("import", "table", source, *option, "--out", out) == 2
+        assert exit_code("import", "table", source, *option, "--out", out) == 2
         why = (
             "`import table` reads it from its map and takes no" if option[0] == "--scene" else "only `import log` takes"
         )
         assert capsys.readouterr().err.startswith(f"{why} {option[0]}")
-    assert run("import", "table", source, source, "--out", out) == 2
+    assert exit_code("import", "table", source, source, "--out", out) == 2
     assert "takes one source" in capsys.readouterr().err
-    assert run("import", "logs", source, "--out", out) == 2
+    assert exit_code("import", "logs", source, "--out", out) == 2
     assert "did you mean 'log'?" in capsys.readouterr().err
 
 

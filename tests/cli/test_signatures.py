@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-from types import SimpleNamespace
 
 import pytest
 
@@ -13,17 +10,9 @@ from candata.errors import UsageError
 from candata.gap.blind import filling, running
 from candata.schema.bench import BenchFile
 from candata.schema.report import DataUsed, EpisodeCount, Report
-from candata_cli import main as entry
+from tests.cli.command import run
 
 HAND = ("--scene", "xhand_tabletop")
-
-
-def run(*arguments: object) -> SimpleNamespace:
-    """Run a command in this process; return exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
 
 
 @pytest.fixture(scope="module")

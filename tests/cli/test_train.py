@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
 import os
 import pickle
@@ -18,19 +16,11 @@ from types import SimpleNamespace
 import pytest
 
 from candata.training.results import Evaluation
-from candata_cli import main as entry
+from tests.cli.command import run
 
 ROOT = Path(__file__).resolve().parents[2]
 #: A net of a few thousand weights: what is tested is the way, not the forecast.
 CONFIG = "{width: 16, layers: 1}"
-
-
-def run(*arguments: object) -> SimpleNamespace:
-    """Run a command in this process; return exit code, stdout and stderr."""
-    out, err = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), pytest.raises(SystemExit) as stop:
-        entry.main([str(a) for a in arguments])
-    return SimpleNamespace(code=stop.value.code or 0, out=out.getvalue(), err=err.getvalue())
 
 
 @pytest.fixture(scope="module")
