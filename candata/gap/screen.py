@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, first_probes, probes
+from candata.gap.replay import needs_simulation
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.search import Members, Problem
@@ -34,7 +35,7 @@ def respond(
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
     toss = is_toss(problem.replayer.scene)
-    own = [toss or problem.simulated or bool(held and c.choices) for c in found]
+    own = [toss or problem.simulated or bool(held and (c.choices or _is_read(problem, c))) for c in found]
     played = [tuple((c, u) for c, o in zip(found, own, strict=True) if o is kind for u in screening(c, problem))
               for kind in (True, False)]  # fmt: skip
     moved = {
@@ -49,6 +50,11 @@ def respond(
         else:
             out.append((c, _response(c, here, points, moves, is_own)))
     return out, dead
+
+
+def _is_read(problem: Problem, c: Candidate) -> bool:
+    """Tell whether a candidate alters forces only as they are read."""
+    return not needs_simulation(problem.setting([(c, c.neutral)]))
 
 
 def _moves(problem: Problem, here: Compact, points: Members, held: Members) -> list[Compact]:

@@ -13,7 +13,7 @@ from candata.gap.floor import FloorKind
 from candata.gap.folds import CrossFit, cross_fit
 from candata.gap.pace import Pace
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, replay_all
+from candata.gap.replay import EffectSet, Replayer, needs_simulation, replay_all, sense
 from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
@@ -68,8 +68,17 @@ class Problem:
         return self.residuals([self.setting([m for m in members if m is not left]) for left in members])
 
     def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
-        """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene."""
-        return [self.score.normal(s) for s in self.library.signatures([self.setting([point]) for point in points])]
+        """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene.
+
+        What alters forces only as they are read needs no simulation: it is read off the replay of the recording.
+        """
+        settings = [self.setting([point]) for point in points]
+        kept = iter(self.library.signatures([some for some in settings if needs_simulation(some)]))
+        return [self.score.normal(next(kept) if needs_simulation(some) else self._sensed(some)) for some in settings]
+
+    def _sensed(self, some: EffectSet) -> Array:
+        """Return what sensing effects take off the residuals `(E, B, D)` of the nominal replay."""
+        return self.raw - residual(self.recs, self.plan, sense(self.replayer.scene, self.before, some))
 
     def setting(self, members: Sequence[tuple[Candidate, Array]]) -> EffectSet:
         """Return the effect settings of candidates at coordinates."""

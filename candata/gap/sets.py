@@ -20,6 +20,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, null_level, standard_error
+from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
 #: Largest number of effects in a set, beside those that were measured without a fit.
@@ -36,6 +37,10 @@ MOST = 0.5
 SURELY, PAIRED = 2.0, 3
 #: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
 PARTLY = (1.0, 0.6, 0.3)
+#: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
+#: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
+#: damping of contacts promised nothing and was worth all of the 3.4 floors left.
+BELIEVED, SETTLED = 0.5, 0.5
 #: Numbers of a set up to which each near rival is fitted sharply, by three times as many replays; of more numbers,
 #: only the best by fits that simulate no slopes. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
@@ -58,7 +63,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         full = is_full(best.members, problem.measured)
-        grown = None if full else _grown(world, best, look(world, _here(world, best), best.members))
+        grown = None if full else _grown(world, best, _beside_best(world, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
         if grown is None:
@@ -103,6 +108,18 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
 def _beside(problem: Problem, members: Members) -> Stage:
     """Return the evidence of every candidate beside effects that act already."""
     return look(problem, problem.residuals([problem.setting(members)])[0], members)
+
+
+def _beside_best(problem: Problem, best: Fit) -> Stage:
+    """Return the evidence of every candidate beside the best set; simulated there where signatures promise little."""
+    here = _here(problem, best)
+    stage = look(problem, here, best.members)
+    left, gain = float(best.evidence.loss.mean()) - 1, stage.best_gain
+    if problem.simulated or is_toss(problem.replayer.scene) or left < SETTLED or gain > BELIEVED * left:
+        return stage
+    problem.pace.told("simulating every effect beside these on the recording itself")
+    other = look(replace(problem, simulated=True), here, best.members)
+    return other if other.best_gain > gain else stage
 
 
 def _here(problem: Problem, fit: Fit) -> Compact:

@@ -103,12 +103,12 @@ def _best(problem: Problem, responses: Responses, base: Array) -> list[Candidate
     """Return the candidates that gain most on a few episodes, held out, and those that gain most where all are fitted.
 
     A few episodes hardly fit the numbers of a vector without one of them. Where each is simulated on the recording,
-    only the fewest.
+    none but the first, few of them.
     """
     gains = _gains(problem, responses, base)
-    if problem.simulated:
-        return [c for _, c in gains[:LEAST]]
     wanted = sum(gain > SHARE * gains[0][0] for gain, _ in gains)
+    if problem.simulated:
+        return [c for _, c in gains[: int(np.clip(wanted, 1, LEAST))]]
     found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
     fitted = sorted(responses, key=lambda pair: -_fitted_gain(problem, pair[1], base))
     return found + [c for c, _ in fitted[:FITTED] if c not in found]

@@ -65,6 +65,11 @@ class Stage:
     faint: tuple[str, ...]
     reachable: float
 
+    @property
+    def best_gain(self) -> float:
+        """Held-out gain of the best candidate in floors; 0 where there is none."""
+        return self.fits[0].gain if self.fits else 0.0
+
     def passing(self) -> Fit | None:
         """Return the best fit if it beats the nulls, one standard error of its own gain, and what matters at all.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from candata.gap.candidates import candidates, local_candidates
-from candata.gap.replay import EffectSet
+from candata.gap.replay import EffectSet, needs_simulation
 from candata.gap.screen import screening
 from candata.gap.search import Problem
 from candata.gap.shortlist import brief
@@ -31,4 +31,5 @@ def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
         variants = [v for c in possible for v in local_candidates(c, scene)]
         rounds += [(few, variants)] if few is problem else [(few, variants), (problem, possible)]
         rounds += [(problem, variants)] if depth == "all" and few is not problem else []
-    return [(part, part.setting([(c, u)])) for part, some in rounds for c in some for u in screening(c, part)]
+    asked = [(part, part.setting([(c, u)])) for part, some in rounds for c in some for u in screening(c, part)]
+    return [(part, effects) for part, effects in asked if needs_simulation(effects)]
