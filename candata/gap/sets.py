@@ -19,7 +19,7 @@ from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, null_level, standard_error
+from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, null_level, standard_error
 from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
@@ -41,8 +41,11 @@ PARTLY = (1.0, 0.6, 0.3)
 #: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
 #: damping of contacts promised nothing and was worth all of the 3.4 floors left.
 BELIEVED, SETTLED = 0.5, 0.5
-#: Numbers of a set up to which each near rival is fitted sharply, by three times as many replays; of more numbers,
-#: only the best by fits that simulate no slopes. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
+#: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
+#: true scale of the tracker promised 0.83 of what a bias did, it gained more.
+ROUGHLY = 0.7
+#: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
+#: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
@@ -153,12 +156,13 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes."""
     if stage.passing() is None:
         return None
-    front = [f for f in stage.fits if is_near(f, stage.fits[0])][: 1 + RIVALS]
+    front = [f for f in stage.fits if f.gain > ROUGHLY * stage.best_gain or is_near(f, stage.fits[0])][: 1 + RIVALS]
     base = problem.score.loss(problem.nominal)
     sets = [(*best.members, f.members[0]) for f in front]
-    if len(sets) > 1 and max(sum(c.size for c, _ in members) for members in sets) > MANY:
-        rough = [joint(problem, members, base, widths=()) for members in sets]
-        sets = [max(rough, key=lambda f: f.gain).members]
+    if len(sets) > 1:
+        rough = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
+        many = max(len(f.plane.at) for f in rough) > MANY
+        sets = [f.members for f in rough if f is rough[0] or (not many and is_tied(f, rough[0], UNSURE))]
     return max((joint(problem, members, base) for members in sets), key=lambda f: f.gain)
 
 

@@ -206,14 +206,13 @@ def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fi
 
 def is_near(fit: Fit, best: Fit) -> bool:
     """Tell whether a fit comes so near the best that only a sharper look can tell which is better."""
-    worse = fit.evidence.loss - best.evidence.loss
-    return fit.gain > NEAR * best.gain or bool(best.gain > 0 and worse.mean() <= UNSURE * standard_error(worse))
+    return fit.gain > NEAR * best.gain or (best.gain > 0 and is_tied(fit, best, UNSURE))
 
 
-def is_tied(fit: Fit, best: Fit) -> bool:
-    """Tell whether a fit is no worse than the best by more than one standard error."""
+def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
+    """Tell whether a fit is no worse than the best by more than so many standard errors."""
     worse = fit.evidence.loss - best.evidence.loss
-    return bool(worse.mean() <= standard_error(worse))
+    return bool(worse.mean() <= errors * standard_error(worse))
 
 
 def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:

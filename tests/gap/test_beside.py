@@ -1,0 +1,96 @@
+"""Beside other causes: what a world far from the nominal one hides from signatures is simulated there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import sets
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer, needs_simulation
+from candata.gap.screen import respond, screening
+from candata.gap.signatures import Library
+from candata.gap.stage import Stage
+from candata.gap.wanted import wanted
+from tests.effects.gripper import ROLES, write_scene
+
+NOISE = "noise: {object_pose: [0.0005, 0.004], joint_position: 0.001, fingertip_force: 0.02}\n"
+
+
+@pytest.fixture(scope="module")
+def late(arm, arm_episodes, planted):
+    """The problem that an arm with a delay of 0.12 s and dry joints poses, and the fit of the delay alone."""
+    effects = (*planted("actuation_delay", delay_s=0.12), *planted("joint_dry_friction", frictionloss_Nm=0.3))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    delay = (candidate("actuation_delay", arm), np.full(1, 0.12))
+    return problem, joint(problem, (delay,), problem.score.loss(problem.nominal))
+
+
+@pytest.mark.parametrize("looked_again", [True, False])
+def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation(late, monkeypatch, looked_again):
+    if not looked_again:
+        monkeypatch.setattr(sets, "BELIEVED", -np.inf)
+    problem, delay = late
+    found, _, _ = sets.forward(problem, delay, ())
+    assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is looked_again
+
+
+@pytest.mark.parametrize(
+    ("promised", "simulated", "left", "looks"),
+    [(0.4, 0.9, 1.0, 2), (0.4, 0.3, 1.0, 2), (0.6, 0.9, 1.0, 1), (0.1, 0.9, 0.4, 1), (None, 0.9, 1.0, 2)],
+)
+def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatch, promised, simulated, left, looks):
+    problem, fit = late
+    evidence = replace(fit.evidence, loss=np.full(12, 1 + left))
+    made = []
+
+    def fits(gain):
+        return () if gain is None else (replace(fit, evidence=replace(evidence, gain=np.full(12, gain))),)
+
+    def looked(problem, here, held):
+        made.append(problem.simulated)
+        return Stage(np.ones(12), fits(simulated if problem.simulated else promised), 0.0, (), (), (), 0.0)
+
+    monkeypatch.setattr(sets, "look", looked)
+    stage = sets._beside_best(problem, replace(fit, evidence=evidence))
+    assert made == [False, True][:looks]
+    assert stage.best_gain == pytest.approx(max(promised or 0.0, simulated) if looks == 2 else promised)
+
+
+@pytest.fixture(scope="module")
+def slippery(tmp_path_factory, played, planted):
+    """The problem that a gripper with slippery fingertips poses."""
+    scene = write_scene(tmp_path_factory.mktemp("gripper"), roles=ROLES + NOISE)
+    recs = recordings(scene, played(scene, planted("sliding_friction", scale=0.3), policies=("squeeze",)))
+    return _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+
+
+READ = ("tactile_bias", "tactile_gain", "tactile_lag", "tactile_dead_band")
+
+
+@pytest.mark.parametrize("name", READ)
+@pytest.mark.parametrize("beside", [False, True])
+def test_what_alters_forces_as_they_are_read_is_computed_exactly(slippery, monkeypatch, name, beside):
+    problem, scene = slippery, slippery.replayer.scene
+    held = ((candidate("sliding_friction", scene), np.log([0.3])),) if beside else ()
+    here = problem.residuals([problem.setting(held)])[0]
+    c = candidate(name, scene)
+    monkeypatch.setattr(Library, "_signature", None)  # nothing is read off signatures
+    ((_, response),), dead = respond(problem, here, [c], held)
+    assert not dead
+    u = next(u for u in screening(c, problem) if not c.is_neutral(u))
+    (there,) = problem.residuals([problem.setting((*held, (c, u)))])
+    assert np.abs(there - here).max() > 1
+    assert response.read(u) == pytest.approx(there, abs=1e-3)
+
+
+def test_no_signature_is_simulated_of_what_needs_none(slippery):
+    some = [effects for _, effects in wanted(slippery, "all")]
+    assert not {s.name for effects in some for s in effects} & set(READ)
+    assert all(needs_simulation(effects) for effects in some)
