@@ -12,9 +12,8 @@ from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 
-#: Share of what the first effect leaves that another, simulated on a few episodes, must close for a second search to be
-#: made, and to what share of what the first search leaves that one must come down to replace it. Chosen.
-WORTH, SMALLER = 0.1, 0.8
+#: To what share of what the first search leaves a second one must come down to replace it. Chosen.
+SMALLER = 0.8
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,7 @@ def attribute(problem: Problem) -> Attribution:
     problem = replace(problem, simulated=True)
     held = found.first.fits[0].members if found.chosen else ()
     here = problem.residuals([problem.setting(held)])[0]
-    if not gains_share(problem, here, unheld(problem, held), held, WORTH):
+    if not gains_share(problem, here, unheld(problem, held), held):
         return found
     other = _search(problem, look(problem, problem.nominal, ()))
     return other if _left(problem, other) < SMALLER * _left(problem, found) else found
@@ -73,7 +72,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone."""
     nominal = problem.nominal
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
-    if remains and first.faint and first.passing() is None:
+    if remains and first.faint and first.passing() is None and not problem.simulated:
         # Before the cause is called unknown, everything is looked at on every episode.
         problem.pace.told("looking at every effect on every episode")
         first = look(problem, nominal, (), full=True)

@@ -27,6 +27,9 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 FEW, WORTHWHILE = 6, 2
 #: Share of the best gain on those from which a candidate is looked at in full, and the fewest and most such ones.
 SHARE, LEAST, MOST = 0.2, 4, 8
+#: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be looked at on all.
+#: Chosen.
+WORTH = 0.1
 #: How many of those that gain most where they are fitted come along.
 FITTED = 3
 
@@ -103,12 +106,13 @@ def _best(problem: Problem, responses: Responses, base: Array) -> list[Candidate
     """Return the candidates that gain most on a few episodes, held out, and those that gain most where all are fitted.
 
     A few episodes hardly fit the numbers of a vector without one of them. Where each is simulated on the recording,
-    none but the first, few of them.
+    few, and none that closes next to nothing of what is left.
     """
     gains = _gains(problem, responses, base)
-    wanted = sum(gain > SHARE * gains[0][0] for gain, _ in gains)
     if problem.simulated:
-        return [c for _, c in gains[: int(np.clip(wanted, 1, LEAST))]]
+        least = max(SHARE * gains[0][0], WORTH * float((base - 1).mean())) if gains else 0.0
+        return [c for gain, c in gains[:LEAST] if gain > least]
+    wanted = sum(gain > SHARE * gains[0][0] for gain, _ in gains)
     found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
     fitted = sorted(responses, key=lambda pair: -_fitted_gain(problem, pair[1], base))
     return found + [c for c, _ in fitted[:FITTED] if c not in found]
@@ -137,12 +141,12 @@ def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Ar
     return [c for own, c in _gains(part, responses, base[index]) if own > least]
 
 
-def gains_share(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, share: float) -> bool:
+def gains_share(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members) -> bool:
     """Tell whether a candidate closes a share of what the effects held leave, `here (E, K)`, on a few episodes."""
     part, index = brief(problem)
     base = part.score.loss(here[index])
     responses, _ = respond(part, here[index], found, held)
-    return bool(responses) and _gains(part, responses, base)[0][0] > share * float((base - 1).mean())
+    return bool(responses) and _gains(part, responses, base)[0][0] > WORTH * float((base - 1).mean())
 
 
 def brief(problem: Problem) -> tuple[Problem, Index]:

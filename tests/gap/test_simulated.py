@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from candata.gap import attribute as attribution
+from candata.gap import shortlist
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
@@ -64,7 +65,7 @@ def test_a_second_search_that_leaves_as_much_is_not_believed(problem, poor, monk
 
 
 def test_where_no_simulated_effect_closes_enough_no_second_search_is_made(problem, poor, monkeypatch):
-    monkeypatch.setattr(attribution, "WORTH", 1.01)
+    monkeypatch.setattr(shortlist, "WORTH", 1.01)
     made = searches(monkeypatch, first=poor, second=None)
     assert attribute(problem) is poor
     assert made == [False]
@@ -88,6 +89,14 @@ def test_where_all_is_simulated_only_the_fewest_are_on_every_episode_and_none_on
     assert len(seen.responses) == LEAST < len(by_signatures.responses)
     assert all(c.element is None for c, _ in seen.responses)
     assert "joint_dry_friction" in {c.name for c, _ in seen.responses}
+
+
+def test_what_closes_next_to_nothing_where_it_is_simulated_is_not_looked_at_further(problem, monkeypatch):
+    monkeypatch.setattr(shortlist, "WORTH", 1.01)
+    stage = look(replace(problem, simulated=True), problem.nominal, ())
+    assert stage.fits == ()
+    assert stage.passing() is None
+    assert "joint_dry_friction" in stage.faint
 
 
 def test_where_all_is_simulated_no_early_member_is_exchanged(problem, poor, monkeypatch):
