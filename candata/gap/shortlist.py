@@ -27,7 +27,7 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 FEW, WORTHWHILE = 6, 2
 #: Share of the best gain on those from which a candidate is looked at in full, and the fewest and most such ones.
 SHARE, LEAST, MOST = 0.2, 4, 8
-#: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be looked at on all.
+#: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all.
 #: Chosen.
 WORTH = 0.1
 #: How many of those that gain most where they are fitted come along.
