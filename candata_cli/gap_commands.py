@@ -77,7 +77,10 @@ def bench(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
     duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 3.2,
     kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
-    counts: Annotated[str, typer.Option(help="Cases of a kind, like one=120,quarter=40.")] = "",
+    counts: Annotated[
+        str,
+        typer.Option(help="Cases of a kind, like one=120,quarter=40; others keep theirs (one 120, null 100, else 40)."),
+    ] = "",
     only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
     baseline_cases: Annotated[int, typer.Option(min=1, help="Cases that the baselines are given.")] = 40,
