@@ -22,6 +22,8 @@ ONE, ANOTHER, SHARPEN, REST = Span(16, 36), Span(30, 65), Span(8, 20), Span(1, 1
 JOINT = Span(0, 250)
 #: Looking at every effect by simulation, and with it a whole second search: two recordings of another engine.
 AGAIN = Span(40, 270)
+#: Looking at every effect by simulation beside what was found: four cases of two hands.
+BESIDE = Span(20, 60)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.
 SIGNATURE = 2.0
 #: Seconds of fitting in any step, and how much time left is worth a word.

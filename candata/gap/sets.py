@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate, candidate, local_candidates
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
-from candata.gap.pace import ANOTHER, JOINT
+from candata.gap.pace import ANOTHER, BESIDE, JOINT
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import Compact, score
@@ -120,7 +120,7 @@ def _beside_best(problem: Problem, best: Fit) -> Stage:
     left, gain = float(best.evidence.loss.mean()) - 1, stage.best_gain
     if problem.simulated or is_toss(problem.replayer.scene) or left < SETTLED or gain > BELIEVED * left:
         return stage
-    problem.pace.told("simulating every effect beside these on the recording itself")
+    problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     other = look(replace(problem, simulated=True), here, best.members)
     return other if other.best_gain > gain else stage
 

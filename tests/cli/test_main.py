@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import statistics
 import subprocess
 import sys
 import types
@@ -150,8 +151,8 @@ def test_help_costs_less_than_a_third_of_a_second():
         after = os.times()
         return sum(after[2:4]) - sum(before[2:4])
 
-    # CPU rather than wall time, and the least of five: neighbours on the machine only ever add to it.
-    assert min(cpu_s() for _ in range(5)) < 0.3
+    # CPU rather than wall time, and the median: neighbours on the machine do not count.
+    assert statistics.median(cpu_s() for _ in range(5)) < 0.3
 
 
 def test_help_loads_no_heavy_package():

@@ -10,6 +10,7 @@ import pytest
 from candata.gap import sets
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
+from candata.gap.pace import Pace
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer, needs_simulation
@@ -48,7 +49,7 @@ def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation
 def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatch, promised, simulated, left, looks):
     problem, fit = late
     evidence = replace(fit.evidence, loss=np.full(12, 1 + left))
-    made = []
+    made, told = [], []
 
     def fits(gain):
         return () if gain is None else (replace(fit, evidence=replace(evidence, gain=np.full(12, gain))),)
@@ -58,7 +59,9 @@ def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatc
         return Stage(np.ones(12), fits(simulated if problem.simulated else promised), 0.0, (), (), (), 0.0)
 
     monkeypatch.setattr(sets, "look", looked)
-    stage = sets._beside_best(problem, replace(fit, evidence=evidence))
+    stage = sets._beside_best(replace(problem, pace=Pace(told.append, 1.0)), replace(fit, evidence=evidence))
+    assert len(told) == looks - 1
+    assert all("about 20 to 65 s" in line for line in told)
     assert made == [False, True][:looks]
     assert stage.best_gain == pytest.approx(max(promised or 0.0, simulated) if looks == 2 else promised)
 
