@@ -7,6 +7,7 @@ belong inside the commands, so that `--help` answers at once.
 from __future__ import annotations
 
 import importlib
+import inspect
 import os
 import pkgutil
 import sys
@@ -14,6 +15,7 @@ from collections.abc import Sequence
 from typing import Annotated, NoReturn
 
 import typer
+from typer.main import get_command_name
 
 import candata_cli
 from candata.errors import CandataError, SetupError, Where
@@ -56,7 +58,9 @@ def build() -> typer.Typer:
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit with its code; `arguments` default to the process's own."""
     try:
-        build()(args=arguments, prog_name="candata")
+        app = build()
+        _leave_unread(app, sys.argv[1:] if arguments is None else arguments)
+        app(args=arguments, prog_name="candata")
         code: int | str | None = 0
     except CandataError as error:
         print(error, file=sys.stderr)
@@ -69,6 +73,23 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = error.code
     _flush()
     sys.exit(code)
+
+
+def _leave_unread(app: typer.Typer, words: Sequence[str]) -> None:
+    """Take the options off the commands that the command line does not name: a list of commands shows none of them.
+
+    Reading the options of all commands costs as much as loading them.
+    """
+    for info in app.registered_commands:
+        if info.callback is not None and (name := info.name or get_command_name(info.callback.__name__)) not in words:
+            info.name, info.help, info.callback = name, info.help or inspect.getdoc(info.callback), _unread
+    for group in app.registered_groups:
+        if group.typer_instance is not None:
+            _leave_unread(group.typer_instance, words)
+
+
+def _unread() -> None:
+    """Stand for a command that is listed, not run."""
 
 
 def _refused(error: OSError) -> SetupError:

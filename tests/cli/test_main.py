@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import statistics
 import subprocess
 import sys
 import types
@@ -144,15 +143,27 @@ def test_a_reader_that_leaves_is_no_error():
     assert done.stderr == b""
 
 
-def test_help_costs_less_than_a_third_of_a_second():
-    def cpu_s() -> float:
-        before = os.times()
-        subprocess.run([sys.executable, "-m", "candata_cli.main", "--help"], check=True, capture_output=True)
-        after = os.times()
-        return sum(after[2:4]) - sum(before[2:4])
+@pytest.mark.parametrize("words", [(), ("gap",)])
+def test_help_lists_every_command_as_the_whole_application_does(words, capsys, monkeypatch):
+    assert exit_code(*words, "--help") == 0
+    listed = capsys.readouterr().out
+    monkeypatch.setattr(entry, "_leave_unread", lambda _app, _words: None)
+    assert exit_code(*words, "--help") == 0
+    assert listed == capsys.readouterr().out
 
-    # CPU rather than wall time, and the median: neighbours on the machine do not count.
-    assert statistics.median(cpu_s() for _ in range(5)) < 0.3
+
+def test_help_reads_the_options_of_no_command_and_a_command_reads_its_own(capsys, monkeypatch):
+    read = []
+    options = typer.main.get_params_from_function
+    monkeypatch.setattr(
+        typer.main, "get_params_from_function", lambda func: read.append(func.__name__) or options(func)
+    )
+    assert exit_code("--help") == 0
+    assert {name for name in read if not name.startswith("_")} == set()
+    read.clear()
+    assert exit_code("gap", "bench", "--help") == 0
+    assert {name for name in read if not name.startswith("_")} == {"bench"}
+    assert "--counts" in capsys.readouterr().out
 
 
 def test_help_loads_no_heavy_package():
