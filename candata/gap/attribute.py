@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import LEFT, MOST, compared, forward, jointly, with_measured
+from candata.gap.sets import LEFT, MOST, SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
@@ -45,11 +45,12 @@ def attribute(problem: Problem) -> Attribution:
     """Return the effects that explain the gap, by forward selection on held-out episodes.
 
     What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
-    even then, effects are looked at again, simulated on the recording: in a world far from the nominal one, signatures
-    say little of what an effect does there.
+    even then, and that is much, effects are looked at again, simulated on the recording: in a world far from the
+    nominal one, signatures say little of what an effect does there.
     """
     found = _search(problem, look(problem, problem.nominal, ()))
-    if is_toss(problem.replayer.scene) or not (found.remains and _left(problem, found) > MOST):
+    share, floors = _left(problem, found)
+    if is_toss(problem.replayer.scene) or not found.remains or share <= MOST or floors < SETTLED:
         return found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
     problem = replace(problem, simulated=True)
@@ -57,15 +58,15 @@ def attribute(problem: Problem) -> Attribution:
     here = problem.residuals([problem.setting(held)])[0]
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
-    other = _search(problem, look(problem, problem.nominal, ()))
-    return other if _left(problem, other) < SMALLER * _left(problem, found) else found
+    other = _search(problem, look(problem, problem.nominal, (), found.first))
+    return other if _left(problem, other)[0] < SMALLER * share else found
 
 
-def _left(problem: Problem, found: Attribution) -> float:
-    """Return the share of the loss above the floor that is left on held-out episodes."""
+def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
+    """Return what is left of the loss above the floor on held-out episodes: its share (0 of little), and in floors."""
     before = float(found.score.loss(found.score.normal(problem.raw)).mean()) - 1
     after = float(found.chosen.evidence.loss.mean()) - 1 if found.chosen else before
-    return after / before if before > LEFT else 0.0
+    return after / before if before > LEFT else 0.0, after
 
 
 def _search(problem: Problem, first: Stage) -> Attribution:
@@ -75,7 +76,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     if remains and first.faint and first.passing() is None and not problem.simulated:
         # Before the cause is called unknown, everything is looked at on every episode.
         problem.pace.told("looking at every effect on every episode")
-        first = look(problem, nominal, (), full=True)
+        first = look(problem, nominal, (), first, full=True)
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)

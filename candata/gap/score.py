@@ -51,8 +51,7 @@ class Score:
     def loss(self, z: Compact) -> Array:
         """Return `(..., E)` the mean Student-t loss of each episode over its floor; z is `(..., E, K)`."""
         count = np.maximum(self.mask.sum(1), 1)
-        rho = np.log1p(z * z * np.float32(1 / NU)).sum(-1, dtype=np.float64) * (NU + 1) / 2
-        return rho / count / self.floor
+        return rho(z).sum(-1, dtype=np.float64) / count / self.floor
 
     def size(self, z: Compact) -> Array:
         """Return `(..., E)` the discrepancy of each episode: mean size of the residuals over that of its nulls.
@@ -107,8 +106,16 @@ def _groups(plan: Layout) -> NDArray[np.int64]:
 
 
 def rho(z: Compact) -> Compact:
-    """Return the Student-t loss of each normalised residual, `(nu + 1) / 2 log(1 + z^2 / nu)`."""
-    return (np.log1p(z * z / np.float32(NU)) * np.float32((NU + 1) / 2)).astype(np.float32)
+    """Return the Student-t loss of each normalised residual, `(nu + 1) / 2 log(1 + z^2 / nu)`.
+
+    A logarithm of single precision takes a quarter of the time of `log1p`; residuals that it takes for zero are.
+    """
+    out = z * z
+    out *= 1 / NU
+    out += 1
+    np.log(out, out=out)
+    out *= (NU + 1) / 2
+    return out
 
 
 def weights(z: Compact) -> Compact:

@@ -18,6 +18,7 @@ from candata.gap.response import Plane
 from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, null_level, standard_error
 from candata.gap.starts import is_toss
@@ -47,6 +48,8 @@ ROUGHLY = 0.7
 #: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
 #: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
+#: Share of the best gain that the next best effect must have to be tried in its place, with a third. Chosen.
+NEXT = 0.5
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
 #: A set, the problem in units of the floor of its world, and whether a gap remains.
@@ -69,6 +72,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
         grown = None if full else _grown(world, best, _beside_best(world, best))
         if grown is None or not _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain):
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
+            grown = grown or _retraced(world, best)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -121,7 +125,7 @@ def _beside_best(problem: Problem, best: Fit) -> Stage:
     if problem.simulated or is_toss(problem.replayer.scene) or left < SETTLED or gain > BELIEVED * left:
         return stage
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
-    other = look(replace(problem, simulated=True), here, best.members)
+    other = look(replace(problem, simulated=True), here, best.members, stage)
     return other if other.best_gain > gain else stage
 
 
@@ -219,13 +223,33 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
     base = problem.score.loss(problem.nominal)
     pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
-    now = float(problem.score.loss(_here(problem, best)).mean()) if pairs else 0.0
-    sets = [_nearest(problem, best.members, pair) for pair in pairs]
+    part, index = brief(problem)
+    now = float(part.score.loss(_here(problem, best)[index]).mean()) if pairs else 0.0
+    sets = [_nearest(part, best.members, pair) for pair in pairs]
     fits = [joint(problem, members, base) for members, loss in sets if loss < now]
     found = max(fits, key=lambda f: f.gain, default=None)
     if found is None or not _worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
         return None
     return found
+
+
+def _retraced(problem: Problem, best: Fit) -> Fit | None:
+    """Return the set with the next best effect in place of its last one and one more; None where that is no better.
+
+    What was taken second was chosen while a third was missing: its rival may need the third to show what it is worth.
+    """
+    room = len(best.members) > 1 and not is_full(best.members, problem.measured)
+    if problem.simulated or not room or float(best.evidence.loss.mean()) - 1 < SETTLED:
+        return None
+    held, (last, _) = best.members[:-1], best.members[-1]
+    stage = _beside(problem, held)
+    rivals = [f for f in stage.fits if f.members[0][0].name != last.name and f.gain > NEXT * stage.best_gain]
+    if not rivals:
+        return None
+    other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
+    grown = _grown(problem, other, _beside_best(problem, other))
+    better = grown is not None and _worth_adding(best.evidence.loss - grown.evidence.loss, best.gain)
+    return grown if better else None
 
 
 def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[Members, float]:

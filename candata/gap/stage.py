@@ -43,6 +43,8 @@ class Stage:
     ----------
     base : (E,) float64
         Typical loss without another effect, in floors.
+    luck : (J, E) float64
+        How far the loss lies below it from each of the starts that are equally possible.
     fits : tuple of Fit
         Every lively candidate, best held-out gain first.
     threshold : float
@@ -58,6 +60,7 @@ class Stage:
     """
 
     base: Array
+    luck: Array
     fits: tuple[Fit, ...]
     threshold: float
     dead: tuple[str, ...]
@@ -94,9 +97,12 @@ class Stage:
         return sure or best.gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
 
 
-def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> Stage:
-    """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them."""
-    base, luck = typical(problem, here, held)
+def look(problem: Problem, here: Compact, held: Members, before: Stage | None = None, full: bool = False) -> Stage:
+    """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them.
+
+    `before` is an earlier look at the same place, whose typical loss holds still.
+    """
+    base, luck = (before.base, before.luck) if before else typical(problem, here, held)
     seen = screened(problem, here, unheld(problem, held), held, base, full)
     responses = [r for _, r in seen.responses]
     threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
@@ -106,7 +112,7 @@ def look(problem: Problem, here: Compact, held: Members, full: bool = False) -> 
     idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
-    return Stage(base, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
+    return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
 
 
 def unheld(problem: Problem, held: Members) -> list[Candidate]:

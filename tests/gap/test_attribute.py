@@ -17,7 +17,7 @@ BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])
 
 def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
     fit = Fit((), None, CrossFit(gain, BASE - gain, np.zeros((4, 1))))
-    return Stage(BASE, (fit,), 0.07, (), (), (), reachable)
+    return Stage(BASE, np.zeros((4, 8)), (fit,), 0.07, (), (), (), reachable)
 
 
 @pytest.mark.parametrize(

@@ -54,9 +54,11 @@ def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatc
     def fits(gain):
         return () if gain is None else (replace(fit, evidence=replace(evidence, gain=np.full(12, gain))),)
 
-    def looked(problem, here, held):
+    def looked(problem, here, held, before=None):
+        assert (before is not None) is problem.simulated  # the typical loss there is known
         made.append(problem.simulated)
-        return Stage(np.ones(12), fits(simulated if problem.simulated else promised), 0.0, (), (), (), 0.0)
+        found = fits(simulated if problem.simulated else promised)
+        return Stage(np.ones(12), np.zeros((4, 12)), found, 0.0, (), (), (), 0.0)
 
     monkeypatch.setattr(sets, "look", looked)
     stage = sets._beside_best(replace(problem, pace=Pace(told.append, 1.0)), replace(fit, evidence=evidence))

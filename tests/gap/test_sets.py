@@ -46,6 +46,23 @@ def test_a_true_set_is_left_as_it_is(arm, posed):
     assert sets._swapped(problem, right) is None
 
 
+def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, planted):
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+        *planted("servo_gain", "shoulder", kp_scale=0.6),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    wrong = joint(problem, members(arm, joint_dry_friction=0.3, armature=0.01), base)
+    found = sets._retraced(problem, wrong)
+    assert set(found.labels) == {"joint_dry_friction", "actuation_delay", "servo_gain shoulder"}
+    settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1.4)))
+    assert sets._retraced(problem, settled) is None
+    assert sets._retraced(problem, replace(found, evidence=wrong.evidence)) is None  # no room for another
+
+
 def test_two_join_a_set_together_if_each_gains_alone(arm, posed):
     problem, base = posed
     idle = joint(problem, members(arm, armature=0.0005), base)

@@ -46,10 +46,10 @@ def test_a_fault_of_one_element_brings_its_neighbours_and_other_effects_there(
     arm, posed, name, element, parameters, wrong
 ):
     problem = posed(name, element, **parameters)
-    base, _ = typical(problem, problem.nominal, ())
+    base, luck = typical(problem, problem.nominal, ())
     ((c, curve),) = respond(problem, problem.nominal, [candidate(wrong[0], arm, wrong[1])])[0]
     first = staging.fit_one(problem, c, curve, base)
-    found = narrowed(problem, problem.nominal, staging.Stage(base, (first,), 0.0, (), (), (), 0.0))
+    found = narrowed(problem, problem.nominal, staging.Stage(base, luck, (first,), 0.0, (), (), (), 0.0))
     assert found.fits[0].labels == (f"{name} {element}",)
 
 
@@ -67,7 +67,8 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     )  # fmt: skip
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
-    first = staging.Stage(BASE, (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5)), 0.0, (), (), (), 0.0)
+    fits = (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5))
+    first = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0)
     found = sharpened(problem, first)
     assert [f.labels[0] for f in found.fits] == ["joint_damping", "servo_damping"]
     assert found.fits[0].gain == pytest.approx(1.0)
