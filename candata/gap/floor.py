@@ -233,6 +233,9 @@ def _quantile(values: Array) -> Array:
     """Return `(D,)` the 68 % quantile of the sizes over all but the last axis; NaN for a column without values."""
     flat = np.abs(values).reshape(-1, values.shape[-1])
     out = np.full(flat.shape[1], np.nan)
-    seen = np.isfinite(flat).any(0)
-    out[seen] = np.nanquantile(flat[:, seen], 0.68, axis=0)
+    finite = np.isfinite(flat)
+    # Gaps cost ten times the time.
+    for columns, read in ((finite.all(0), np.quantile), (finite.any(0) & ~finite.all(0), np.nanquantile)):
+        if len(flat) and columns.any():
+            out[columns] = read(flat[:, columns], 0.68, axis=0)
     return out

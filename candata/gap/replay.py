@@ -175,15 +175,15 @@ def replay_all(
 ) -> list[dict[str, Array]]:
     """Return the readings of each variant; those that differ by force sensing alone share one simulation."""
     physical = [tuple(s for s in v if needs_simulation((s,))) for v in variants]
-    distinct = list(dict.fromkeys(_key(p) for p in physical))
-    first = {_key(p): p for p in reversed(physical)}
+    distinct = list(dict.fromkeys(name_of(p) for p in physical))
+    first = {name_of(p): p for p in reversed(physical)}
     simulated = dict(zip(distinct, replay(replayer, recs, begin, [first[k] for k in distinct]), strict=True))
     return [
-        sense(replayer.scene, simulated[_key(p)], tuple(s for s in v if not needs_simulation((s,))))
+        sense(replayer.scene, simulated[name_of(p)], tuple(s for s in v if not needs_simulation((s,))))
         for v, p in zip(variants, physical, strict=True)
     ]
 
 
-def _key(some: EffectSet) -> str:
+def name_of(some: EffectSet) -> str:
     """Return a text that names a set of effects."""
     return "\n".join(s.model_dump_json() for s in some)

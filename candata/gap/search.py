@@ -13,7 +13,7 @@ from candata.gap.floor import FloorKind
 from candata.gap.folds import CrossFit, cross_fit
 from candata.gap.pace import Pace
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, needs_simulation, replay_all, sense
+from candata.gap.replay import EffectSet, Replayer, name_of, needs_simulation, replay_all, sense
 from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
@@ -24,6 +24,8 @@ from candata.schema.scene import Noise
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Members = tuple[tuple[Candidate, Array], ...]
+#: Replays of a few episodes that are kept: of two or three looks in which every effect of a hand is simulated.
+KEPT = 512
 
 
 @dataclass(frozen=True)
@@ -31,8 +33,9 @@ class Problem:
     """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
 
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
-    set where only a few of the episodes are looked at, and fewer signatures do; `simulated` where every candidate is
-    simulated on the recording, its signature set aside; `pace` tells how far the search is.
+    set where only a few of the episodes are looked at, and fewer signatures do; `few` keeps what was simulated there,
+    as some of it is asked for again; `simulated` is set where every candidate is simulated on the recording, its
+    signature set aside; `pace` tells how far the search is.
     """
 
     replayer: Replayer
@@ -51,6 +54,7 @@ class Problem:
     measured: Members = ()
     brief: bool = False
     simulated: bool = False
+    few: dict[tuple[tuple[str, ...], str], Array] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
 
     @property
@@ -60,8 +64,18 @@ class Problem:
 
     def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
-        found = replay_all(self.replayer, self.recs, begin or self.begin, variants)
-        return [self.score.normal(residual(self.recs, self.plan, r)) for r in found]
+        if begin or not self.brief:
+            return [self.score.normal(z) for z in self._simulated(variants, begin or self.begin)]
+        if len(self.few) > KEPT:
+            self.few.clear()
+        asked = [(self.recs.ids, name_of(some)) for some in variants]
+        new = {key: some for key, some in zip(asked, variants, strict=True) if key not in self.few}
+        self.few.update(zip(new, self._simulated(list(new.values()), self.begin), strict=True))
+        return [self.score.normal(self.few[key]) for key in asked]
+
+    def _simulated(self, variants: Sequence[EffectSet], begin: Starts) -> list[Array]:
+        """Return residuals `(E, B, D)` of each effect set, by rollouts."""
+        return [residual(self.recs, self.plan, r) for r in replay_all(self.replayer, self.recs, begin, variants)]
 
     def without_each(self, members: Members) -> list[Compact]:
         """Return normalised residuals `(E, K)` of a set without each of its members, the others as they are."""

@@ -52,6 +52,21 @@ def test_effects_are_simulated_where_most_is_left(problem, poor, monkeypatch):
     assert made == [False, True]
 
 
+def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
+    stepped = []
+    watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), few={})
+    part, _ = shortlist.brief(replace(watched, simulated=True))
+    worlds = [problem.setting([(c, u)]) for c in unheld(part, ()) for u in screening(c, part)]
+    first = part.residuals(worlds)
+    assert stepped
+    stepped.clear()
+    again = shortlist.brief(watched)[0].residuals(worlds)
+    assert not stepped
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    part.residuals(worlds[:1], part.begin)  # from given starts: the caller wants those
+    assert stepped
+
+
 def test_a_search_that_explains_most_is_not_made_again(problem, poor, monkeypatch):
     made = searches(monkeypatch, first=None, second=poor)
     assert attribute(problem).chosen.labels == ("joint_dry_friction",)
