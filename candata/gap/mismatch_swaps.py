@@ -93,8 +93,9 @@ def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: A
     given, commands = (distances(p.joint - v, moved) for v in (own, commanded))
     joints = distances(ordered(p.joint, chosen) - renamed, moved)
     best = np.minimum(commands, joints)
-    asked, against = best < CLOSER * given, given < CLOSER * best
-    if not (np.median(best) < CLOSER * np.median(given) or asked.sum() >= AT_LEAST):
+    away = distances(_from_zero(p.joint - own), moved)
+    asked, against = best < CLOSER * away, given < CLOSER * best
+    if not (np.median(best) < CLOSER * np.median(away) or asked.sum() >= AT_LEAST):
         return None
     holds = asked if against.any() else np.ones(len(given), bool)
     if holds.sum() < min(AT_LEAST, len(given)):
@@ -139,6 +140,17 @@ def distances(off: Array, some: NDArray[np.bool_]) -> Array:
     part = off[..., some]
     seen = np.isfinite(part)
     return np.sqrt((np.where(seen, part, 0.0) ** 2).sum((1, 2)) / np.maximum(seen.sum((1, 2)), 1))
+
+
+def _from_zero(off: Array) -> Array:
+    """Return differences `(E, T, S)` less the constant of each joint and episode, as far as encoders' zeros may be off.
+
+    A servo hides its encoder's offset until the finger touches: joints whose commands lie as near each other as their
+    offsets then look exchanged in the episodes with a touch.
+    """
+    seen = np.isfinite(off)
+    constant = np.where(seen, off, 0.0).sum(1, keepdims=True) / np.maximum(seen.sum(1, keepdims=True), 1)
+    return off - np.clip(constant, -ZERO_RAD, ZERO_RAD)
 
 
 def some_of(chosen: Index, cycle: Sequence[int]) -> tuple[int, ...]:
