@@ -13,6 +13,7 @@ import pytest
 
 from candata.policies import policy
 from candata.rotation import exp, rotate
+from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 
 pybullet = pytest.importorskip("pybullet", reason="the bench extra is not installed")
@@ -47,11 +48,11 @@ def plan_of(scene, task: str, duration_s: float = 1.5):
     return policy(task).plan(scene, np.random.default_rng(3), duration_s)
 
 
-def nominal(scene, plan) -> dict[str, np.ndarray]:
+def nominal(scene, plan, *effects: EffectSetting) -> dict[str, np.ndarray]:
     """What MuJoCo reads for the same commands, after the same settling."""
     settle = round(plan.settle_s * scene.file.rate_hz)
     commands = np.concatenate([np.repeat(plan.commands[:1], settle, axis=0), plan.commands])[None]
-    played = rollout(scene, commands, plan.qpos[None], plan.qvel[None], [()], settle=settle)
+    played = rollout(scene, commands, plan.qpos[None], plan.qvel[None], [effects], settle=settle)
     return {name: value[0, settle:] for name, value in played.readings.items()}
 
 
@@ -95,6 +96,14 @@ def test_free_joints_move_alike_in_both_engines(example, scene):
     assert np.abs(error).max() < 4e-3
     late = ours["joint_position"][1:] - theirs["joint_position"][:-1]
     assert np.abs(late).max() > 2e-2
+
+
+def test_hidden_damping_is_damping_in_both_engines(example, scene):
+    plan, hidden = plan_of(scene, "free_sweep"), example["record"].HIDDEN["damping"]
+    damped = EffectSetting(name="joint_damping", parameters={"damping_Nms_rad": hidden["damping_nms_rad"]})
+    theirs = example["record"].play(plan, scene, hidden)["joint_position"]
+    assert np.abs(nominal(scene, plan, damped)["joint_position"] - theirs).max() < 4e-3  # as without damping
+    assert np.abs(nominal(scene, plan)["joint_position"] - theirs).max() > 2e-2
 
 
 def test_a_held_box_weighs_the_same_in_both_engines_and_frames_agree(example, scene):
