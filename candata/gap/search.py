@@ -24,8 +24,8 @@ from candata.schema.scene import Noise
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Members = tuple[tuple[Candidate, Array], ...]
-#: Replays of a few episodes that are kept: of two or three looks in which every effect of a hand is simulated.
-KEPT = 512
+#: Replayed episodes that are kept: of two or three looks in which every effect of a hand is simulated on six.
+KEPT = 3000
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Problem:
     measured: Members = ()
     brief: bool = False
     simulated: bool = False
-    few: dict[tuple[tuple[str, ...], str], Array] = field(default_factory=dict)
+    few: dict[tuple[tuple[str, ...], str], Compact] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
 
     @property
@@ -66,11 +66,12 @@ class Problem:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
         if begin or not self.brief:
             return [self.score.normal(z) for z in self._simulated(variants, begin or self.begin)]
-        if len(self.few) > KEPT:
+        if len(self.few) * len(self.recs) > KEPT:
             self.few.clear()
         asked = [(self.recs.ids, name_of(some)) for some in variants]
         new = {key: some for key, some in zip(asked, variants, strict=True) if key not in self.few}
-        self.few.update(zip(new, self._simulated(list(new.values()), self.begin), strict=True))
+        found = self._simulated(list(new.values()), self.begin)
+        self.few.update(zip(new, (z.astype(np.float32) for z in found), strict=True))
         return [self.score.normal(self.few[key]) for key in asked]
 
     def _simulated(self, variants: Sequence[EffectSet], begin: Starts) -> list[Array]:
