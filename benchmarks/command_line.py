@@ -14,7 +14,9 @@ import statistics
 import subprocess
 import sys
 
+#: CPU seconds that `--help` may take (ARCHITECTURE.md).
 TARGET_S = 0.3
+#: What is run, as the arguments of an interpreter.
 RUNS = {
     "python": ["-c", "pass"],
     "python, typer loaded": ["-c", "import typer"],

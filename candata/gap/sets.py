@@ -40,7 +40,7 @@ SURELY, PAIRED = 2.0, 3
 PARTLY = (1.0, 0.6, 0.3)
 #: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
 #: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
-#: damping of contacts promised nothing and was worth all of the 3.4 floors left.
+#: damping of contacts promised nothing and was worth all of the 3.4 floors left. Nor is a search made again for less.
 BELIEVED, SETTLED = 0.5, 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.

@@ -52,6 +52,14 @@ def test_effects_are_simulated_where_most_is_left(problem, poor, monkeypatch):
     assert made == [False, True]
 
 
+@pytest.mark.parametrize(("share", "floors", "again"), [(0.9, 0.6, True), (0.9, 0.4, False), (0.4, 0.6, False)])
+def test_a_search_is_made_again_only_of_half_the_gap_and_half_a_floor(problem, poor, monkeypatch, share, floors, again):
+    made = searches(monkeypatch, first=poor, second=poor)
+    monkeypatch.setattr(attribution, "_left", lambda problem, found: (share, floors))
+    attribute(problem)
+    assert made == [False, True][: 1 + again]
+
+
 def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     stepped = []
     watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), few={})
