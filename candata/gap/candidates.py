@@ -18,6 +18,10 @@ BEYOND = 0.1
 #: How many times the neutral value the nearest probe of a scale or time may be before one halfway is added. Chosen: a
 #: probe at half or double is near enough; only limits and some contact parameters are probed no nearer than that.
 FAR = 2.1
+#: Numbers of a vector up to which a first look reads both signs of each: across both, signatures say more of a place
+#: beyond them. (Of a mass centre 16 mm off, one sign promised nothing, both a fourteenth of what it was worth, which
+#: was more than any other effect.)
+FEW_NUMBERS = 3
 
 
 @dataclass(frozen=True)
@@ -168,13 +172,13 @@ def typical_size(c: Candidate, scene: Scene) -> Array:
 
 
 def first_probes(c: Candidate, scene: Scene) -> list[Array]:
-    """Return the probes of a first look: of a scalar three of each side at most, of a vector one of each number.
+    """Return the probes of a first look: of a scalar three of each side at most, of many numbers one of each.
 
     Of four or more on a side, the middle and the farthest, and of an effect that acts everywhere the nearest too: what
     sets in at a limit, as of a motor's torque, does near the neutral value what it does not do farther out.
     """
     points = probes(c, scene)
-    if c.choices:
+    if c.choices or 1 < c.size <= FEW_NUMBERS:
         return points
     if c.size > 1:
         return list({int(np.flatnonzero(p != c.neutral)[0]): p for p in points}.values())

@@ -219,8 +219,11 @@ def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]
     shift = _apart(pairs, look.play(moved)["joint_position"][..., joints])
     possible = [r for r in RIVALS if effect(r[0]).possible(look.replayer.scene)]
     sets = [(EffectSetting(name=n, parameters={p: v}),) for n, p, v in possible]
-    plays = (look.play(look.recs, s)["joint_position"][..., joints] for s in sets)
-    rival = min([_apart(pairs, own), *(_apart(pairs, v) for v in plays)])
+    rival = _apart(pairs, own)
+    for some in sets:
+        if rival < SURELY * shift:
+            return []
+        rival = min(rival, _apart(pairs, look.play(look.recs, some)["joint_position"][..., joints]))
     if rival < SURELY * shift:
         return []
     sure = shift < SURELY * rival

@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 World = Callable[[Array], Members]
 #: First fits that must have been simulated where they are, and most rounds of simulations of one of them.
 FRONT, TRIES = 4, 3
-#: First fits that are simulated even if signatures promise nothing: beside other causes they say little.
+#: First fits that are simulated even if signatures promise nothing: beside other causes they say little. Alone, where
+#: signatures were made, only the first.
 ALWAYS = 2
 #: Share of the best gain below which what signatures promise is too little to be looked at. Chosen: signatures are
 #: off by a tenth or so.
@@ -43,15 +44,18 @@ PROMISED = 0.001
 #: Contact comes and goes: over a narrow width slopes tell of single contacts, and fit nothing but them. (Of twelve
 #: joint offsets, 0.02 of the size left 1.43 floors, 0.2 left 1.09 and 0.6 left 0.96; the truth has 0.92.)
 MOST_SLOPES, WIDTHS = 16, (0.5, 0.25, 0.12)
-#: Half widths of the brackets around the best scalar, as shares of its distance from the neutral value.
-BRACKETS = (0.12, 0.05)
+#: Share of what a set gains that it may leave for its slopes not to be simulated: they make it no sharper.
+SHARP = 0.01
+#: Half width of the bracket around the best scalar, as a share of its distance from the neutral value.
+BRACKET = 0.1
 
 
 def refined(problem: Problem, fits: list[Fit], base: Array, held: Members) -> list[Fit]:
     """Return single fits, best held-out gain first, the first of them simulated on the recording where they are."""
     tries: dict[str, int] = {}
+    always = ALWAYS if held else 1
     while True:
-        front = [f for i, f in enumerate(fits[:FRONT]) if i < ALWAYS or f.gain > PROMISE * fits[0].gain]
+        front = [f for i, f in enumerate(fits[:FRONT]) if i < always or f.gain > PROMISE * fits[0].gain]
         todo = [f for f in front if tries.get(f.labels[0], 0) < TRIES and _is_open(f, tries)]
         if not todo:
             return fits
@@ -132,9 +136,13 @@ def joint(problem: Problem, members: Members, base: Array, widths: Sequence[floa
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     plane = _descended(problem, fit, plane, None)
     for width in widths if len(plane.at) <= MOST_SLOPES else ():
+        left = float(problem.score.loss(plane.z).mean())
+        if left - 1 < SHARP * (float(base.mean()) - left):
+            break
         slope = _differences(problem, fit.split(plane.at), world, plane.z, width)
-        plane = _descended(problem, fit, replace(plane, slope=slope), slope)
-        if float(problem.score.loss(plane.z).mean()) < 1:
+        moved = _descended(problem, fit, replace(plane, slope=slope), slope)
+        plane, helped = moved, moved.z is not plane.z
+        if not helped:
             break
     evidence = cross_fit(plane, problem.score, problem.parts, base)
     return replace(fit, members=fit.split(plane.at), response=plane, evidence=evidence)
@@ -195,20 +203,21 @@ def divided(members: Members, u: Array) -> Members:
 
 
 def polished(problem: Problem, best: Fit, base: Array) -> Fit:
-    """Return a fit after more rollouts: a scalar's brackets around its best, a vector's Gauss-Newton, if that gains."""
+    """Return a fit after more rollouts: a scalar's at a bracket around its best and at the best that this shows, a
+    vector's by Gauss-Newton, if that gains.
+    """
     ((c, u),) = best.members
     if c.choices:
         return best
     if isinstance(best.response, Plane):
         found = joint(problem, best.members, base)
         return found if found.gain > best.gain else best
-    for share in BRACKETS:
-        u = best.members[0][1]
-        width = np.maximum(share * np.abs(u - c.neutral), CLOSE_RANGE * (c.high - c.low) / 2)
-        points = [
-            p
-            for p in (np.clip(u + side * width, c.low, c.high) for side in (-1, 1))
-            if best.response.nearest_sure(p) > 1e-9
-        ]
-        best = _with_points(problem, [best], [points], base, ())[0] if points else best
-    return best
+    width = np.maximum(BRACKET * np.abs(u - c.neutral), CLOSE_RANGE * (c.high - c.low) / 2)
+    best = _at(problem, best, [np.clip(u + side * width, c.low, c.high) for side in (-1, 1)], base)
+    return _at(problem, best, [best.members[0][1]], base)
+
+
+def _at(problem: Problem, fit: Fit, points: Sequence[Array], base: Array) -> Fit:
+    """Return a scalar's fit with coordinates simulated on the recording that were not yet."""
+    new = [p for p in points if fit.curve.nearest_sure(p) > 1e-9]
+    return _with_points(problem, [fit], [new], base, ())[0] if new else fit

@@ -111,11 +111,12 @@ def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -
         return begin
     true = replace(recs, readings=recs.readings | unread(scene, recs.readings, some))
     own, plain = starts(scene, true), starts(scene, recs)
-    qpos = begin.qpos + own.qpos - plain.qpos
+    state = {n: getattr(begin, n) + getattr(own, n) - getattr(plain, n) for n in ("qpos", "qvel", "qpos0", "qvel0")}
     if scene.object_id is not None:
         turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)
-        qpos[:, turn] = normalise(qpos[:, turn])
-    return replace(begin, qpos=qpos, qvel=begin.qvel + own.qvel - plain.qvel)
+        for qpos in (state["qpos"], state["qpos0"]):
+            qpos[:, turn] = normalise(qpos[:, turn])
+    return Starts(begin.rows, **state)
 
 
 def _tile(values: Array, copies: int) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,21 +62,31 @@ class Problem:
         """Normalised residuals `(E, K)` of the nominal scene."""
         return self.score.normal(self.raw)
 
-    def residuals(self, variants: Sequence[EffectSet], begin: Starts | None = None) -> list[Compact]:
+    def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
-        if begin or not self.brief:
-            return [self.score.normal(z) for z in self._simulated(variants, begin or self.begin)]
+        if not self.brief:
+            return [self.score.normal(z) for z in self._simulated(variants)]
         if len(self.few) * len(self.recs) > KEPT:
             self.few.clear()
         asked = [(self.recs.ids, name_of(some)) for some in variants]
         new = {key: some for key, some in zip(asked, variants, strict=True) if key not in self.few}
-        found = self._simulated(list(new.values()), self.begin)
+        found = self._simulated(list(new.values()))
         self.few.update(zip(new, (z.astype(np.float32) for z in found), strict=True))
         return [self.score.normal(self.few[key]) for key in asked]
 
-    def _simulated(self, variants: Sequence[EffectSet], begin: Starts) -> list[Array]:
+    def _simulated(self, variants: Sequence[EffectSet]) -> list[Array]:
         """Return residuals `(E, B, D)` of each effect set, by rollouts."""
-        return [residual(self.recs, self.plan, r) for r in replay_all(self.replayer, self.recs, begin, variants)]
+        return [residual(self.recs, self.plan, r) for r in replay_all(self.replayer, self.recs, self.begin, variants)]
+
+    def losses_from(self, begins: Sequence[Starts], variants: Sequence[EffectSet]) -> Array:
+        """Return losses `(S, V, E)` of V effect sets that are replayed from S other starts, all stepped together."""
+        count = len(self.recs)
+        index = np.tile(np.arange(count), len(begins))
+        recs, plan = self.recs.take(index), self.plan.take(index)
+        begin = Starts(*(np.concatenate([getattr(b, f.name) for b in begins]) for f in fields(Starts)))
+        found = [residual(recs, plan, r) for r in replay_all(self.replayer, recs, begin, variants)]
+        each = [[self.score.loss(self.score.normal(z)) for z in np.split(many, len(begins))] for many in found]
+        return np.array(each).swapaxes(0, 1)
 
     def without_each(self, members: Members) -> list[Compact]:
         """Return normalised residuals `(E, K)` of a set without each of its members, the others as they are."""

@@ -167,9 +167,7 @@ def _settled(problem: Problem, front: list[Fit]) -> list[Fit]:
     near = [f for f in front if is_near(f, front[0])]
     if len(near) < 2:
         return front
-    begins = [problem.begin, *_starts(problem)]
-    worlds = [problem.setting(f.members) for f in near]
-    losses = np.array([[problem.score.loss(z) for z in problem.residuals(worlds, begin)] for begin in begins])
+    losses = problem.losses_from([problem.begin, *_starts(problem)], [problem.setting(f.members) for f in near])
     shift = np.median(losses, axis=0) - losses[0]
     settled = [_shifted(f, s) for f, s in zip(near, shift, strict=True)]
     return sorted((*settled, *(f for f in front if not is_near(f, front[0]))), key=lambda f: -f.gain)
@@ -188,11 +186,10 @@ def _starts(problem: Problem) -> list[Starts]:
 
 def typical(problem: Problem, here: Compact, held: Members) -> tuple[Array, Array]:
     """Return the typical loss `(E,)` over starts that are equally possible, and the luck `(J, E)` of each."""
-    world = problem.setting(held)
-    losses = [problem.score.loss(here)]
-    losses += [problem.score.loss(problem.residuals([world], begin)[0]) for begin in _starts(problem)]
+    others = problem.losses_from(_starts(problem), [problem.setting(held)])[:, 0]
+    losses = np.concatenate([problem.score.loss(here)[None], others])
     base = np.median(losses, axis=0)
-    return base, base - np.stack(losses)
+    return base, base - losses
 
 
 def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]], base: Array) -> list[Fit]:

@@ -48,20 +48,19 @@ def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation
 )
 def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatch, promised, simulated, left, looks):
     problem, fit = late
-    evidence = replace(fit.evidence, loss=np.full(12, 1 + left))
     made, told = [], []
 
     def fits(gain):
-        return () if gain is None else (replace(fit, evidence=replace(evidence, gain=np.full(12, gain))),)
+        return () if gain is None else (replace(fit, evidence=replace(fit.evidence, gain=np.full(12, gain))),)
 
     def looked(problem, here, held, before=None):
         assert (before is not None) is problem.simulated  # the typical loss there is known
         made.append(problem.simulated)
         found = fits(simulated if problem.simulated else promised)
-        return Stage(np.ones(12), np.zeros((4, 12)), found, 0.0, (), (), (), 0.0)
+        return Stage(np.full(12, 1 + left), np.zeros((4, 12)), found, 0.0, (), (), (), 0.0)
 
     monkeypatch.setattr(sets, "look", looked)
-    stage = sets._beside_best(replace(problem, pace=Pace(told.append, 1.0)), replace(fit, evidence=evidence))
+    stage = sets._beside(replace(problem, pace=Pace(told.append, 1.0)), fit.members, fit.plane.z)
     assert len(told) == looks - 1
     assert all("about 20 to 65 s" in line for line in told)
     assert made == [False, True][:looks]

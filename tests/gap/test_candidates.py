@@ -74,9 +74,13 @@ def test_a_first_look_is_near_and_far_on_each_side_that_a_scalar_has(hand, name)
         assert np.array_equal(everywhere, first)
         return
     if c.size > 1:
-        # one each: every number of a vector moves once
-        assert sorted(np.argmax(first != c.neutral, axis=1)) == list(range(c.size))
-        assert ((first != c.neutral).sum(1) == 1).all()
+        # every number of a vector moves alone: once, or of few numbers to both sides
+        moved = first - c.neutral
+        assert ((moved != 0).sum(1) == 1).all()
+        sides = [{*np.sign(column[column != 0])} for column in moved.T]
+        assert len(first) == sum(len(s) for s in sides)
+        both = [{-1.0, 1.0} if c.low[i] < c.neutral[i] else {1.0} for i in range(c.size)]
+        assert sides == both if c.size <= 3 else all(len(s) == 1 for s in sides)
         return
     away = everywhere[:, 0] - c.neutral[0]
     for side in {*np.sign(away)}:

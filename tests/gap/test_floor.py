@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import SMALLEST, floor, perturbed, sensor_noise
+from candata.gap.floor import SMALLEST, floor, null_recordings, perturbed, sensor_noise
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout
@@ -141,3 +141,21 @@ def test_perturbed_starts_are_off_by_what_averaging_leaves(hand, rng, plain_reco
     assert turned.std() == pytest.approx(hand.file.noise.object_pose[1] / np.sqrt(STILL_ROWS), rel=0.12)
     assert not off[:, at + 2].any(), "a resting object stands on its support"
     assert np.array_equal(moved.qvel, begin.qvel)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("joint_offset", {"offset_rad": (-0.05,) * 12}),
+        ("pose_bias", {"bias_m": (0.03, -0.02, 0.01)}),
+        ("pose_rotation_bias", {"bias_rad": (0.1, 0.2, -0.1)}),
+    ],
+)
+def test_a_world_whose_sensors_err_starts_where_they_read_what_was_recorded(hand, played, planted, rng, name, values):
+    recs = recordings(hand, played(hand, count=2, duration_s=0.3))
+    begin = starts(hand, recs)
+    nulls = null_recordings(Replayer(hand), recs, begin, Noise(), rng, 2, planted(name, **values))
+    pose = slice(hand.object_qpos, hand.object_qpos + 7)
+    for channel, columns in (("joint_position", hand.joint_qpos), ("object_pose", pose)):
+        read = nulls.readings[channel][:2, 0]
+        assert read == pytest.approx(begin.qpos0[:, columns], abs=2e-3)  # no noise; turns add up to first order

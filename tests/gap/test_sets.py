@@ -14,6 +14,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
+from candata.gap.stage import Stage, look
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +166,7 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
     monkeypatch.setattr(sets, "is_near", lambda fit, best: fit is best)
     monkeypatch.setattr(sets, "joint", counted)
     start = joint(problem, members(arm, actuation_delay=0.03), base)
-    stage = sets._beside(problem, start.members)
+    stage = look(problem, start.plane.z, start.members)
     true = next(f for f in stage.fits if f.labels == ("joint_dry_friction",))
     other = next(f for f in stage.fits if f.members[0][0].name != "joint_dry_friction")
     first, second = (replace(true.evidence, gain=share * true.evidence.gain) for share in (1.0, promise))
@@ -210,3 +211,74 @@ def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, posed, monkeypatch):
     ]
     monkeypatch.setattr(sets, "joint", lambda *_: pytest.fail("it was fitted"))
     assert sets._paired(problem, best, alone) is None
+
+
+@pytest.fixture(scope="module")
+def lone(arm, posed):
+    """A wrong first cause, of armature, and the true ones, each fitted alone; all three said to gain alike."""
+    problem, base = posed
+    values = {"armature": 0.0005, "joint_dry_friction": 0.3, "actuation_delay": 0.03}
+    fits = [joint(problem, members(arm, **{name: value}), base) for name, value in values.items()]
+    return [replace(f, evidence=fits[0].evidence) for f in fits]
+
+
+def test_a_near_rival_of_a_first_cause_is_tried_where_nothing_is_found_beside_it(posed, lone, monkeypatch):
+    problem, _ = posed
+    wrong = lone[0]
+    looked = look(problem, wrong.plane.z, wrong.members)
+    for fits in ((), looked.fits[-1:]):  # nothing, or next to nothing
+        stage = replace(looked, fits=fits)
+        found = sets._other_start(problem, wrong, stage, lone)
+        assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
+    monkeypatch.setattr(sets, "_beside", lambda *a: pytest.fail("it was looked at"))
+    far = [wrong, *(replace(f, evidence=replace(f.evidence, gain=f.evidence.gain / 2)) for f in lone[1:])]
+    monkeypatch.setattr("candata.gap.stage.is_tied", lambda *a: False)
+    assert sets._other_start(problem, wrong, stage, far) is None
+    two = replace(wrong, members=(*wrong.members, *lone[1].members))
+    assert sets._other_start(problem, two, stage, lone) is None
+
+
+def test_the_rival_is_not_taken_where_it_grows_to_no_more(arm, posed, lone):
+    problem, base = posed
+    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    best = replace(lone[1], evidence=right.evidence)  # as good as the true set
+    nothing = Stage(base, np.zeros((1, 12)), (), 0.0, (), (), (), 0.0)
+    assert sets._other_start(problem, best, nothing, [best, lone[2]]) is None
+
+
+@pytest.mark.parametrize(
+    ("left", "extra", "spread", "taken"),
+    [
+        (0.20, 0.15, 0.02, True),
+        (0.20, 0.08, 0.02, False),  # leaves most of it
+        (0.04, 0.039, 0.002, False),  # of next to nothing
+        (0.20, 0.15, 0.20, False),  # not sure
+    ],
+)
+def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left(
+    posed, lone, left, extra, spread, taken
+):
+    best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1 + left), gain=np.full(12, 9.0)))
+    gains = extra + spread * np.tile([-1.0, 1.0], 6)
+    grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
+    assert not sets._worth_adding(gains, best.gain)
+    assert sets._settles(best, grown) is taken
+
+
+def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
+    best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1.2), gain=np.full(12, 9.0)))
+    gains = np.append(np.full(11, 0.03), 1.5)
+    grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
+    assert not sets._settles(best, grown)
+
+
+def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted):
+    effects = (*planted("actuation_delay", delay_s=0.02), *planted("joint_dry_friction", frictionloss_Nm=0.005))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    delay = joint(problem, members(arm, actuation_delay=0.02), problem.score.loss(problem.nominal))
+    found, world, remains = sets.forward(problem, delay, ())
+    faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
+    assert found.labels == ("actuation_delay", "joint_dry_friction")
+    assert faint < sets.EXTRA * found.gain
+    assert not remains
