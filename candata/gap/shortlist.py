@@ -27,9 +27,9 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 FEW, WORTHWHILE = 6, 2
 #: Share of the best gain on those from which a candidate is looked at in full, and the fewest and most such ones.
 SHARE, LEAST, MOST = 0.2, 4, 8
-#: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all, and
-#: from which a search of all is worth while. Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction that is
-#: worth all of it closed a tenth.
+#: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all,
+#: and from which a search of all is worth while. Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction
+#: that is worth all of it closed a tenth.
 TRIED, WORTH = 0.05, 0.1
 #: How many of those that gain most where they are fitted come along.
 FITTED = 3

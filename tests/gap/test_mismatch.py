@@ -10,7 +10,9 @@ import pytest
 
 from candata.effects import effect, effect_names, setting
 from candata.errors import DataError
+from candata.gap import mismatch as module
 from candata.gap.mismatch import checked, mismatch
+from candata.gap.mismatch_commands import paired
 from candata.gap.mismatch_sensors import tips
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
@@ -269,6 +271,16 @@ def test_commands_that_are_whole_steps_early_are_noted(gripper, gripped):
         gripper, gripped, channel("action", lambda a: np.concatenate([a[3:], np.repeat(a[-1:], 3, axis=0)]))
     )
     assert found(gripper, ahead) == [("shifted_commands", False)]
+
+
+def test_once_a_rival_explains_early_joints_better_no_other_is_played(gripper, gripped, monkeypatch):
+    recs = recordings(gripper, gripped)
+    pairs = paired(gripper, recs)
+    own = recs.readings["joint_position"][..., pairs.drive.joints]
+    apart = iter([1.0, 2.0, 0.9, 0.5, 3.0])  # shifted, as it is, then one rival after another
+    monkeypatch.setattr(module, "_apart", lambda *a: next(apart))
+    assert module._early(module._Look(Replayer(gripper), recs, None), pairs, own, -1.0) == []
+    assert next(apart) == 3.0
 
 
 def test_a_delay_of_a_step_is_physics_with_a_note(gripper, gripped):

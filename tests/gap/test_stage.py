@@ -58,13 +58,10 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     steady, lucky = candidate("joint_damping", arm), candidate("servo_damping", arm)
     losses = {"joint_damping": [1.0, 1.0, 1.0, 1.0], "servo_damping": [0.9, 1.4, 1.4, 1.4]}
 
-    def residuals(worlds, begin):
-        return [np.full(8, losses[world][begin]) for world in worlds]
+    def losses_from(begins, worlds):
+        return np.array([[np.full(8, losses[world][begin]) for world in worlds] for begin in begins])
 
-    problem = SimpleNamespace(
-        begin=0, score=SimpleNamespace(loss=lambda z: z), residuals=residuals,
-        setting=lambda members: members[0][0].name,
-    )  # fmt: skip
+    problem = SimpleNamespace(begin=0, losses_from=losses_from, setting=lambda members: members[0][0].name)
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
     fits = (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5))

@@ -1,0 +1,100 @@
+"""Refinement: rollouts where they make a fit sharper, and no others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import refine
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.floor import perturbed
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.gap.screen import respond
+from candata.gap.search import Problem, fit_one
+
+
+@pytest.fixture(scope="module")
+def problem(arm, arm_episodes, planted):
+    """The problem that an arm with dry joints poses."""
+    episodes = arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)
+    return _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+
+
+@pytest.fixture
+def rollouts(monkeypatch):
+    """The effects of every set that is simulated on the recording, in order."""
+    asked, real = [], Problem.residuals
+
+    def counted(problem, variants):
+        asked.extend(tuple(s.name for s in some) for some in variants)
+        return real(problem, variants)
+
+    monkeypatch.setattr(Problem, "residuals", counted)
+    return asked
+
+
+def alone(problem, *names):
+    base = problem.score.loss(problem.nominal)
+    found = [candidate(name, problem.replayer.scene) for name in names]
+    return [fit_one(problem, c, r, base) for c, r in respond(problem, problem.nominal, found)[0]], base
+
+
+def test_beside_nothing_an_effect_that_promises_little_is_not_simulated(problem, rollouts):
+    fits, base = alone(problem, "joint_dry_friction", "armature")
+    fits.sort(key=lambda f: -f.gain)
+    assert fits[1].gain < refine.PROMISE * fits[0].gain
+    refine.refined(problem, fits, base, ())
+    assert {*rollouts} == {("joint_dry_friction",)}
+
+
+def test_a_scalar_is_simulated_around_its_best_and_there(problem, rollouts):
+    (rough,), base = alone(problem, "joint_dry_friction")
+    found = refine.polished(problem, rough, base)
+    assert len(rollouts) == 3
+    assert found.members[0][1][0] == pytest.approx(0.3, rel=0.03)
+    sure = found.curve.at[found.curve.sure]
+    assert np.abs(sure - found.members[0][1][0]).min() < 0.02 * 0.3
+
+
+@pytest.mark.parametrize("helpful", [0, 1, 3])
+def test_slopes_are_simulated_until_a_width_helps_no_more(problem, monkeypatch, helpful):
+    widths = []
+
+    def differences(problem, members, world, z, width):
+        widths.append(width)
+        return np.zeros((1, *z.shape), z.dtype)
+
+    def descended(problem, fit, plane, slope):
+        return replace(plane, z=plane.z.copy()) if 0 < len(widths) <= helpful else plane
+
+    monkeypatch.setattr(refine, "_differences", differences)
+    monkeypatch.setattr(refine, "_descended", descended)
+    c = candidate("joint_damping", problem.replayer.scene)
+    refine.joint(problem, ((c, np.full(1, 0.3)),), problem.score.loss(problem.nominal))
+    assert widths == list(refine.WIDTHS[: helpful + 1])
+
+
+def test_no_slopes_are_simulated_of_a_set_that_leaves_next_to_nothing(problem, monkeypatch):
+    monkeypatch.setattr(refine, "_differences", lambda *a: pytest.fail("slopes were simulated"))
+    c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
+    found = refine.joint(problem, ((c, np.full(1, 0.3)),), base)
+    left = float(problem.score.loss(found.plane.z).mean()) - 1
+    assert left < refine.SHARP * float(base.mean())
+    with pytest.raises(pytest.fail.Exception, match="slopes were simulated"):
+        refine.joint(replace(problem, score=replace(problem.score, floor=problem.score.floor / 2)), found.members, base)
+
+
+def test_replays_from_several_starts_are_those_from_each(problem):
+    begins = [perturbed(problem.replayer, problem.begin, problem.noise, np.random.default_rng(i)) for i in range(2)]
+    c = candidate("joint_dry_friction", problem.replayer.scene)
+    worlds = [(), problem.setting([(c, np.full(1, 0.2))])]
+    together = problem.losses_from(begins, worlds)
+    assert together.shape == (2, 2, len(problem.recs))
+    for begin, losses in zip(begins, together, strict=True):
+        own = replace(problem, begin=begin).residuals(worlds)
+        assert losses == pytest.approx(np.array([problem.score.loss(z) for z in own]), abs=1e-12)
+    assert not np.array_equal(*together[:, 0])
