@@ -135,15 +135,16 @@ def joint(problem: Problem, members: Members, base: Array, widths: Sequence[floa
     plane = around(problem, members, world)
     fit = Fit(members, plane, CrossFit(base, base, np.zeros((0, 0))))
     plane = _descended(problem, fit, plane, None)
-    for width in widths if len(plane.at) <= MOST_SLOPES else ():
-        left = float(problem.score.loss(plane.z).mean())
-        if left - 1 < SHARP * (float(base.mean()) - left):
+    ahead = list(widths) if len(plane.at) <= MOST_SLOPES else []
+    while ahead:
+        before = float(problem.score.loss(plane.z).mean())
+        if before - 1 < SHARP * (float(base.mean()) - before):
             break
-        slope = _differences(problem, fit.split(plane.at), world, plane.z, width)
+        slope = _differences(problem, fit.split(plane.at), world, plane.z, ahead.pop(0))
         moved = _descended(problem, fit, replace(plane, slope=slope), slope)
-        plane, helped = moved, moved.z is not plane.z
-        if not helped:
-            break
+        # Where a width helps no more, the last one says how sure the numbers are.
+        ahead = ahead[-1:] if moved.z is plane.z else ahead
+        plane = moved
     evidence = cross_fit(plane, problem.score, problem.parts, base)
     return replace(fit, members=fit.split(plane.at), response=plane, evidence=evidence)
 
