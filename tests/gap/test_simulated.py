@@ -71,7 +71,7 @@ def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     again = shortlist.brief(watched)[0].residuals(worlds)
     assert not stepped
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
-    part.residuals(worlds[:1], part.begin)  # from given starts: the caller wants those
+    part.losses_from([part.begin], worlds[:1])  # from given starts: the caller wants those
     assert stepped
 
 
@@ -115,7 +115,7 @@ def test_where_all_is_simulated_only_the_fewest_are_on_every_episode_and_none_on
 
 
 def test_what_closes_next_to_nothing_where_it_is_simulated_is_not_looked_at_further(problem, monkeypatch):
-    monkeypatch.setattr(shortlist, "WORTH", 1.01)
+    monkeypatch.setattr(shortlist, "TRIED", 1.01)
     stage = look(replace(problem, simulated=True), problem.nominal, ())
     assert stage.fits == ()
     assert stage.passing() is None
@@ -123,7 +123,7 @@ def test_what_closes_next_to_nothing_where_it_is_simulated_is_not_looked_at_furt
 
 
 def test_where_all_is_simulated_no_early_member_is_exchanged(problem, poor, monkeypatch):
-    monkeypatch.setattr("candata.gap.sets._beside", lambda *_: pytest.fail("a look was taken"))
+    monkeypatch.setattr("candata.gap.sets.look", lambda *_: pytest.fail("a look was taken"))
     best = replace(poor.first.fits[0], members=poor.first.fits[0].members * 2)
     assert _swapped(replace(problem, simulated=True), best) is None
     with pytest.raises(pytest.fail.Exception):
