@@ -219,10 +219,8 @@ def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]
     shift = _apart(pairs, look.play(moved)["joint_position"][..., joints])
     possible = [r for r in RIVALS if effect(r[0]).possible(look.replayer.scene)]
     sets = [(EffectSetting(name=n, parameters={p: v}),) for n, p, v in possible]
-    rival = _apart(pairs, own)
-    for some in sets:
-        if rival < SURELY * shift:
-            return []
+    rival, ahead = _apart(pairs, own), iter(sets)
+    while rival >= SURELY * shift and (some := next(ahead, None)):
         rival = min(rival, _apart(pairs, look.play(look.recs, some)["joint_position"][..., joints]))
     if rival < SURELY * shift:
         return []

@@ -155,6 +155,7 @@ def _other_start(problem: Problem, best: Fit, stage: Stage, alone: Sequence[Fit]
         return None
     name, promised = best.members[0][0].name, float(stage.base.mean()) - stage.best_gain
     for rival in [f for f in alone if f.members[0][0].name != name and is_near(f, alone[0])][:RIVALS]:
+        problem.pace.told(f"trying {rival.labels[0]} in its place")
         other = _beside(problem, rival.members, _at(problem, rival.members))
         if float(other.base.mean()) - other.best_gain > promised:
             continue
