@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import LEFT, MOST, SETTLED, compared, forward, jointly, with_measured
+from candata.gap.sets import LEFT, MOST, SETTLED, challenged, compared, forward, jointly, together, with_measured
 from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 
+#: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
+#: with its rivals. Chosen: a sharper fit seldom gains as much.
+FAR = 0.25
 #: To what share of what the first search leaves a second one must come down to replace it. Chosen.
 SMALLER = 0.8
 
@@ -32,6 +35,8 @@ class Attribution:
         In units of the floor of the chosen world.
     remains : bool
         Whether the held-out loss of the chosen set (or of the nominal scene) lies above the nulls.
+    rivals : tuple of Fit
+        Sets with one member of the chosen one exchanged that the held-out episodes cannot tell from it.
     """
 
     first: Stage
@@ -39,6 +44,7 @@ class Attribution:
     tied: tuple[Fit, ...]
     score: Score
     remains: bool
+    rivals: tuple[Fit, ...] = ()
 
 
 def attribute(problem: Problem) -> Attribution:
@@ -80,15 +86,18 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
-    problem.pace.say("comparing what is best so far", SHARPEN)
-    first = narrowed(problem, nominal, first)
-    first = sharpened(problem, first)
+    is_far = best.evidence.loss.mean() - 1 > FAR * float((first.base - 1).mean())
+    several = together(problem, best, first.rough) if is_far else None
+    if several is None:
+        problem.pace.say("comparing what is best so far", SHARPEN)
+        first = sharpened(problem, narrowed(problem, nominal, first))
     best = first.fits[0]
-    tied = tied_with(best, first.fits, first.reachable)
-    chosen, world, remains = forward(problem, best, first.fits)
+    tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
+    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else first.rough)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
     if remains and len(tied) == 1:
         chosen, world, remains = jointly(world, chosen)
-    return Attribution(first, chosen, tuple(tied), world.score, remains)
+    chosen, others = challenged(problem, world, chosen, first.rough)
+    return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(others))

@@ -309,7 +309,7 @@ def _named(f: _Findings, trusted: float, rng: np.random.Generator) -> tuple[Name
     low, high = intervals(world, fit)
     alone = support(f.found.first.fits, f.found.first.base, rng)[0]
     out = []
-    pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng), strict=True)
+    pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng, f.found.rivals), strict=True)
     for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
         at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
         settings = [c.setting(point, f.scene).parameters for point in (u, lower, upper)]

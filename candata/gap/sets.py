@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate, candidate, local_candidates
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
-from candata.gap.pace import ANOTHER, BESIDE, JOINT
+from candata.gap.pace import ANOTHER, BESIDE, JOINT, TOGETHER
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.shortlist import brief
+from candata.gap.shortlist import brief, gains_share
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, null_level, standard_error
+from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, null_level, standard_error, unheld
 from candata.gap.starts import is_toss
+from candata.gap.together import Responses, exchanged, sums
 
 Array = NDArray[np.float64]
 #: Largest number of effects in a set, beside those that were measured without a fit.
@@ -49,6 +50,9 @@ BELIEVED, SETTLED = 0.5, 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
+#: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: the true one was
+#: among the first two of ten.
+ADDED = 4
 #: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
 #: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
@@ -60,19 +64,29 @@ NULLS_AGAIN = 4
 Grown = tuple[Fit, Problem, bool]
 
 
-def forward(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Grown:
-    """Return the best set that contains `best`, the problem in units of its floor, and whether a gap remains.
+def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses = ()) -> Grown:
+    """Return the best set that grows from `best`, the problem in units of its floor, and whether a gap remains.
 
-    Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. Where a gap
-    is left, what was taken early is looked at again beside what came later, and two of the fits `alone` together.
+    Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. First tried
+    is a set to whose signatures, `rough` on a few episodes, the recording adds up. Where a gap is left, what was taken
+    early is looked at again beside what came later, and two of the fits `alone` together.
     """
     while True:
+        first = best
         world, best = _rescored(problem, best)
         remains = _leaves(world, best)
-        if not remains or not (_has_room(best) or float(best.evidence.loss.mean()) - 1 > FAINT):
+        if not remains or not (_has_room(best) or _left(best) > FAINT):
+            return best, world, remains
+        other, rough = together(problem, first, rough) if _has_room(best) else None, ()
+        if other is not None:
+            best = other
+            continue
+        if not _has_room(best) and not gains_share(
+            world, _here(world, best), unheld(world, best.members), best.members
+        ):
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
-        grown = None if is_full(best.members, problem.measured) else _next(world, best, alone)
+        grown = None if is_full(best.members, problem.measured) else _next(world, best)
         if grown is None or not (_worth_adding(_extra(best, grown), best.gain) or _settles(best, grown)):
             if not _has_room(best):
                 return best, world, remains
@@ -101,9 +115,38 @@ def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> t
     return left, (chosen, problem, remains) if best is chosen else _judged(problem, best)
 
 
+def _left(best: Fit) -> float:
+    """Return what a fit leaves above the floor, in floors."""
+    return float(best.evidence.loss.mean()) - 1
+
+
+def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) -> tuple[Fit, list[Fit]]:
+    """Return the set, or one with a member exchanged that explains more, and those that cannot be told from it.
+
+    Each member was chosen beside what was held when it came. Simulated are the sets with one member exchanged to whose
+    signatures the recording adds up as well; of the ones that stay near, a sharp fit decides.
+
+    Parameters
+    ----------
+    problem : Problem
+        That the responses `rough` are of, on a few episodes.
+    world : Problem
+        The same in units of the floor that `best` was judged by.
+    """
+    if not rough or not 1 < len(best.members) <= LARGEST_SET or problem.simulated:
+        return best, []
+    base = world.score.loss(world.nominal)
+    part, _ = brief(problem)
+    others = [one.members for some in exchanged(part, rough, best.members) for one in some[:ADDED]]
+    light = [joint(world, members, base, widths=()) for _, members in _by_loss(part, others)[:RIVALS]]
+    near = [joint(world, f.members, base) if is_tied(f, best) else f for f in light if is_tied(f, best, UNSURE)]
+    first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
+    return first, [f for f in (best, *near) if f is not first and is_tied(f, first, UNSURE)]
+
+
 def _has_room(best: Fit) -> bool:
     """Tell whether so much is left that another effect could be worth a name."""
-    return float(best.evidence.loss.mean()) - 1 > EXTRA * best.gain
+    return _left(best) > EXTRA * best.gain
 
 
 def _leaves(problem: Problem, fit: Fit) -> bool:
@@ -117,14 +160,49 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
     return fit, world, _leaves(world, fit)
 
 
-def _next(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
-    """Return the best set with one more effect, or a near rival of a first cause with one; None where nothing passes.
+def _next(problem: Problem, best: Fit) -> Fit | None:
+    """Return the best set with one more effect; None where nothing passes."""
+    return _grown(problem, best, _beside(problem, best.members, _here(problem, best)))
 
-    The rival is tried where little is promised beside the best.
+
+def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
+    """Return the set to whose signatures the recording adds up, where it takes most of what `best` leaves; else None.
+
+    Of the first sets of two effects, and then of three, the one that leaves least where it is simulated is fitted.
+
+    Parameters
+    ----------
+    problem : Problem
+    best : Fit
+        A first cause, in units of the same floor.
+    rough : sequence of (Candidate, Curve or Plane)
+        Every effect alone on a few episodes; nothing is tried where there are none.
     """
-    stage = _beside(problem, best.members, _here(problem, best))
-    other = None if _is_promising(stage) else _other_start(problem, best, stage, alone)
-    return other or _grown(problem, best, stage)
+    if not rough or _left(best) < LEFT or problem.simulated or is_toss(problem.replayer.scene):
+        return None
+    problem.pace.say("adding up what effects do alone", TOGETHER)
+    part, index = brief(problem)
+    now = float(part.score.loss(_here(problem, best)[index]).mean())
+    base, left = problem.score.loss(problem.nominal), _left(best)
+    found = None
+    for some in sums(part, rough):
+        loss, members = _by_loss(part, [one.members for one in some[:ADDED]])[0]
+        fit = joint(problem, members, base, widths=()) if loss < now else None
+        if fit is not None and (found is None or _worth_adding(_extra(found, fit), found.gain)):
+            found = fit
+        if found is not None and not _leaves(problem, found):
+            break
+    if found is None or _left(found) > BELIEVED * left:
+        return None
+    found = pruned(problem, joint(problem, found.members, base), base)
+    return found if _left(found) < BELIEVED * left and _worth_adding(_extra(best, found), best.gain) else None
+
+
+def _by_loss(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Members]]:
+    """Return sets with the loss that they leave where they are simulated, the least first."""
+    zs = problem.residuals([problem.setting(members) for members in sets])
+    losses = [float(problem.score.loss(z).mean()) for z in zs]
+    return sorted(zip(losses, sets, strict=True), key=lambda pair: pair[0])
 
 
 def _beside(problem: Problem, members: Members, here: Compact) -> Stage:
@@ -144,25 +222,6 @@ def _is_promising(stage: Stage) -> bool:
     """Tell whether the effects beside others promise enough of what these leave."""
     left = float(stage.base.mean()) - 1
     return left < SETTLED or stage.best_gain > BELIEVED * left
-
-
-def _other_start(problem: Problem, best: Fit, stage: Stage, alone: Sequence[Fit]) -> Fit | None:
-    """Return what a near rival of a first cause grows to with one more effect; None where that is no better.
-
-    A cause of many numbers makes up for two others better than either does alone, and then nothing is found beside it.
-    """
-    if problem.simulated or is_toss(problem.replayer.scene) or len(best.members) > 1:
-        return None
-    name, promised = best.members[0][0].name, float(stage.base.mean()) - stage.best_gain
-    for rival in [f for f in alone if f.members[0][0].name != name and is_near(f, alone[0])][:RIVALS]:
-        problem.pace.told(f"trying {rival.labels[0]} in its place")
-        other = _beside(problem, rival.members, _at(problem, rival.members))
-        if float(other.base.mean()) - other.best_gain > promised:
-            continue
-        grown = _grown(problem, rival, other)
-        if grown is not None and _worth_adding(_extra(best, grown), best.gain):
-            return grown
-    return None
 
 
 def _here(problem: Problem, fit: Fit) -> Compact:
@@ -215,7 +274,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
     None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
     moves; what made up for the wrong place is dropped with it.
     """
-    if float(best.evidence.loss.mean()) - 1 < LEFT:
+    if _left(best) < LEFT:
         return None
     base = problem.score.loss(problem.nominal)
     for c, u in best.members:
@@ -224,7 +283,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
         others = tuple(m for m in best.members if m[0].name != c.name)
         places = (_everywhere(problem, c, u), *_neighbour(problem, others, c))
         fit = max((joint(problem, (*others, place), base) for place in places), key=lambda f: f.gain)
-        if _worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
+        if _worth_adding(_extra(best, fit), best.gain):
             return pruned(problem, fit, base)
     return None
 
@@ -256,7 +315,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     """
     taken = {c.name for c, _ in best.members}
     too_many = _searched(best.members, problem.measured) + 2 > LARGEST_SET
-    if too_many or float(best.evidence.loss.mean()) - 1 < LEFT:
+    if too_many or _left(best) < LEFT:
         return None
     sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
     free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
@@ -265,7 +324,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     part, index = brief(problem)
     now = float(part.score.loss(_here(problem, best)[index]).mean()) if pairs else 0.0
     sets = [_nearest(part, best.members, pair) for pair in pairs]
-    fits = [joint(problem, members, base) for members, loss in sets if loss < now]
+    fits = [joint(problem, members, base) for loss, members in sets if loss < now]
     found = max(fits, key=lambda f: f.gain, default=None)
     if found is None or not _worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
         return None
@@ -278,7 +337,7 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
     What was taken second was chosen while a third was missing: its rival may need the third to show what it is worth.
     """
     room = len(best.members) > 1 and not is_full(best.members, problem.measured)
-    if problem.simulated or not room or float(best.evidence.loss.mean()) - 1 < SETTLED:
+    if problem.simulated or not room or _left(best) < SETTLED:
         return None
     held, (last, _) = best.members[:-1], best.members[-1]
     stage = look(problem, _at(problem, held), held)
@@ -286,18 +345,15 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
     if not rivals:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
-    grown = _grown(problem, other, _beside(problem, other.members, _here(problem, other)))
+    grown = _next(problem, other)
     better = grown is not None and _worth_adding(_extra(best, grown), best.gain)
     return grown if better else None
 
 
-def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[Members, float]:
-    """Return the set with two effects at the shares of their distances that leave the least loss, and that loss."""
+def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:
+    """Return the set with two effects at the shares of their distances that leave the least loss, after that loss."""
     shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
-    tried = [(*held, a, b) for a, b in product(*shares)]
-    losses = [float(problem.score.loss(z).mean()) for z in problem.residuals([problem.setting(m) for m in tried])]
-    best = int(np.argmin(losses))
-    return tried[best], losses[best]
+    return _by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
 
 
 def is_full(members: Members, measured: Members) -> bool:
@@ -325,7 +381,7 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     Many names that leave most of the gap open are names at random: then `best` stands too.
     """
     base = problem.score.loss(problem.nominal)
-    left = float(best.evidence.loss.mean()) - 1
+    left = _left(best)
     if not (left > LEFT and _has_room(best)):
         return best, problem, True
     problem.pace.say("fitting all effects together", JOINT)
@@ -369,7 +425,7 @@ def _extra(best: Fit, grown: Fit) -> Array:
 def _settles(best: Fit, grown: Fit) -> bool:
     """Tell whether one more effect, small beside the others, surely takes most of what they leave."""
     extra = _extra(best, grown)
-    least = max(FAINT, MOST * (float(best.evidence.loss.mean()) - 1))
+    least = max(FAINT, MOST * _left(best))
     sure = float(extra.mean()) > max(least, SURER * standard_error(extra))
     return sure and bool(np.delete(extra, np.argmax(extra)).mean() > least / 2)
 

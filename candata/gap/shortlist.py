@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,12 +49,15 @@ class Screened:
         Effects that gained too little on a few episodes to be looked at further.
     tried : int
         How many were looked at in all.
+    rough : list of (Candidate, Curve or Plane)
+        All of them on a few episodes; empty where none were looked at so.
     """
 
     responses: Responses
     dead: tuple[str, ...]
     faint: tuple[str, ...]
     tried: int
+    rough: Responses = field(default_factory=list)
 
 
 def screened(
@@ -86,7 +89,7 @@ def screened(
     responses, _ = respond(problem, here, kept, held)
     labels = {c.label for c in kept}
     faint = tuple(c.label for c, _ in rough if c.element is None and c.label not in labels)
-    return Screened(responses, dead, faint, len(rough))
+    return Screened(responses, dead, faint, len(rough), rough)
 
 
 def _all(

@@ -207,11 +207,14 @@ def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Arra
     return np.bincount(winner, minlength=len(losses))[1:] / RESAMPLES
 
 
-def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[float, float]]:
+def shares(
+    problem: Problem, fit: Fit, rng: np.random.Generator, rivals: Sequence[Fit] = ()
+) -> list[tuple[float, float]]:
     """Return (leave-one-out share, support) of each member of a set.
 
     The share is what the loss rises when the member is left out and nothing refitted, over the whole gain; support
-    is how often that rise is positive when episodes are resampled.
+    is how often, when episodes are resampled, that rise is positive and no one of the `rivals` without the member, sets
+    of as many effects, leaves less.
     """
     if len(fit.members) == 1:
         return [(1.0, float("nan"))]
@@ -219,9 +222,11 @@ def shares(problem: Problem, fit: Fit, rng: np.random.Generator) -> list[tuple[f
     whole = max(float((problem.score.loss(problem.nominal) - own).mean()), 1e-9)
     picks = rng.integers(len(own), size=(RESAMPLES, len(own)))
     out = []
-    for z in problem.without_each(fit.members):
+    for label, z in zip(fit.labels, problem.without_each(fit.members), strict=True):
         rise = problem.score.loss(z) - own
-        out.append((round(float(rise.mean()) / whole, 3), float((rise[picks].mean(1) > 0).mean())))
+        others = [f.evidence.loss - fit.evidence.loss for f in rivals if label not in f.labels]
+        holds = np.all([more[picks].mean(1) > 0 for more in (rise, *others)], axis=0)
+        out.append((round(float(rise.mean()) / whole, 3), float(holds.mean())))
     return out
 
 

@@ -57,6 +57,8 @@ class Stage:
         Candidates that gained too little on a few episodes to be looked at further.
     reachable : float
         Mean loss that one true world in ten stays below, in floors; 0 where the floor is assumed and may be high.
+    rough : sequence of (Candidate, Curve or Plane)
+        Every lively candidate on a few episodes; empty where all were looked at on all of them.
     """
 
     base: Array
@@ -67,6 +69,7 @@ class Stage:
     idle: tuple[str, ...]
     faint: tuple[str, ...]
     reachable: float
+    rough: Sequence[tuple[Candidate, Curve | Plane]] = ()
 
     @property
     def best_gain(self) -> float:
@@ -112,7 +115,8 @@ def look(problem: Problem, here: Compact, held: Members, before: Stage | None = 
     idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
-    return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable)
+    rough = before.rough if before and not seen.rough else seen.rough
+    return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable, rough)
 
 
 def unheld(problem: Problem, held: Members) -> list[Candidate]:

@@ -14,7 +14,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
-from candata.gap.stage import Stage, look
+from candata.gap.stage import look
 
 
 @pytest.fixture(scope="module")
@@ -220,30 +220,6 @@ def lone(arm, posed):
     values = {"armature": 0.0005, "joint_dry_friction": 0.3, "actuation_delay": 0.03}
     fits = [joint(problem, members(arm, **{name: value}), base) for name, value in values.items()]
     return [replace(f, evidence=fits[0].evidence) for f in fits]
-
-
-def test_a_near_rival_of_a_first_cause_is_tried_where_nothing_is_found_beside_it(posed, lone, monkeypatch):
-    problem, _ = posed
-    wrong = lone[0]
-    looked = look(problem, wrong.plane.z, wrong.members)
-    for fits in ((), looked.fits[-1:]):  # nothing, or next to nothing
-        stage = replace(looked, fits=fits)
-        found = sets._other_start(problem, wrong, stage, lone)
-        assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
-    monkeypatch.setattr(sets, "_beside", lambda *a: pytest.fail("it was looked at"))
-    far = [wrong, *(replace(f, evidence=replace(f.evidence, gain=f.evidence.gain / 2)) for f in lone[1:])]
-    monkeypatch.setattr("candata.gap.stage.is_tied", lambda *a: False)
-    assert sets._other_start(problem, wrong, stage, far) is None
-    two = replace(wrong, members=(*wrong.members, *lone[1].members))
-    assert sets._other_start(problem, two, stage, lone) is None
-
-
-def test_the_rival_is_not_taken_where_it_grows_to_no_more(arm, posed, lone):
-    problem, base = posed
-    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
-    best = replace(lone[1], evidence=right.evidence)  # as good as the true set
-    nothing = Stage(base, np.zeros((1, 12)), (), 0.0, (), (), (), 0.0)
-    assert sets._other_start(problem, best, nothing, [best, lone[2]]) is None
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,157 @@
+"""Sets of effects whose signatures add up to the recording: where a search is begun that one effect cannot begin.
+
+Growth takes first what makes up best for all causes at once, and must undo it later. To add signatures costs no
+simulation: pairs of effects, and triples that contain a good pair, are fitted so on a few episodes, each number from
+its neutral value. Where effects are far from adding up, the sum still tells the sets apart that share the gap;
+simulation decides among the first of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.candidates import Candidate
+from candata.gap.response import Curve, Plane
+from candata.gap.score import Compact
+from candata.gap.search import Members, Problem
+
+Array = NDArray[np.float64]
+Responses = Sequence[tuple[Candidate, Curve | Plane]]
+#: Sets that are grown by each other effect, and effects of the largest. Chosen: of ten pairs and triples, those whose
+#: effects each take a share of the gap were always among the first two.
+GROWN, LARGEST = 8, 3
+#: Share of what a set's signatures explain that one with a member exchanged may explain less, to be told from it by
+#: simulation. Chosen: of a tracker's scale, its bias and a support's height, 1 to 2 %; of what came next, 15 %.
+ALIKE = 0.05
+#: Most steps of a fit, the shares of a step that are tried, and the share of the loss below which it ends.
+STEPS, SHARES, ENOUGH = 6, (1.0, 0.5, 0.25, 0.1), 0.01
+#: Half width over which a curve's slope is read: this share of the distance from neutral, within these of the range.
+WIDTH, NARROWEST, WIDEST = 0.1, 0.02, 0.1
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Effects whose signatures are added.
+
+    Attributes
+    ----------
+    members : Members
+        Where they leave least together.
+    loss : float
+        Mean loss there, in floors: too high where effects do more together than each alone.
+    """
+
+    members: Members
+    loss: float
+
+
+def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
+    """Return the sets of two effects, and those of three, whose signatures leave least; of each size the best first.
+
+    Parameters
+    ----------
+    problem : Problem
+        The episodes that the responses are of.
+    responses : sequence of (Candidate, Curve or Plane)
+        Each effect alone, beside the nominal scene. No two of one name are taken together.
+    """
+    found: dict[tuple[int, ...], Sum] = {(i,): _added(problem, [response]) for i, response in enumerate(responses)}
+    sizes = []
+    for _ in range(1, LARGEST):
+        best = sorted(found, key=lambda some: found[some].loss)[:GROWN]
+        larger = sorted({tuple(sorted((*some, i))) for some in best for i in _others(responses, some)})
+        found = {some: _added(problem, [responses[i] for i in some]) for some in larger}
+        sizes.append(sorted(found.values(), key=lambda one: one.loss))
+    return sizes
+
+
+def exchanged(problem: Problem, responses: Responses, members: Members) -> list[list[Sum]]:
+    """Return, for each member, the sets with it exchanged whose signatures leave nearly as little as the set's own.
+
+    Those of a member are best first; there are none where a member of the set is not among the responses, which are
+    those of the episodes of `problem`.
+    """
+    index = {c.label: i for i, (c, _) in enumerate(responses)}
+    if not all(c.label in index for c, _ in members):
+        return []
+    own = tuple(index[c.label] for c, _ in members)
+    alone = float(problem.score.loss(problem.nominal).mean())
+    least = _added(problem, [responses[i] for i in own]).loss
+    found = []
+    for left in own:
+        kept = tuple(i for i in own if i != left)
+        new = [i for i in _others(responses, kept) if responses[i][0].name != responses[left][0].name]
+        each = [_added(problem, [responses[i] for i in (*kept, other)]) for other in new]
+        near = [one for one in each if one.loss - least < ALIKE * (alone - least)]
+        found.append(sorted(near, key=lambda one: one.loss))
+    return found
+
+
+def _others(responses: Responses, some: tuple[int, ...]) -> list[int]:
+    """Return which responses are of other effects than those of a set."""
+    names = {responses[i][0].name for i in some}
+    return [i for i, (c, _) in enumerate(responses) if c.name not in names]
+
+
+def _added(problem: Problem, responses: Responses) -> Sum:
+    """Return where effects leave least together, were their signatures to add up."""
+    at = [_begin(problem, response) for _, response in responses]
+    z, loss = _read(problem, responses, at)
+    for _ in range(STEPS):
+        target = _plane(responses, at, z).best(np.arange(len(z)))
+        ends = np.cumsum([len(u) for u in at])[:-1]
+        now = np.concatenate(at)
+        for share in SHARES:
+            moved = np.split(now + share * (target - now), ends)
+            there, less = _read(problem, responses, moved)
+            if less < loss:
+                break
+        else:
+            break
+        before, at, z, loss = loss, moved, there, less
+        if before - loss < ENOUGH * before:
+            break
+    return Sum(tuple((c, u) for (c, _), u in zip(responses, at, strict=True)), loss)
+
+
+def _begin(problem: Problem, response: Curve | Plane) -> Array:
+    """Return where a fit begins: at the neutral value, and of a choice at the best one alone."""
+    if isinstance(response, Plane):
+        return response.at
+    if not response.who.choices:
+        return response.who.neutral
+    others = [u for u in response.at[:, None] if not response.who.is_neutral(u)]
+    return min(others, key=lambda u: float(problem.score.loss(response.read(u)).mean()))
+
+
+def _read(problem: Problem, responses: Responses, at: Sequence[Array]) -> tuple[Compact, float]:
+    """Return residuals `(E, K)` with what all effects do alone added up, and their mean loss."""
+    nominal = problem.nominal
+    z = nominal.copy()
+    for (_, response), u in zip(responses, at, strict=True):
+        z += response.read(u) - nominal
+    return z, float(problem.score.loss(z).mean())
+
+
+def _plane(responses: Responses, at: Sequence[Array], z: Compact) -> Plane:
+    """Return the plane of all coordinates around `at`, where the residuals are `z (E, K)`."""
+    low = np.concatenate([c.low for c, _ in responses])
+    high = np.concatenate([c.high for c, _ in responses])
+    slope = np.concatenate([_slope(c, response, u) for (c, response), u in zip(responses, at, strict=True)])
+    return Plane(low, high, np.concatenate(at), z, slope)
+
+
+def _slope(c: Candidate, response: Curve | Plane, u: Array) -> Compact:
+    """Return `(d, E, K)` how residuals change with an effect's coordinates; zero for a choice."""
+    if isinstance(response, Plane):
+        return response.slope
+    if c.choices:
+        return np.zeros_like(response.z[:1])
+    span = c.high - c.low
+    width = np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)
+    low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
+    return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])

@@ -1,0 +1,185 @@
+"""Sets whose signatures add up: found without a simulation, and taken where they explain most of what is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import attribute, sets, together
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+from candata.gap.response import Curve, Plane
+from candata.gap.search import Problem
+from candata.gap.shortlist import brief
+from candata.gap.shrink import shares
+from candata.gap.stage import look
+from candata.gap.together import sums
+
+TRUE = {"joint_dry_friction", "actuation_delay"}
+
+
+@pytest.fixture(scope="module")
+def posed(arm, arm_episodes, planted):
+    """The problem that an arm with two causes poses, and a look at every effect alone."""
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return problem, look(problem, problem.nominal, ())
+
+
+@pytest.fixture(scope="module")
+def wrong(arm, posed):
+    """A fit of armature, which is no cause."""
+    problem, _ = posed
+    member = (candidate("armature", arm), np.full(1, 0.0005))
+    return joint(problem, (member,), problem.score.loss(problem.nominal))
+
+
+def names(members):
+    return {c.name for c, _ in members}
+
+
+def test_the_true_pair_leaves_least_and_nothing_is_simulated(posed, monkeypatch):
+    problem, first = posed
+    part, _ = brief(problem)
+    monkeypatch.setattr(Problem, "_simulated", lambda *a: pytest.fail("it was simulated"))
+    pairs, triples = sums(part, first.rough)
+    assert names(pairs[0].members) == TRUE
+    assert [len(one.members) for one in (pairs[0], triples[0])] == [2, 3]
+    assert all(len(names(one.members)) == len(one.members) for one in (*pairs, *triples))
+    assert [one.loss for one in pairs] == sorted(one.loss for one in pairs)
+
+
+def test_signatures_that_add_up_give_their_coordinates(arm, posed):
+    """Two effects that each clear half of the residuals, a scalar and a vector, and one that clears most of them."""
+    problem, _ = posed
+    part, _ = brief(problem)
+    z = part.nominal
+    rng = np.random.default_rng(1)
+    half, most = rng.random(z.shape) < 0.5, rng.random(z.shape) < 0.7
+    damping, offset, armature = (candidate(name, arm) for name in ("joint_damping", "joint_offset", "armature"))
+    to, at = 0.4, np.array([0.05, -0.08])
+    grid = np.array([0.0, 0.2, 0.8])
+
+    def curve(c, cleared, to):
+        return c, Curve(c, grid, np.stack([z * (1 - cleared * u / to) for u in grid]), np.array([True, False, False]))
+
+    each = np.stack([-z * ~half * np.array([i % 2 == k for i in range(z.shape[1])]) / at[k] for k in range(2)])
+    plane = offset, Plane(offset.low, offset.high, offset.neutral, z, each.astype(np.float32))
+    pairs, _ = sums(part, [curve(armature, most, 0.5), curve(damping, half, to), plane])
+    (_, scalar), (_, vector) = pairs[0].members
+    assert names(pairs[0].members) == {"joint_damping", "joint_offset"}
+    assert scalar == pytest.approx([to], rel=0.05)
+    assert vector == pytest.approx(at, rel=0.05)
+    assert pairs[0].loss < 0.02 < pairs[1].loss
+
+
+def test_a_choice_is_taken_at_its_best(arm, posed):
+    problem, _ = posed
+    part, _ = brief(problem)
+    step = candidate("time_step", arm)
+    values = step.neutral[0] + np.array([-0.7, 0.0, 0.7])
+    cleared = np.stack([part.nominal * share for share in (0.8, 1.0, 0.3)])
+    choice = step, Curve(step, values, cleared, np.ones(3, bool))
+    armature = candidate("armature", arm)
+    idle = armature, Curve(armature, np.array([0.0, 1.0]), np.stack([part.nominal] * 2), np.ones(2, bool))
+    pairs, triples = sums(part, [choice, idle])
+    assert dict((c.name, u[0]) for c, u in pairs[0].members)["time_step"] == values[2]
+    assert triples == []
+
+
+def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
+    problem, first = posed
+    found = sets.together(problem, wrong, first.rough)
+    assert names(found.members) == TRUE
+    assert found.evidence.loss.mean() - 1 < sets.LEFT
+    assert names(sets.forward(problem, wrong, (), first.rough)[0].members) == TRUE
+
+
+def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wrong, monkeypatch):
+    problem, first = posed
+    settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1 + sets.LEFT / 2)))
+    monkeypatch.setattr(sets, "sums", lambda *a: pytest.fail("signatures were added"))
+    assert sets.together(problem, settled, first.rough) is None
+    assert sets.together(problem, wrong, ()) is None
+    assert sets.together(replace(problem, simulated=True), wrong, first.rough) is None
+
+
+def test_a_set_that_leaves_most_of_it_is_not_begun_with(arm, posed, wrong, monkeypatch):
+    problem, first = posed
+    poor = [r for r in first.rough if r[0].name not in TRUE]
+    assert sets.together(problem, wrong, poor) is None
+    harmful = [(candidate(name, arm), np.full(1, value)) for name, value in (("joint_damping", 5.0), ("armature", 0.5))]
+    one = sums(brief(problem)[0], first.rough)[0][0]
+    monkeypatch.setattr(sets, "sums", lambda *a: [[replace(one, members=tuple(harmful))]])
+    monkeypatch.setattr(sets, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert sets.together(problem, wrong, first.rough) is None
+
+
+def test_two_causes_are_named_before_the_best_alone_is_compared_with_its_rivals(posed, monkeypatch):
+    problem, first = posed
+    monkeypatch.setattr(attribute, "sharpened", lambda *a: pytest.fail("it was compared"))
+    monkeypatch.setattr(attribute, "FAR", 0.0)
+    found = attribute._search(problem, first)
+    assert names(found.chosen.members) == TRUE
+    assert found.chosen.evidence.loss.mean() - 1 < sets.LEFT
+
+
+@pytest.fixture(scope="module")
+def right(arm, posed):
+    """A fit of the two true causes."""
+    problem, _ = posed
+    values = {"joint_dry_friction": 0.3, "actuation_delay": 0.03}
+    members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+    return joint(problem, members, problem.score.loss(problem.nominal))
+
+
+def test_a_wrong_member_is_exchanged_for_the_one_that_adds_up(arm, posed, right):
+    problem, first = posed
+    damping = candidate("joint_damping", arm), np.full(1, 0.3)
+    wrong = joint(problem, (damping, right.members[1]), problem.score.loss(problem.nominal))
+    best, rivals = sets.challenged(problem, problem, wrong, first.rough)
+    assert names(best.members) == TRUE
+    assert rivals == []
+
+
+def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
+    problem, first = posed
+    monkeypatch.setattr(together, "ALIKE", 1.0)
+    best, rivals = sets.challenged(problem, problem, right, first.rough)
+    assert best is right
+    assert rivals == []
+    monkeypatch.setattr(sets, "is_tied", lambda fit, best, errors=1.0: errors > 1)
+    _, rivals = sets.challenged(problem, problem, right, first.rough)
+    assert len(rivals) == sets.RIVALS
+    assert all(len(set(f.labels) & set(right.labels)) == 1 for f in rivals)
+
+
+def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, right, monkeypatch):
+    problem, first = posed
+    monkeypatch.setattr(sets, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert sets.challenged(problem, problem, wrong, first.rough) == (wrong, [])
+    assert sets.challenged(problem, problem, right, ()) == (right, [])
+    some = [r for r in first.rough if r[0].name != "actuation_delay"]
+    assert sets.challenged(problem, problem, right, some) == (right, [])
+
+
+def test_a_rival_that_is_as_good_takes_support_from_what_it_exchanges(arm, posed, right):
+    problem, _ = posed
+    rng = np.random.default_rng(3)
+    sure = dict(zip(right.labels, shares(problem, right, rng), strict=True))
+    assert all(support > 0.99 for _, support in sure.values())
+    luck = np.tile([-0.1, 0.1], 6)
+    rival = replace(right, members=((candidate("joint_damping", arm), np.full(1, 0.3)), right.members[1]))
+    rival = replace(rival, evidence=replace(right.evidence, loss=right.evidence.loss + luck))
+    found = dict(zip(right.labels, shares(problem, right, rng, [rival]), strict=True))
+    assert found["actuation_delay"] == sure["actuation_delay"]
+    assert 0.3 < found["joint_dry_friction"][1] < 0.7
