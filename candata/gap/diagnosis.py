@@ -322,9 +322,15 @@ def _named(f: _Findings, trusted: float, rng: np.random.Generator) -> tuple[Name
                 at_bound=at_bound and not _one_sided(c.neutral, u),
                 support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
+                rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
             )
         )
     return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _instead(fit: Fit, other: Fit) -> str:
+    """Return what another set has in place of a member of this one."""
+    return next(name for name in other.labels if name not in fit.labels)
 
 
 def _estimate(value: Value, low: Value, high: Value) -> Estimate:

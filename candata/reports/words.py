@@ -37,7 +37,8 @@ TERMS = {
     "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
     "gain": "how much the robust loss falls on held-out episodes, in floors",
     "share": "how much of the gain is lost when this effect alone is left out",
-    "support": "how often a candidate comes first when episodes are resampled; less where the named set leaves much",
+    "support": "how often a candidate comes first when episodes are resampled, in a set before what was tried in its "
+    "place; less where the named set leaves much",
     "p": "how likely chance alone would show a cell as strong, over all cells",
 }
 
@@ -170,6 +171,12 @@ def not_known(report: Report) -> str:
         f"{capital(title(effect.name, effect.element))} stopped at its bound; its true value may lie beyond"
         for effect in report.effects
         if effect.at_bound
+    ]
+    parts += [
+        f"{capital(title(effect.name, effect.element))} may be {listed([plain(name) for name in effect.rivals], 'or')} "
+        "instead: beside the other effects these recordings cannot tell them apart"
+        for effect in report.effects
+        if effect.rivals
     ]
     if report.data.floor == "assumed":
         parts.append("The floor is assumed from quiet stretches, so the size of the gap is uncertain")

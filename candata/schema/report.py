@@ -22,7 +22,10 @@ class Estimate(Record):
 
 
 class NamedEffect(Record):
-    """An effect the verdict names."""
+    """An effect the verdict names.
+
+    `rivals` are effects, with their elements, that the held-out episodes cannot tell from it beside the other ones.
+    """
 
     name: str
     element: str | None = None
@@ -30,6 +33,7 @@ class NamedEffect(Record):
     support: float
     at_bound: bool = False
     parameters: dict[str, Estimate]
+    rivals: tuple[str, ...] = ()
 
 
 class Unknown(Record):

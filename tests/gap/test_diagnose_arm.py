@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.gap import diagnose, diagnosis
+from candata.gap import attribute, diagnose, diagnosis
+from candata.gap.candidates import candidate
 from candata.schema.episode import Episode
 
 
@@ -222,3 +223,25 @@ def test_an_effect_that_cannot_act_here_is_refused_before_the_search(arm, arm_ep
         judge(arm, arm_episodes(), only=("object_mass",))
     with pytest.raises(UnknownNameError, match="joint_dampng"):
         judge(arm, arm_episodes(), only=("joint_dampng",))
+
+
+def test_a_rival_of_one_name_in_a_set_is_reported(arm, arm_episodes, planted, judge, monkeypatch):
+    """What makes up for one of two causes as well as that cause does is named beside it, and takes its support."""
+    true = attribute.challenged
+
+    def tied(problem, world, best, rough):
+        chosen, _ = true(problem, world, best, rough)
+        other = tuple(
+            (candidate("joint_damping", arm), np.full(1, 0.3)) if c.name == "joint_dry_friction" else (c, u)
+            for c, u in chosen.members
+        )
+        return chosen, [replace(chosen, members=other)]
+
+    monkeypatch.setattr(attribute, "challenged", tied)
+    effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
+    report = judge(arm, arm_episodes(effects, count=12)).report
+    found = {e.name: e for e in report.effects}
+    assert set(found) == {"joint_dry_friction", "actuation_delay"}
+    assert found["joint_dry_friction"].rivals == ("joint_damping",)
+    assert found["actuation_delay"].rivals == ()
+    assert found["joint_dry_friction"].support == 0.0 < found["actuation_delay"].support

@@ -115,6 +115,14 @@ def test_an_assumed_floor_and_a_bound_are_said(make_report):
     assert "floor is assumed" in text
 
 
+def test_what_may_be_the_cause_instead_is_said(make_report):
+    report = make_report()
+    one = report.effects[0].model_copy(update={"rivals": ("pose_scale", "support_height")})
+    text = words.not_known(report.model_copy(update={"effects": (one,)}))
+    assert "may be pose scale or support height instead" in text
+    assert "instead" not in words.not_known(report)
+
+
 @pytest.mark.parametrize(
     ("effect", "parameter", "unit"),
     [
