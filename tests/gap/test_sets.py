@@ -14,6 +14,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
+from candata.gap.search import Problem
 from candata.gap.stage import look
 
 
@@ -130,6 +131,20 @@ def test_many_names_that_leave_most_of_it_open_are_not_taken(arm, posed, monkeyp
         monkeypatch.setattr(sets, "sparse", lambda *a, e=evidence: replace(better, evidence=e))
         found, _, _ = sets.jointly(problem, best)
         assert (found is not best) is taken
+
+
+def test_names_that_make_up_for_one_another_are_not_taken(arm, posed, monkeypatch):
+    """Without one of them far more is wrong than in the nominal scene: its fit is undone by the others."""
+    problem, base = posed
+    best = joint(problem, members(arm, armature=0.0005), base)
+    true = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    assert not sets._cancels(problem, true)
+    monkeypatch.setattr(sets, "sparse", lambda *a: true)
+    assert sets.jointly(problem, best)[0] is not best
+    far = [true.plane.z + 100 * np.sqrt(problem.nominal**2 + 1)] * 2
+    monkeypatch.setattr(Problem, "without_each", lambda *a: far)
+    assert sets._cancels(problem, true)
+    assert sets.jointly(problem, best) == (best, problem, True)
 
 
 def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
