@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from candata.gap.added import challenged, together
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import LEFT, MOST, SETTLED, challenged, compared, forward, jointly, together, with_measured
+from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
+from candata.gap.worth import LEFT, MOST
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals. Chosen: a sharper fit seldom gains as much.

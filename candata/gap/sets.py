@@ -9,35 +9,25 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.added import by_loss, here_of, residuals_at, together
 from candata.gap.candidates import Candidate, candidate, local_candidates
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
-from candata.gap.pace import ANOTHER, BESIDE, JOINT, TOGETHER
+from candata.gap.pace import ANOTHER, BESIDE, JOINT
 from candata.gap.refine import joint
-from candata.gap.response import Plane
 from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief, gains_share
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, null_level, standard_error, unheld
+from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
-from candata.gap.together import Responses, exchanged, sums
+from candata.gap.together import Responses
+from candata.gap.worth import FAINT, LEFT, MOST, extra_of, has_room, leaves, left_by, settles, worth_adding
 
 Array = NDArray[np.float64]
 #: Largest number of effects in a set, beside those that were measured without a fit.
 LARGEST_SET = 3
-#: Share of the gain so far below which another effect is not worth naming, significant or not.
-EXTRA = 0.05
-#: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard
-#: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
-#: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
-FAINT, SURER = 0.05, 3.0
-#: Floors that must be left for pairs and for a joint fit of everything: contact alone leaves a tenth or two behind a
-#: right cause. (In three blind cases with less, it found nothing, or names that make up for chaos.)
-LEFT = 0.2
-#: Share of the loss above the floor that a joint fit of many effects must take off.
-MOST = 0.5
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
@@ -53,9 +43,6 @@ BELIEVED, SETTLED = 0.5, 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
-#: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: the true one was
-#: among the first two of ten.
-ADDED = 4
 #: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
 #: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
@@ -77,21 +64,21 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
     while True:
         first = best
         world, best = _rescored(problem, best)
-        remains = _leaves(world, best)
-        if not remains or not (_has_room(best) or _left(best) > FAINT):
+        remains = leaves(world, best)
+        if not remains or not (has_room(best) or left_by(best) > FAINT):
             return best, world, remains
-        other, rough = together(problem, first, rough) if _has_room(best) else None, ()
+        other, rough = together(problem, first, rough) if has_room(best) else None, ()
         if other is not None:
             best = other
             continue
-        if not _has_room(best) and not gains_share(
-            world, _here(world, best), unheld(world, best.members), best.members
+        if not has_room(best) and not gains_share(
+            world, here_of(world, best), unheld(world, best.members), best.members
         ):
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best)
-        if grown is None or not (_worth_adding(_extra(best, grown), best.gain) or _settles(best, grown)):
-            if not _has_room(best):
+        if grown is None or not (worth_adding(extra_of(best, grown), best.gain) or settles(best, grown)):
+            if not has_room(best):
                 return best, world, remains
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
             grown = grown or _retraced(world, best)
@@ -118,94 +105,15 @@ def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> t
     return left, (chosen, problem, remains) if best is chosen else _judged(problem, best)
 
 
-def _left(best: Fit) -> float:
-    """Return what a fit leaves above the floor, in floors."""
-    return float(best.evidence.loss.mean()) - 1
-
-
-def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) -> tuple[Fit, list[Fit]]:
-    """Return the set, or one with a member exchanged that explains more, and those that cannot be told from it.
-
-    Each member was chosen beside what was held when it came. Simulated are the sets with one member exchanged to whose
-    signatures the recording adds up as well; of the ones that stay near, a sharp fit decides.
-
-    Parameters
-    ----------
-    problem : Problem
-        That the responses `rough` are of, on a few episodes.
-    world : Problem
-        The same in units of the floor that `best` was judged by.
-    """
-    if not rough or not 1 < len(best.members) <= LARGEST_SET or problem.simulated:
-        return best, []
-    base = world.score.loss(world.nominal)
-    part, _ = brief(problem)
-    others = [one.members for some in exchanged(part, rough, best.members) for one in some[:ADDED]]
-    light = [joint(world, members, base, widths=()) for _, members in _by_loss(part, others)[:RIVALS]]
-    near = [joint(world, f.members, base) if is_tied(f, best) else f for f in light if is_tied(f, best, UNSURE)]
-    first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
-    return first, [f for f in (best, *near) if f is not first and is_tied(f, first, UNSURE)]
-
-
-def _has_room(best: Fit) -> bool:
-    """Tell whether so much is left that another effect could be worth a name."""
-    return _left(best) > EXTRA * best.gain
-
-
-def _leaves(problem: Problem, fit: Fit) -> bool:
-    """Tell whether the held-out loss of a fit lies above the nulls of its world."""
-    return bool(fit.evidence.loss.mean() > null_level(problem.score, problem.rng))
-
-
 def _judged(problem: Problem, fit: Fit) -> Grown:
     """Return a fit and the problem in units of the floor of its world, and whether a gap remains."""
     world, fit = _rescored(problem, fit)
-    return fit, world, _leaves(world, fit)
+    return fit, world, leaves(world, fit)
 
 
 def _next(problem: Problem, best: Fit) -> Fit | None:
     """Return the best set with one more effect; None where nothing passes."""
-    return _grown(problem, best, _beside(problem, best.members, _here(problem, best)))
-
-
-def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
-    """Return the set to whose signatures the recording adds up, where it takes most of what `best` leaves; else None.
-
-    Of the first sets of two effects, and then of three, the one that leaves least where it is simulated is fitted.
-
-    Parameters
-    ----------
-    problem : Problem
-    best : Fit
-        A first cause, in units of the same floor.
-    rough : sequence of (Candidate, Curve or Plane)
-        Every effect alone on a few episodes; nothing is tried where there are none.
-    """
-    if not rough or _left(best) < LEFT or problem.simulated or is_toss(problem.replayer.scene):
-        return None
-    problem.pace.say("adding up what effects do alone", TOGETHER)
-    part, index = brief(problem)
-    now = float(part.score.loss(_here(problem, best)[index]).mean())
-    base, left = problem.score.loss(problem.nominal), _left(best)
-    found = None
-    for some in sums(part, rough):
-        loss, members = _by_loss(part, [one.members for one in some[:ADDED]])[0]
-        fit = joint(problem, members, base, widths=()) if loss < now else None
-        if fit is not None and (found is None or _worth_adding(_extra(found, fit), found.gain)):
-            found = fit
-        if found is not None and not _leaves(problem, found):
-            break
-    if found is None or _left(found) > BELIEVED * left:
-        return None
-    found = pruned(problem, joint(problem, found.members, base), base)
-    return found if _left(found) < BELIEVED * left and _worth_adding(_extra(best, found), best.gain) else None
-
-
-def _by_loss(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Members]]:
-    """Return sets with the loss that they leave where they are simulated, the least first."""
-    zs = problem.residuals([problem.setting(members) for members in sets])
-    losses = [float(problem.score.loss(z).mean()) for z in zs]
-    return sorted(zip(losses, sets, strict=True), key=lambda pair: pair[0])
+    return _grown(problem, best, _beside(problem, best.members, here_of(problem, best)))
 
 
 def _beside(problem: Problem, members: Members, here: Compact) -> Stage:
@@ -227,16 +135,6 @@ def _is_promising(stage: Stage) -> bool:
     return left < SETTLED or stage.best_gain > BELIEVED * left
 
 
-def _here(problem: Problem, fit: Fit) -> Compact:
-    """Return the residuals `(E, K)` where a fit is: a plane was simulated there, a curve is read between rollouts."""
-    return fit.response.z if isinstance(fit.response, Plane) else _at(problem, fit.members)
-
-
-def _at(problem: Problem, members: Members) -> Compact:
-    """Return the residuals `(E, K)` where effects act."""
-    return problem.residuals([problem.setting(members)])[0]
-
-
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
     """Return the set with an early member exchanged for what explains more beside the others; None where none does.
 
@@ -248,11 +146,11 @@ def _swapped(problem: Problem, best: Fit) -> Fit | None:
     base = problem.score.loss(problem.nominal)
     for left in [m for m in best.members[:-1] if m[0].name not in {c.name for c, _ in problem.measured}]:
         others = tuple(m for m in best.members if m is not left)
-        found = look(problem, _at(problem, others), others).passing()
+        found = look(problem, residuals_at(problem, others), others).passing()
         if found is None or found.labels[0] == left[0].label:
             continue
         fit = joint(problem, (*others, found.members[0]), base)
-        if _worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
+        if worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
             return fit
     return None
 
@@ -277,7 +175,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
     None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
     moves; what made up for the wrong place is dropped with it.
     """
-    if _left(best) < LEFT:
+    if left_by(best) < LEFT:
         return None
     base = problem.score.loss(problem.nominal)
     for c, u in best.members:
@@ -286,7 +184,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
         others = tuple(m for m in best.members if m[0].name != c.name)
         places = (_everywhere(problem, c, u), *_neighbour(problem, others, c))
         fit = max((joint(problem, (*others, place), base) for place in places), key=lambda f: f.gain)
-        if _worth_adding(_extra(best, fit), best.gain):
+        if worth_adding(extra_of(best, fit), best.gain):
             return pruned(problem, fit, base)
     return None
 
@@ -302,7 +200,7 @@ def _everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Ar
 def _neighbour(problem: Problem, others: Members, c: Candidate) -> Members:
     """Return the same effect on the other element that promises most beside the others; nothing where none does."""
     scene = problem.replayer.scene
-    here = _at(problem, others)
+    here = residuals_at(problem, others)
     variants = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
     base = problem.score.loss(here)
     fits = [fit_one(problem, v, response, base) for v, response in respond(problem, here, variants, others)[0]]
@@ -318,18 +216,18 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     """
     taken = {c.name for c, _ in best.members}
     too_many = _searched(best.members, problem.measured) + 2 > LARGEST_SET
-    if too_many or _left(best) < LEFT:
+    if too_many or left_by(best) < LEFT:
         return None
     sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
     free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
     base = problem.score.loss(problem.nominal)
     pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
     part, index = brief(problem)
-    now = float(part.score.loss(_here(problem, best)[index]).mean()) if pairs else 0.0
+    now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [_nearest(part, best.members, pair) for pair in pairs]
     fits = [joint(problem, members, base) for loss, members in sets if loss < now]
     found = max(fits, key=lambda f: f.gain, default=None)
-    if found is None or not _worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
+    if found is None or not worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
         return None
     return found
 
@@ -340,23 +238,23 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
     What was taken second was chosen while a third was missing: its rival may need the third to show what it is worth.
     """
     room = len(best.members) > 1 and not is_full(best.members, problem.measured)
-    if problem.simulated or not room or _left(best) < SETTLED:
+    if problem.simulated or not room or left_by(best) < SETTLED:
         return None
     held, (last, _) = best.members[:-1], best.members[-1]
-    stage = look(problem, _at(problem, held), held)
+    stage = look(problem, residuals_at(problem, held), held)
     rivals = [f for f in stage.fits if f.members[0][0].name != last.name and f.gain > NEXT * stage.best_gain]
     if not rivals:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
-    better = grown is not None and _worth_adding(_extra(best, grown), best.gain)
+    better = grown is not None and worth_adding(extra_of(best, grown), best.gain)
     return grown if better else None
 
 
 def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:
     """Return the set with two effects at the shares of their distances that leave the least loss, after that loss."""
     shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
-    return _by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
+    return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
 
 
 def is_full(members: Members, measured: Members) -> bool:
@@ -385,13 +283,13 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     `best` stands too.
     """
     base = problem.score.loss(problem.nominal)
-    left = _left(best)
-    if not (left > LEFT and _has_room(best)):
+    left = left_by(best)
+    if not (left > LEFT and has_room(best)):
         return best, problem, True
     problem.pace.say("fitting all effects together", JOINT)
     least = MOST * float((base - 1).mean())
     found = sparse(problem, best, base, least)
-    if found is None or not _worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
+    if found is None or not worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
         return best, problem, True
     if found.gain < least:
         return best, problem, True
@@ -417,28 +315,9 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
         fit = joint(problem, tuple(order[:count]), base)
         # Each of a few names must be worth one; where everything is a little wrong, many are worth little each.
         names = len(order) - count if len(order) <= LARGEST_SET else 1
-        if not _worth_adding((fit.evidence.loss - found.evidence.loss) / names, found.gain):
+        if not worth_adding((fit.evidence.loss - found.evidence.loss) / names, found.gain):
             return fit
     return found
-
-
-def _worth_adding(extra: Array, so_far: float) -> bool:
-    """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
-    least = max(standard_error(extra), EXTRA * so_far)
-    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
-
-
-def _extra(best: Fit, grown: Fit) -> Array:
-    """Return what another set gains on each episode `(E,)` beyond the best so far, in floors."""
-    return best.evidence.loss - grown.evidence.loss
-
-
-def _settles(best: Fit, grown: Fit) -> bool:
-    """Tell whether one more effect, small beside the others, surely takes most of what they leave."""
-    extra = _extra(best, grown)
-    least = max(FAINT, MOST * _left(best))
-    sure = float(extra.mean()) > max(least, SURER * standard_error(extra))
-    return sure and bool(np.delete(extra, np.argmax(extra)).mean() > least / 2)
 
 
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import sets
+from candata.gap import sets, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -99,7 +99,7 @@ def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
-    assert float(half.evidence.loss.mean()) - 1 > sets.LEFT
+    assert float(half.evidence.loss.mean()) - 1 > worth.LEFT
     assert sets._moved(problem, half) is None
 
 
@@ -205,7 +205,7 @@ def test_tied_causes_are_told_apart_beside_what_else_was_found(arm, posed, alone
     tied, (best, _, _) = sets.compared(problem, chosen, alone, True)
     assert [f.labels for f in tied] == [("joint_dry_friction",)]
     assert set(best.labels) == {"joint_dry_friction", "actuation_delay"}
-    assert float(best.evidence.loss.mean()) - 1 < sets.LEFT < float(chosen.evidence.loss.mean()) - 1
+    assert float(best.evidence.loss.mean()) - 1 < worth.LEFT < float(chosen.evidence.loss.mean()) - 1
 
 
 def test_a_first_cause_that_was_exchanged_is_tied_with_nothing(arm, posed, alone):
@@ -252,15 +252,15 @@ def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1 + left), gain=np.full(12, 9.0)))
     gains = extra + spread * np.tile([-1.0, 1.0], 6)
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
-    assert not sets._worth_adding(gains, best.gain)
-    assert sets._settles(best, grown) is taken
+    assert not worth.worth_adding(gains, best.gain)
+    assert worth.settles(best, grown) is taken
 
 
 def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1.2), gain=np.full(12, 9.0)))
     gains = np.append(np.full(11, 0.03), 1.5)
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
-    assert not sets._settles(best, grown)
+    assert not worth.settles(best, grown)
 
 
 def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted):
@@ -271,5 +271,5 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     found, world, remains = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
-    assert faint < sets.EXTRA * found.gain
+    assert faint < worth.EXTRA * found.gain
     assert not remains

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import attribute, sets, together
+from candata.gap import added, attribute, sets, together, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -98,30 +98,30 @@ def test_a_choice_is_taken_at_its_best(arm, posed):
 
 def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
     problem, first = posed
-    found = sets.together(problem, wrong, first.rough)
+    found = added.together(problem, wrong, first.rough)
     assert names(found.members) == TRUE
-    assert found.evidence.loss.mean() - 1 < sets.LEFT
+    assert found.evidence.loss.mean() - 1 < worth.LEFT
     assert names(sets.forward(problem, wrong, (), first.rough)[0].members) == TRUE
 
 
 def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wrong, monkeypatch):
     problem, first = posed
-    settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1 + sets.LEFT / 2)))
-    monkeypatch.setattr(sets, "sums", lambda *a: pytest.fail("signatures were added"))
-    assert sets.together(problem, settled, first.rough) is None
-    assert sets.together(problem, wrong, ()) is None
-    assert sets.together(replace(problem, simulated=True), wrong, first.rough) is None
+    settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1 + worth.LEFT / 2)))
+    monkeypatch.setattr(added, "sums", lambda *a: pytest.fail("signatures were added"))
+    assert added.together(problem, settled, first.rough) is None
+    assert added.together(problem, wrong, ()) is None
+    assert added.together(replace(problem, simulated=True), wrong, first.rough) is None
 
 
 def test_a_set_that_leaves_most_of_it_is_not_begun_with(arm, posed, wrong, monkeypatch):
     problem, first = posed
     poor = [r for r in first.rough if r[0].name not in TRUE]
-    assert sets.together(problem, wrong, poor) is None
+    assert added.together(problem, wrong, poor) is None
     harmful = [(candidate(name, arm), np.full(1, value)) for name, value in (("joint_damping", 5.0), ("armature", 0.5))]
     one = sums(brief(problem)[0], first.rough)[0][0]
-    monkeypatch.setattr(sets, "sums", lambda *a: [[replace(one, members=tuple(harmful))]])
-    monkeypatch.setattr(sets, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert sets.together(problem, wrong, first.rough) is None
+    monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=tuple(harmful))]])
+    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert added.together(problem, wrong, first.rough) is None
 
 
 def test_two_causes_are_named_before_the_best_alone_is_compared_with_its_rivals(posed, monkeypatch):
@@ -130,7 +130,7 @@ def test_two_causes_are_named_before_the_best_alone_is_compared_with_its_rivals(
     monkeypatch.setattr(attribute, "FAR", 0.0)
     found = attribute._search(problem, first)
     assert names(found.chosen.members) == TRUE
-    assert found.chosen.evidence.loss.mean() - 1 < sets.LEFT
+    assert found.chosen.evidence.loss.mean() - 1 < worth.LEFT
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_a_wrong_member_is_exchanged_for_the_one_that_adds_up(arm, posed, right)
     problem, first = posed
     damping = candidate("joint_damping", arm), np.full(1, 0.3)
     wrong = joint(problem, (damping, right.members[1]), problem.score.loss(problem.nominal))
-    best, rivals = sets.challenged(problem, problem, wrong, first.rough)
+    best, rivals = added.challenged(problem, problem, wrong, first.rough)
     assert names(best.members) == TRUE
     assert rivals == []
 
@@ -154,22 +154,22 @@ def test_a_wrong_member_is_exchanged_for_the_one_that_adds_up(arm, posed, right)
 def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
     problem, first = posed
     monkeypatch.setattr(together, "ALIKE", 1.0)
-    best, rivals = sets.challenged(problem, problem, right, first.rough)
+    best, rivals = added.challenged(problem, problem, right, first.rough)
     assert best is right
     assert rivals == []
-    monkeypatch.setattr(sets, "is_tied", lambda fit, best, errors=1.0: errors > 1)
-    _, rivals = sets.challenged(problem, problem, right, first.rough)
-    assert len(rivals) == sets.RIVALS
+    monkeypatch.setattr(added, "is_tied", lambda fit, best, errors=1.0: errors > 1)
+    _, rivals = added.challenged(problem, problem, right, first.rough)
+    assert len(rivals) == added.RIVALS
     assert all(len(set(f.labels) & set(right.labels)) == 1 for f in rivals)
 
 
 def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, right, monkeypatch):
     problem, first = posed
-    monkeypatch.setattr(sets, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert sets.challenged(problem, problem, wrong, first.rough) == (wrong, [])
-    assert sets.challenged(problem, problem, right, ()) == (right, [])
+    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert added.challenged(problem, problem, wrong, first.rough) == (wrong, [])
+    assert added.challenged(problem, problem, right, ()) == (right, [])
     some = [r for r in first.rough if r[0].name != "actuation_delay"]
-    assert sets.challenged(problem, problem, right, some) == (right, [])
+    assert added.challenged(problem, problem, right, some) == (right, [])
 
 
 def test_a_rival_that_is_as_good_takes_support_from_what_it_exchanges(arm, posed, right):

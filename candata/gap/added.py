@@ -1,0 +1,95 @@
+"""Sets to whose signatures the recording adds up, simulated: where a search begins, and what challenges its end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from candata.gap.pace import TOGETHER
+from candata.gap.refine import joint
+from candata.gap.response import Plane
+from candata.gap.score import Compact
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.shortlist import brief
+from candata.gap.sparse import pruned
+from candata.gap.stage import RIVALS, UNSURE, is_tied
+from candata.gap.starts import is_toss
+from candata.gap.together import LARGEST, Responses, exchanged, sums
+from candata.gap.worth import LEFT, MOST, extra_of, leaves, left_by, worth_adding
+
+#: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: the true one was
+#: among the first two of ten.
+ADDED = 4
+
+
+def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
+    """Return the set to whose signatures the recording adds up, where it takes most of what `best` leaves; else None.
+
+    Of the first sets of two effects, and then of three, the one that leaves least where it is simulated is fitted.
+
+    Parameters
+    ----------
+    problem : Problem
+    best : Fit
+        A first cause, in units of the same floor.
+    rough : sequence of (Candidate, Curve or Plane)
+        Every effect alone on a few episodes; nothing is tried where there are none.
+    """
+    if not rough or left_by(best) < LEFT or problem.simulated or is_toss(problem.replayer.scene):
+        return None
+    problem.pace.say("adding up what effects do alone", TOGETHER)
+    part, index = brief(problem)
+    now = float(part.score.loss(here_of(problem, best)[index]).mean())
+    base, left = problem.score.loss(problem.nominal), left_by(best)
+    found = None
+    for some in sums(part, rough):
+        loss, members = by_loss(part, [one.members for one in some[:ADDED]])[0]
+        fit = joint(problem, members, base, widths=()) if loss < now else None
+        if fit is not None and (found is None or worth_adding(extra_of(found, fit), found.gain)):
+            found = fit
+        if found is not None and not leaves(problem, found):
+            break
+    if found is None or left_by(found) > MOST * left:
+        return None
+    found = pruned(problem, joint(problem, found.members, base), base)
+    return found if left_by(found) < MOST * left and worth_adding(extra_of(best, found), best.gain) else None
+
+
+def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) -> tuple[Fit, list[Fit]]:
+    """Return the set, or one with a member exchanged that explains more, and those that cannot be told from it.
+
+    Each member was chosen beside what was held when it came. Simulated are the sets with one member exchanged to whose
+    signatures the recording adds up as well; of the ones that stay near, a sharp fit decides.
+
+    Parameters
+    ----------
+    problem : Problem
+        That the responses `rough` are of, on a few episodes.
+    world : Problem
+        The same in units of the floor that `best` was judged by.
+    """
+    if not rough or not 1 < len(best.members) <= LARGEST or problem.simulated:
+        return best, []
+    base = world.score.loss(world.nominal)
+    part, _ = brief(problem)
+    others = [one.members for some in exchanged(part, rough, best.members) for one in some[:ADDED]]
+    light = [joint(world, members, base, widths=()) for _, members in by_loss(part, others)[:RIVALS]]
+    near = [joint(world, f.members, base) if is_tied(f, best) else f for f in light if is_tied(f, best, UNSURE)]
+    first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
+    return first, [f for f in (best, *near) if f is not first and is_tied(f, first, UNSURE)]
+
+
+def by_loss(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Members]]:
+    """Return sets with the loss that they leave where they are simulated, the least first."""
+    zs = problem.residuals([problem.setting(members) for members in sets])
+    losses = [float(problem.score.loss(z).mean()) for z in zs]
+    return sorted(zip(losses, sets, strict=True), key=lambda pair: pair[0])
+
+
+def here_of(problem: Problem, fit: Fit) -> Compact:
+    """Return the residuals `(E, K)` where a fit is: a plane was simulated there, a curve is read between rollouts."""
+    return fit.response.z if isinstance(fit.response, Plane) else residuals_at(problem, fit.members)
+
+
+def residuals_at(problem: Problem, members: Members) -> Compact:
+    """Return the residuals `(E, K)` where effects act."""
+    return problem.residuals([problem.setting(members)])[0]
