@@ -41,7 +41,7 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean())
     base, left = problem.score.loss(problem.nominal), left_by(best)
     found = None
-    for some in sums(part, rough):
+    for some in filter(None, sums(part, rough)):  # of two effects there is no triple
         loss, members = by_loss(part, [one.members for one in some[:ADDED]])[0]
         fit = joint(problem, members, base, widths=()) if loss < now else None
         if fit is not None and (found is None or worth_adding(extra_of(found, fit), found.gain)):

@@ -113,6 +113,12 @@ def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wr
     assert added.together(replace(problem, simulated=True), wrong, first.rough) is None
 
 
+@pytest.mark.parametrize("asked", [{"armature"}, {"armature", "joint_damping"}])
+def test_one_effect_makes_no_pair_and_two_no_triple(posed, wrong, asked):
+    problem, first = posed
+    assert added.together(problem, wrong, [r for r in first.rough if r[0].name in asked and not r[0].element]) is None
+
+
 def test_a_set_that_leaves_most_of_it_is_not_begun_with(arm, posed, wrong, monkeypatch):
     problem, first = posed
     poor = [r for r in first.rough if r[0].name not in TRUE]
