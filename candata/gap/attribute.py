@@ -12,7 +12,7 @@ from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
-from candata.gap.worth import LEFT, MOST
+from candata.gap.worth import LEFT, MOST, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals. Chosen: a sharper fit seldom gains as much.
@@ -88,7 +88,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
-    is_far = best.evidence.loss.mean() - 1 > FAR * float((first.base - 1).mean())
+    is_far = left_by(best) > FAR * float((first.base - 1).mean())
     several = together(problem, best, first.rough) if is_far else None
     if several is None:
         problem.pace.say("comparing what is best so far", SHARPEN)

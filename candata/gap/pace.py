@@ -24,8 +24,8 @@ JOINT = Span(0, 250)
 AGAIN = Span(40, 270)
 #: Looking at every effect by simulation beside what was found: four cases of two hands.
 BESIDE = Span(20, 60)
-#: Trying sets of effects whose signatures add up: six cases of two hands.
-TOGETHER = Span(4, 40)
+#: Trying sets of effects whose signatures add up: eight cases of two hands.
+TOGETHER = Span(6, 50)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.
 SIGNATURE = 2.0
 #: Seconds of fitting in any step, and how much time left is worth a word.

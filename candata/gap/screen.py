@@ -91,11 +91,19 @@ def slopes(problem: Problem, c: Candidate, u: Array) -> Compact:
     points = screening(c, problem)
     moves = problem.signatures([(c, p) for p in points])
     response = _response(c, np.zeros_like(moves[0]), points, moves, False)
+    return slope_of(c, response, u, (NARROWEST, WIDEST))
+
+
+def slope_of(c: Candidate, response: Curve | Plane, u: Array, within: tuple[float, float]) -> Compact:
+    """Return `(d, E, K)` how a response changes with its coordinates around `u (d,)`; zero for a choice.
+
+    A curve is read over a share of the distance from neutral, `within` these shares of the range.
+    """
     if isinstance(response, Plane):
         return response.slope
     if c.choices:
-        return np.zeros((1, *moves[0].shape), np.float32)
+        return np.zeros_like(response.z[:1])
     span = c.high - c.low
-    width = np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)
+    width = np.clip(WIDTH * np.abs(u - c.neutral), within[0] * span, within[1] * span)
     low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
     return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])

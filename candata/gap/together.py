@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import Candidate
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
+from candata.gap.screen import slope_of
 from candata.gap.search import Members, Problem
 
 Array = NDArray[np.float64]
@@ -29,8 +30,8 @@ GROWN, LARGEST = 8, 3
 ALIKE = 0.05
 #: Most steps of a fit, the shares of a step that are tried, and the share of the loss below which it ends.
 STEPS, SHARES, ENOUGH = 6, (1.0, 0.5, 0.25, 0.1), 0.01
-#: Half width over which a curve's slope is read: this share of the distance from neutral, within these of the range.
-WIDTH, NARROWEST, WIDEST = 0.1, 0.02, 0.1
+#: Half widths over which a curve's slope is read, as shares of the range: wider than where a fit is sharpened. Chosen.
+WITHIN = (0.02, 0.1)
 
 
 @dataclass(frozen=True)
@@ -141,17 +142,5 @@ def _plane(responses: Responses, at: Sequence[Array], z: Compact) -> Plane:
     """Return the plane of all coordinates around `at`, where the residuals are `z (E, K)`."""
     low = np.concatenate([c.low for c, _ in responses])
     high = np.concatenate([c.high for c, _ in responses])
-    slope = np.concatenate([_slope(c, response, u) for (c, response), u in zip(responses, at, strict=True)])
+    slope = np.concatenate([slope_of(c, response, u, WITHIN) for (c, response), u in zip(responses, at, strict=True)])
     return Plane(low, high, np.concatenate(at), z, slope)
-
-
-def _slope(c: Candidate, response: Curve | Plane, u: Array) -> Compact:
-    """Return `(d, E, K)` how residuals change with an effect's coordinates; zero for a choice."""
-    if isinstance(response, Plane):
-        return response.slope
-    if c.choices:
-        return np.zeros_like(response.z[:1])
-    span = c.high - c.low
-    width = np.clip(WIDTH * np.abs(u - c.neutral), NARROWEST * span, WIDEST * span)
-    low, high = np.maximum(u - width, c.low), np.minimum(u + width, c.high)
-    return (response.read(high) - response.read(low))[None] / np.float32(high[0] - low[0])

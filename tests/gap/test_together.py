@@ -174,6 +174,7 @@ def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, ri
     monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
     assert added.challenged(problem, problem, wrong, first.rough) == (wrong, [])
     assert added.challenged(problem, problem, right, ()) == (right, [])
+    assert added.challenged(replace(problem, measured=right.members[:1]), problem, right, first.rough) == (right, [])
     some = [r for r in first.rough if r[0].name != "actuation_delay"]
     assert added.challenged(problem, problem, right, some) == (right, [])
 
