@@ -13,8 +13,8 @@ from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
 from candata.gap.stage import RIVALS, UNSURE, is_tied
 from candata.gap.starts import is_toss
-from candata.gap.together import LARGEST, Responses, exchanged, sums
-from candata.gap.worth import LEFT, MOST, extra_of, leaves, left_by, worth_adding
+from candata.gap.together import Responses, exchanged, sums
+from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, leaves, left_by, worth_adding
 
 #: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: twice the rank of
 #: true ones whose effects each take a share of the gap.

@@ -99,7 +99,9 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
-    if remains and len(tied) == 1:
+    if len(tied) > 1:
+        return Attribution(first, chosen, tuple(tied), world.score, remains)
+    if remains:
         chosen, world, remains = jointly(world, chosen)
     chosen, others = challenged(problem, world, chosen, first.rough)
     return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(others))

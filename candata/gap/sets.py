@@ -23,11 +23,9 @@ from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses
-from candata.gap.worth import FAINT, LEFT, MOST, extra_of, has_room, leaves, left_by, settles, worth_adding
+from candata.gap.worth import FAINT, LARGEST, LEFT, MOST, extra_of, has_room, leaves, left_by, settles, worth_adding
 
 Array = NDArray[np.float64]
-#: Largest number of effects in a set, beside those that were measured without a fit.
-LARGEST_SET = 3
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
@@ -215,7 +213,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     gains nothing at any share of what each is alone is not fitted.
     """
     taken = {c.name for c, _ in best.members}
-    too_many = _searched(best.members, problem.measured) + 2 > LARGEST_SET
+    too_many = _searched(best.members, problem.measured) + 2 > LARGEST
     if too_many or left_by(best) < LEFT:
         return None
     sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
@@ -259,7 +257,7 @@ def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Mem
 
 def is_full(members: Members, measured: Members) -> bool:
     """Tell whether a set holds as many effects as are searched for."""
-    return _searched(members, measured) >= LARGEST_SET
+    return _searched(members, measured) >= LARGEST
 
 
 def _searched(members: Members, measured: Members) -> int:
@@ -311,10 +309,10 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
     """
     losses = [problem.score.loss(z).mean() for z in problem.without_each(found.members)]
     order = [found.members[i] for i in np.argsort(losses)[::-1]]
-    for count in range(1, min(LARGEST_SET, len(order) - 1) + 1):
+    for count in range(1, min(LARGEST, len(order) - 1) + 1):
         fit = joint(problem, tuple(order[:count]), base)
         # Each of a few names must be worth one; where everything is a little wrong, many are worth little each.
-        names = len(order) - count if len(order) <= LARGEST_SET else 1
+        names = len(order) - count if len(order) <= LARGEST else 1
         if not worth_adding((fit.evidence.loss - found.evidence.loss) / names, found.gain):
             return fit
     return found

@@ -19,12 +19,13 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import slope_of
 from candata.gap.search import Members, Problem
+from candata.gap.worth import LARGEST
 
 Array = NDArray[np.float64]
 Responses = Sequence[tuple[Candidate, Curve | Plane]]
-#: Sets that are grown by each other effect, and effects of the largest. Chosen: of ten pairs and triples, those whose
-#: effects each take a share of the gap were always among the first two.
-GROWN, LARGEST = 8, 3
+#: Sets that are grown by each other effect. Chosen: of ten pairs and triples, those whose effects each take a share of
+#: the gap were always among the first two.
+GROWN = 8
 #: Share of what a set's signatures explain that one with a member exchanged may explain less, to be told from it by
 #: simulation. Chosen: of a tracker's scale, its bias and a support's height, 1 to 2 %; of what came next, 15 %.
 ALIKE = 0.05

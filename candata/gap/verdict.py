@@ -13,7 +13,9 @@ from candata.schema.report import Gap, Symptom, Unknown, Verdict
 EXPLAINED, PARTLY = 0.8, 0.3
 #: Floors that may remain for `explained` whatever the share.
 REMAINING = 0.30
-#: Trust below which a set passes no more where the whole gap is that small: it is wrong more often than right.
+#: Trust below which a set passes no more for the little that it leaves: it is wrong more often than right. (A magnet
+#: that was half explained by the object's mass left 0.29 floors of 0.77; of true causes, none that left 0.30 floors or
+#: less and a fifth of the gap left more than 0.10.)
 DOUBTED = 0.5
 #: Fewest episodes on which anything is decided.
 FEWEST = 8
@@ -24,11 +26,12 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
     if found.chosen is None:
         return "unknown_effect" if found.remains else "no_gap"
     closed = size.closed or 0.0
-    if closed < PARTLY or (size.before - size.floor <= REMAINING and trust(size) < DOUBTED):
+    little = size.after - size.floor <= REMAINING
+    if closed < PARTLY or (closed < EXPLAINED and little and trust(size) < DOUBTED):
         return "unknown_effect"
     if len(found.tied) > 1:
         return "ambiguous"
-    return "explained" if closed >= EXPLAINED or size.after - size.floor <= REMAINING else "partly_explained"
+    return "explained" if closed >= EXPLAINED or little else "partly_explained"
 
 
 def unknown(

@@ -9,6 +9,8 @@ from candata.gap.search import Fit, Problem
 from candata.gap.stage import null_level, standard_error
 
 Array = NDArray[np.float64]
+#: Most effects of a set that are searched for, beside those that were measured without a fit.
+LARGEST = 3
 #: Share of the gain so far below which another effect is not worth naming, significant or not.
 EXTRA = 0.05
 #: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard

@@ -8,8 +8,9 @@ import pytest
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
-from candata.gap.sets import LARGEST_SET, is_full
+from candata.gap.sets import is_full
 from candata.gap.stage import Stage, standard_error
+from candata.gap.worth import LARGEST
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])
@@ -52,7 +53,7 @@ def test_the_gain_of_one_episode_alone_is_luck():
 def test_what_was_measured_takes_no_place_in_the_set(cube):
     names = ("object_inertia", "sliding_friction", "object_mass", "pose_scale")
     *free, known = [(c, c.neutral) for c in (candidate(name, cube) for name in names)]
-    assert len(free) == LARGEST_SET
+    assert len(free) == LARGEST
     assert not is_full((*free[1:], known), (known,))
     assert is_full((*free[1:], known), ())
     assert is_full((*free, known), (known,))
