@@ -23,7 +23,21 @@ from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses
-from candata.gap.worth import FAINT, LARGEST, LEFT, MOST, extra_of, has_room, leaves, left_by, settles, worth_adding
+from candata.gap.worth import (
+    FAINT,
+    LARGEST,
+    LEFT,
+    LIKELY,
+    MOST,
+    TAKEN,
+    extra_of,
+    has_room,
+    is_next,
+    leaves,
+    left_by,
+    takes,
+    worth_adding,
+)
 
 Array = NDArray[np.float64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
@@ -75,7 +89,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best)
-        if grown is None or not (worth_adding(extra_of(best, grown), best.gain) or settles(best, grown)):
+        if grown is None or not is_next(best, grown):
             if not has_room(best):
                 return best, world, remains
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
@@ -158,13 +172,18 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     if stage.passing() is None:
         return None
     front = [f for f in stage.fits if f.gain > ROUGHLY * stage.best_gain or is_near(f, stage.fits[0])][: 1 + RIVALS]
+    return _sharp(problem, best, [(*best.members, f.members[0]) for f in front])
+
+
+def _sharp(problem: Problem, best: Fit, sets: Sequence[Members]) -> Fit | None:
+    """Return the best of larger sets, sharply fitted those that light fits cannot tell apart; None where none helps."""
     base = problem.score.loss(problem.nominal)
-    sets = [(*best.members, f.members[0]) for f in front]
-    if len(sets) > 1:
-        rough = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
-        many = max(len(f.plane.at) for f in rough) > MANY
-        sets = [f.members for f in rough if f is rough[0] or (not many and is_tied(f, rough[0], UNSURE))]
-    return max((joint(problem, members, base) for members in sets), key=lambda f: f.gain)
+    light = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
+    if not light or not takes(best, light[0], LIKELY):
+        return None
+    many = max(len(f.plane.at) for f in light) > MANY
+    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
+    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain)
 
 
 def _moved(problem: Problem, best: Fit) -> Fit | None:
@@ -218,14 +237,12 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
         return None
     sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
     free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
-    base = problem.score.loss(problem.nominal)
     pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
     part, index = brief(problem)
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [_nearest(part, best.members, pair) for pair in pairs]
-    fits = [joint(problem, members, base) for loss, members in sets if loss < now]
-    found = max(fits, key=lambda f: f.gain, default=None)
-    if found is None or not worth_adding((best.evidence.loss - found.evidence.loss) / 2, best.gain):
+    found = _sharp(problem, best, [members for loss, members in sets if loss < now])
+    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found, TAKEN)):
         return None
     return found
 
@@ -245,8 +262,7 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
-    better = grown is not None and worth_adding(extra_of(best, grown), best.gain)
-    return grown if better else None
+    return grown if grown is not None and is_next(best, grown) else None
 
 
 def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:

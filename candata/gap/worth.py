@@ -20,6 +20,11 @@ FAINT, SURER = 0.05, 3.0
 #: Floors that must be left for pairs and for a joint fit of everything: contact alone leaves a tenth or two behind a
 #: right cause. (In three blind cases with less, it found nothing, or names that make up for chaos.)
 LEFT = 0.2
+#: Share of what is left, where that is more than `LEFT`, that the next effect must take, and that it must take by a fit
+#: without simulated slopes to be fitted sharply. Chosen: of two or three causes the next one takes most of what the
+#: others leave; beside the object's mass, named for a magnet, contact damping took a fifth, then a mass centre a
+#: twentieth.
+TAKEN, LIKELY = 0.25, 0.05
 #: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
 #: a set to whose signatures the recording adds up.
 MOST = 0.5
@@ -49,6 +54,18 @@ def worth_adding(extra: Array, so_far: float) -> bool:
 def extra_of(best: Fit, grown: Fit) -> Array:
     """Return what another set gains on each episode `(E,)` beyond the best so far, in floors."""
     return best.evidence.loss - grown.evidence.loss
+
+
+def takes(best: Fit, grown: Fit, share: float) -> bool:
+    """Tell whether more effects take a share of what is left, where that is much."""
+    left = left_by(best)
+    return left <= LEFT or float(extra_of(best, grown).mean()) > share * left
+
+
+def is_next(best: Fit, grown: Fit) -> bool:
+    """Tell whether one more effect is worth a name: it gains enough and takes enough, or it ends the search."""
+    enough = worth_adding(extra_of(best, grown), best.gain) and takes(best, grown, TAKEN)
+    return enough or settles(best, grown)
 
 
 def settles(best: Fit, grown: Fit) -> bool:

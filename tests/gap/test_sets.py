@@ -189,6 +189,9 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
     found = sets._grown(problem, start, swapped)
     assert (found.labels == ("actuation_delay", "joint_dry_friction")) is tried
     assert len(sharp) == sharply
+    monkeypatch.setattr(sets, "LIKELY", 1.1)  # of what is left: more than any set can take
+    assert sets._grown(problem, start, swapped) is None
+    assert len(sharp) == sharply
 
 
 @pytest.fixture(scope="module")
@@ -254,6 +257,23 @@ def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
     assert not worth.worth_adding(gains, best.gain)
     assert worth.settles(best, grown) is taken
+
+
+@pytest.mark.parametrize(
+    ("left", "extra", "spread", "taken"),
+    [
+        (0.5, 0.14, 0.02, True),
+        (0.5, 0.10, 0.02, False),  # surely, but a fifth of what is left
+        (0.5, 0.14, 0.60, False),  # not sure
+        (0.15, 0.02, 0.01, True),  # where little is left, a part of it may be contact's
+        (0.15, 0.009, 0.001, False),  # not worth a name
+    ],
+)
+def test_another_effect_is_named_that_takes_a_quarter_of_what_is_left(lone, left, extra, spread, taken):
+    best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1 + left), gain=np.full(12, 0.2)))
+    gains = extra + spread * np.tile([-1.0, 1.0], 6)
+    grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
+    assert worth.is_next(best, grown) is taken
 
 
 def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
