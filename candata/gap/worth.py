@@ -25,6 +25,9 @@ LEFT = 0.2
 #: others leave; beside the object's mass, named for a magnet, contact damping took a fifth, then a mass centre a
 #: twentieth.
 TAKEN, LIKELY = 0.25, 0.05
+#: Floors of what is left that count for that, at most: half a floor is worth a name however much no effect explains.
+#: (Of real cube tosses 12 floors stay; inertia and contact, each worth half a floor to one, are true of the cube.)
+MUCH = 2.0
 #: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
 #: a set to whose signatures the recording adds up.
 MOST = 0.5
@@ -59,7 +62,7 @@ def extra_of(best: Fit, grown: Fit) -> Array:
 def takes(best: Fit, grown: Fit, share: float) -> bool:
     """Tell whether more effects take a share of what is left, where that is much."""
     left = left_by(best)
-    return left <= LEFT or float(extra_of(best, grown).mean()) > share * left
+    return left <= LEFT or float(extra_of(best, grown).mean()) > share * min(left, MUCH)
 
 
 def is_next(best: Fit, grown: Fit) -> bool:

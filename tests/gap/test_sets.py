@@ -189,7 +189,7 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
     found = sets._grown(problem, start, swapped)
     assert (found.labels == ("actuation_delay", "joint_dry_friction")) is tried
     assert len(sharp) == sharply
-    monkeypatch.setattr(sets, "LIKELY", 1.1)  # of what is left: more than any set can take
+    monkeypatch.setattr(sets, "LIKELY", np.inf)  # of what is left: more than any set can take
     assert sets._grown(problem, start, swapped) is None
     assert len(sharp) == sharply
 
@@ -265,6 +265,8 @@ def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left
         (0.5, 0.14, 0.02, True),
         (0.5, 0.10, 0.02, False),  # surely, but a fifth of what is left
         (0.5, 0.14, 0.60, False),  # not sure
+        (12.0, 0.6, 0.02, True),  # half a floor is worth a name whatever stays
+        (12.0, 0.4, 0.02, False),
         (0.15, 0.02, 0.01, True),  # where little is left, a part of it may be contact's
         (0.15, 0.009, 0.001, False),  # not worth a name
     ],
