@@ -25,9 +25,9 @@ LEFT = 0.2
 #: others leave; beside the object's mass, named for a magnet, contact damping took a fifth, then a mass centre a
 #: twentieth.
 TAKEN, LIKELY = 0.25, 0.05
-#: Floors of what is left that count for that, at most: half a floor is worth a name however much no effect explains.
-#: (Of real cube tosses 12 floors stay; inertia and contact, each worth half a floor to one, are true of the cube.)
-MUCH = 2.0
+#: Floors of what is left that count for that, at most: 0.2 floors are worth a name however much no effect explains. (Of
+#: real cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together.)
+MUCH = 0.8
 #: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
 #: a set to whose signatures the recording adds up.
 MOST = 0.5
