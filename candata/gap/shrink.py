@@ -185,7 +185,7 @@ def _axes(plane: Plane, typical: Array) -> Array:
     loss is flat along such an axis alone, and rises along each number.
     """
     free = np.flatnonzero(typical > 0)
-    slope = (plane.slope[free] * np.sqrt(weights(plane.z))).reshape(len(free), -1).astype(float)
+    slope = (plane.slope[free] * np.sqrt(weights(plane.z))).reshape(len(free), plane.z.size).astype(float)
     slope *= typical[free, None]
     axes = np.zeros((len(free), len(typical)))
     axes[:, free] = np.linalg.eigh(slope @ slope.T)[1].T

@@ -11,7 +11,7 @@ from candata.gap.candidates import candidate, typical_size
 from candata.gap.folds import CrossFit
 from candata.gap.response import Plane
 from candata.gap.search import Fit
-from candata.gap.shrink import intervals
+from candata.gap.shrink import FINEST, intervals
 
 TRUE = np.array([0.2, 0.01])
 NAMES = ("joint_damping", "armature")
@@ -100,6 +100,20 @@ def test_a_fit_of_many_numbers_is_known_to_where_it_would_have_ended(posed, monk
     # The loss, 1.08 at the fit, rises by the square of the distance in sizes: by 0.02 of itself at 0.147 of them.
     assert many == pytest.approx(2 * (0.147 + 0.01) * size, rel=0.05)
     assert (few < 0.5 * many).all()
+
+
+def test_choices_alone_are_what_they_are(arm):
+    chosen = [candidate(name, arm) for name in ("integrator", "time_step")]
+    members = tuple((c, c.low) for c in chosen)
+    own, neutral = np.concatenate([c.low for c in chosen]), np.concatenate([c.neutral for c in chosen])
+    flat = np.zeros((len(own), 8, 30), np.float32)
+    fit = Fit(members, Plane(own, own, own, flat[0], flat), CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, len(own)))))
+    problem = SimpleNamespace(
+        recs=range(8), replayer=SimpleNamespace(scene=arm), score=SimpleNamespace(loss=lambda z: z.mean(1))
+    )
+    low, high = intervals(problem, fit)
+    assert low == pytest.approx(own - FINEST * np.abs(own - neutral))
+    assert high == pytest.approx(own + FINEST * np.abs(own - neutral))
 
 
 def test_no_number_is_tried_beyond_its_bounds(posed):
