@@ -27,7 +27,6 @@ from candata.gap.worth import (
     FAINT,
     LARGEST,
     LEFT,
-    LIKELY,
     MOST,
     TAKEN,
     extra_of,
@@ -172,18 +171,17 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     if stage.passing() is None:
         return None
     front = [f for f in stage.fits if f.gain > ROUGHLY * stage.best_gain or is_near(f, stage.fits[0])][: 1 + RIVALS]
-    return _sharp(problem, best, [(*best.members, f.members[0]) for f in front])
+    return _sharp(problem, [(*best.members, f.members[0]) for f in front])
 
 
-def _sharp(problem: Problem, best: Fit, sets: Sequence[Members]) -> Fit | None:
-    """Return the best of larger sets, sharply fitted those that light fits cannot tell apart; None where none helps."""
+def _sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
+    """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none."""
     base = problem.score.loss(problem.nominal)
-    light = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
-    if not light or not takes(best, light[0], LIKELY):
-        return None
-    many = max(len(f.plane.at) for f in light) > MANY
-    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
-    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain)
+    if len(sets) > 1:
+        light = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
+        many = max(len(f.plane.at) for f in light) > MANY
+        sets = [f.members for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
+    return max((joint(problem, members, base) for members in sets), key=lambda f: f.gain, default=None)
 
 
 def _moved(problem: Problem, best: Fit) -> Fit | None:
@@ -241,7 +239,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     part, index = brief(problem)
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [_nearest(part, best.members, pair) for pair in pairs]
-    found = _sharp(problem, best, [members for loss, members in sets if loss < now])
+    found = _sharp(problem, [members for loss, members in sets if loss < now])
     if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found, TAKEN)):
         return None
     return found
