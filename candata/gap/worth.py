@@ -21,8 +21,8 @@ FAINT, SURER = 0.05, 3.0
 #: right cause. (In three blind cases with less, it found nothing, or names that make up for chaos.)
 LEFT = 0.2
 #: Share of what is left, where that is more than `LEFT`, that the next effect must take, sharply fitted. Chosen: of two
-#: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet, contact
-#: damping took a fifth, then a mass centre a twentieth.
+#: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet,
+#: contact damping took a fifth, then a mass centre a twentieth.
 TAKEN = 0.25
 #: Floors of what is left that count for that, at most: 0.2 floors are worth a name however much no effect explains. (Of
 #: real cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together.)
