@@ -28,7 +28,6 @@ from candata.gap.worth import (
     LARGEST,
     LEFT,
     MOST,
-    TAKEN,
     extra_of,
     has_room,
     is_next,
@@ -240,7 +239,7 @@ def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [_nearest(part, best.members, pair) for pair in pairs]
     found = _sharp(problem, [members for loss, members in sets if loss < now])
-    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found, TAKEN)):
+    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
         return None
     return found
 

@@ -11,7 +11,7 @@ from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
 EXPLAINED, PARTLY = 0.8, 0.3
-#: Floors that may remain for `explained` whatever the share.
+#: Floors that may remain for `explained` whatever the share, where a set is trusted.
 REMAINING = 0.30
 #: Trust below which a set passes no more for the little that it leaves: it is wrong more often than right. (A magnet
 #: that was half explained by the object's mass left 0.29 floors of 0.77; of true causes, none that left 0.30 floors or

@@ -58,15 +58,15 @@ def extra_of(best: Fit, grown: Fit) -> Array:
     return best.evidence.loss - grown.evidence.loss
 
 
-def takes(best: Fit, grown: Fit, share: float) -> bool:
-    """Tell whether more effects take a share of what is left, where that is much."""
+def takes(best: Fit, grown: Fit) -> bool:
+    """Tell whether more effects take their share of what is left, where that is much."""
     left = left_by(best)
-    return left <= LEFT or float(extra_of(best, grown).mean()) > share * min(left, MUCH)
+    return left <= LEFT or float(extra_of(best, grown).mean()) > TAKEN * min(left, MUCH)
 
 
 def is_next(best: Fit, grown: Fit) -> bool:
     """Tell whether one more effect is worth a name: it gains enough and takes enough, or it ends the search."""
-    enough = worth_adding(extra_of(best, grown), best.gain) and takes(best, grown, TAKEN)
+    enough = worth_adding(extra_of(best, grown), best.gain) and takes(best, grown)
     return enough or settles(best, grown)
 
 
