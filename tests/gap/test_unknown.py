@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from candata.gap import unknown
 from candata.gap.floor import floor
 from candata.gap.folds import folds
 from candata.gap.recordings import Recordings, recordings
@@ -93,6 +94,12 @@ def test_the_stop_gap_of_a_cogging_torque_closes_the_gap(cogging):
     # The dictionary holds this very law.
     assert cogging.unknown.closable > 0.9
     assert [(s.name, s.element) for s in cogging.stopgap] == [("learned_residual", "elbow")]
+
+
+def test_a_force_that_mends_too_little_is_not_described(arm, arm_episodes, hiding, cogging, monkeypatch):
+    cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
+    monkeypatch.setattr(unknown, "LITTLE", cogging.unknown.closable + 0.001)
+    assert described(arm, recordings(arm, arm_episodes(hiding(cause)))) is None
 
 
 def test_with_the_cause_switched_off_nothing_stands_out(arm, arm_episodes):
