@@ -82,9 +82,12 @@ def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch)
     fitted = {c.label: _fitted_gain(part, r, base[index]) for c, r in responses}
     monkeypatch.setattr("candata.gap.shortlist.LEAST", 1)
     monkeypatch.setattr("candata.gap.shortlist.MOST", 1)
-    labels = {c.label for c, _ in screened(posed, posed.nominal, found, (), base).responses}
-    assert set(sorted(fitted, key=lambda name: -fitted[name])[:FITTED]) <= labels
-    assert len(labels) <= 1 + FITTED
+    first = sorted(fitted, key=lambda name: -fitted[name])[:FITTED]
+    for share, wanted in ((0.0, first), (0.999, first[:1])):
+        monkeypatch.setattr("candata.gap.shortlist.ALONE", share)
+        labels = {c.label for c, _ in screened(posed, posed.nominal, found, (), base).responses}
+        assert set(wanted) <= labels
+        assert len(labels) <= 1 + len(wanted)
 
 
 def test_before_a_cause_is_called_unknown_everything_is_looked_at(posed, monkeypatch):
