@@ -88,8 +88,11 @@ def by_loss(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Memb
 
 
 def here_of(problem: Problem, fit: Fit) -> Compact:
-    """Return the residuals `(E, K)` where a fit is: a plane was simulated there, a curve is read between rollouts."""
-    return fit.response.z if isinstance(fit.response, Plane) else residuals_at(problem, fit.members)
+    """Return the residuals `(E, K)` where a fit is; a plane was simulated there, a curve perhaps beside it."""
+    if isinstance(fit.response, Plane):
+        return fit.response.z
+    ((_, u),) = fit.members
+    return fit.response.read(u) if fit.response.was_simulated(u) else residuals_at(problem, fit.members)
 
 
 def residuals_at(problem: Problem, members: Members) -> Compact:

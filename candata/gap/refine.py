@@ -221,5 +221,5 @@ def polished(problem: Problem, best: Fit, base: Array) -> Fit:
 
 def _at(problem: Problem, fit: Fit, points: Sequence[Array], base: Array) -> Fit:
     """Return a scalar's fit with coordinates simulated on the recording that were not yet."""
-    new = [p for p in points if fit.curve.nearest_sure(p) > 1e-9]
+    new = [p for p in points if not fit.curve.was_simulated(p)]
     return _with_points(problem, [fit], [new], base, ())[0] if new else fit

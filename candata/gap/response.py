@@ -16,6 +16,8 @@ Index = NDArray[np.int64]
 Fitter = Callable[[Index], Array]
 #: Points between two neighbouring probes at which a scalar's loss is read off the interpolated response.
 BETWEEN = 6
+#: Coordinates no farther apart are the same.
+SAME = 1e-9
 #: Scales by which residuals are divided in the rounds of iteratively reweighted least squares. Large residuals first
 #: count as in plain least squares, and only near the fit as outliers (graduated non-convexity, Blake & Zisserman 1987):
 #: a far optimum is found too.
@@ -72,6 +74,10 @@ class Curve:
     def nearest_sure(self, u: Array) -> float:
         """Return how far from `u (1,)` the nearest point lies that was simulated on the recording."""
         return float(np.abs(self.at[self.sure] - u[0]).min())
+
+    def was_simulated(self, u: Array) -> bool:
+        """Tell whether the residuals at `u (1,)` come from the recording itself."""
+        return self.nearest_sure(u) <= SAME
 
     def rescaled(self, factor: Compact) -> Curve:
         """Return the curve with residuals times `factor (E, K)`: another floor's units."""

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from candata.gap import refine
+from candata.gap.added import here_of
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.floor import perturbed
@@ -98,3 +99,16 @@ def test_replays_from_several_starts_are_those_from_each(problem):
         own = replace(problem, begin=begin).residuals(worlds)
         assert losses == pytest.approx(np.array([problem.score.loss(z) for z in own]), abs=1e-12)
     assert not np.array_equal(*together[:, 0])
+
+
+def test_where_a_scalar_was_simulated_it_is_read_and_not_simulated_again(problem, rollouts):
+    (rough,), base = alone(problem, "joint_dry_friction")
+    ((c, _),) = rough.members
+    found = refine.polished(problem, rough, base)
+    there = found.curve.at[found.curve.sure][-1:]
+    simulated = problem.residuals([problem.setting([(c, there)])])[0]
+    rollouts.clear()
+    assert np.allclose(here_of(problem, replace(found, members=((c, there),))), simulated, atol=1e-4)
+    assert rollouts == []
+    here_of(problem, replace(found, members=((c, there + 0.001),)))
+    assert rollouts == [("joint_dry_friction",)]
