@@ -10,7 +10,7 @@ from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share
-from candata.gap.stage import Stage, look, narrowed, null_level, sharpened, tied_with, unheld
+from candata.gap.stage import Stage, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 from candata.gap.worth import LEFT, MOST, left_by
 
@@ -82,9 +82,9 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     nominal = problem.nominal
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     if remains and first.faint and first.passing() is None and not problem.simulated:
-        # Before the cause is called unknown, everything is looked at on every episode.
-        problem.pace.told("looking at every effect on every episode")
-        first = look(problem, nominal, (), first, full=True)
+        # Before the cause is called unknown, all that could explain it is looked at on every episode.
+        problem.pace.told("looking at more effects on every episode")
+        first = look_again(problem, first)
     best = first.passing()
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)

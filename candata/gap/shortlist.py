@@ -32,7 +32,8 @@ ALONE, BESIDE = 0.4, 0.2
 #: Fewest and most such candidates, and the most where each is simulated on the recording.
 LEAST, MOST, SIMULATED = 3, 8, 4
 #: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all,
-#: and from which a search of all is worth while. Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction
+#: and from which a search of all is worth while, or any candidate on all episodes before the cause is called unknown.
+#: Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction
 #: that is worth all of it closed a tenth.
 TRIED, WORTH = 0.05, 0.1
 #: How many of those that gain such a share where they are fitted come along.
@@ -64,9 +65,7 @@ class Screened:
     rough: Responses = field(default_factory=list)
 
 
-def screened(
-    problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array, full: bool = False
-) -> Screened:
+def screened(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, base: Array) -> Screened:
     """Return the responses of the candidates that are worth it, on top of the residuals `here (E, K)`.
 
     Looked at are the candidates found and promising variants of them on one element.
@@ -81,11 +80,9 @@ def screened(
         Effects that act already.
     base : (E,) float64
         Typical loss without another effect, in floors.
-    full : bool
-        Look at all of them on every episode at once.
     """
     part, index = brief(problem)
-    if full or part is problem:
+    if part is problem:
         responses, dead = _all(problem, here, found, held, base)
         return Screened(responses, dead, (), len(responses))
     rough, dead = _all(part, here[index], found, held, base[index])
@@ -94,6 +91,21 @@ def screened(
     labels = {c.label for c in kept}
     faint = tuple(c.label for c, _ in rough if c.element is None and c.label not in labels)
     return Screened(responses, dead, faint, len(rough), rough)
+
+
+def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -> Screened:
+    """Return a screen with more of its candidates on every episode: also those that close a share of the few.
+
+    What closes next to nothing of the episodes that it is fitted to does not explain the others either.
+    """
+    part, index = brief(problem)
+    least = WORTH * float((base[index] - 1).mean())
+    left_out = {
+        c.label for c, r in seen.rough
+        if (c.element or c.label in seen.faint) and _fitted_gain(part, r, base[index]) <= least
+    }  # fmt: skip
+    responses, _ = respond(problem, here, [c for c, _ in seen.rough if c.label not in left_out])
+    return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name in left_out))
 
 
 def _all(

@@ -17,7 +17,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.shortlist import rivals, screened
+from candata.gap.shortlist import Screened, reconsidered, rivals, screened
 from candata.gap.starts import Starts
 
 Array = NDArray[np.float64]
@@ -100,13 +100,23 @@ class Stage:
         return sure or best.gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
 
 
-def look(problem: Problem, here: Compact, held: Members, before: Stage | None = None, full: bool = False) -> Stage:
-    """Return every candidate's held-out evidence on top of the effects held, `full`: with no shortlist of them.
+def look(problem: Problem, here: Compact, held: Members, before: Stage | None = None) -> Stage:
+    """Return every candidate's held-out evidence on top of the effects held.
 
     `before` is an earlier look at the same place, whose typical loss holds still.
     """
     base, luck = (before.base, before.luck) if before else typical(problem, here, held)
-    seen = screened(problem, here, unheld(problem, held), held, base, full)
+    return _judged(problem, screened(problem, here, unheld(problem, held), held, base), base, luck, held)
+
+
+def look_again(problem: Problem, before: Stage) -> Stage:
+    """Return the evidence of a first look with more candidates on every episode: all that could explain much."""
+    seen = Screened([], before.dead, before.faint, len(before.rough), list(before.rough))
+    return _judged(problem, reconsidered(problem, problem.nominal, seen, before.base), before.base, before.luck, ())
+
+
+def _judged(problem: Problem, seen: Screened, base: Array, luck: Array, held: Members) -> Stage:
+    """Return the evidence of what a screen leaves, refined."""
     responses = [r for _, r in seen.responses]
     threshold = null_threshold(responses, problem.score, problem.parts, luck, problem.rng, seen.tried)
     found_fits = refined(problem, _fits(problem, seen.responses, base), base, held)
@@ -115,8 +125,7 @@ def look(problem: Problem, here: Compact, held: Members, before: Stage | None = 
     idle = tuple(c.label for c in absent if c.element is None)
     declared = problem.floor_kind != "assumed"
     reachable = null_level(problem.score, problem.rng, 0.1) if declared else 0.0
-    rough = before.rough if before and not seen.rough else seen.rough
-    return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable, rough)
+    return Stage(base, luck, tuple(fits), threshold, seen.dead, idle, seen.faint, reachable, seen.rough)
 
 
 def unheld(problem: Problem, held: Members) -> list[Candidate]:

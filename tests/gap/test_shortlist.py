@@ -14,7 +14,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
-from candata.gap.shortlist import FEW, FITTED, MOST, _fitted_gain, _gains, brief, few, screened
+from candata.gap.shortlist import FEW, FITTED, MOST, _fitted_gain, _gains, brief, few, reconsidered, screened
 from candata.gap.stage import typical
 
 
@@ -55,12 +55,24 @@ def test_the_cause_is_on_the_list_and_the_others_are_named(posed, arm):
     assert all(len(r.read(c.neutral)) == len(posed.recs) for c, r in seen.responses)
 
 
-def test_a_full_look_leaves_nothing_out(posed, arm):
+def test_a_second_look_leaves_out_only_what_closes_next_to_nothing_where_it_is_fitted(posed, arm, monkeypatch):
     base, _ = typical(posed, posed.nominal, ())
     found = candidates(arm, list(posed.recs.readings))
-    seen = screened(posed, posed.nominal, found, (), base, full=True)
-    assert seen.faint == ()
-    assert {c.label for c in found} == {c.label for c, _ in seen.responses if c.element is None} | set(seen.dead)
+    part, index = brief(posed)
+    first = screened(posed, posed.nominal, found, (), base)
+    before = {c.label for c, _ in first.responses if c.element is None}
+    fitted = {c.label: _fitted_gain(part, r, base[index]) for c, r in first.rough}
+    left = float((base[index] - 1).mean())
+    size = []
+    for share in (-np.inf, 0.1, np.inf):
+        monkeypatch.setattr("candata.gap.shortlist.WORTH", share)
+        seen = reconsidered(posed, posed.nominal, first, base)
+        labels = {c.label for c, _ in seen.responses}
+        assert labels == {name for name, gain in fitted.items() if gain > share * left} | before
+        assert {c.label for c in found} == {n for n in labels if " " not in n} | set(seen.faint) | set(seen.dead)
+        assert all(len(r.read(c.neutral)) == len(posed.recs) for c, r in seen.responses)
+        size.append(len(labels))
+    assert size[0] > size[1] > size[2]
 
 
 def test_gains_on_a_few_episodes_are_held_out(posed, arm):
@@ -90,19 +102,13 @@ def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch)
         assert len(labels) <= 1 + len(wanted)
 
 
-def test_before_a_cause_is_called_unknown_everything_is_looked_at(posed, monkeypatch):
-    looks = []
-
-    def blind(problem, here, found, held, base, full=False):
-        looks.append(full)
-        seen = screened(problem, here, found, held, base, full)
-        if full:
-            return seen
+def test_before_a_cause_is_called_unknown_more_is_looked_at(posed, monkeypatch):
+    def blind(problem, here, found, held, base):
+        seen = screened(problem, here, found, held, base)
         poor = [(c, r) for c, r in seen.responses if c.name == "object_mass"]
         return replace(seen, responses=poor, faint=("joint_damping",))
 
     monkeypatch.setattr(staging, "screened", blind)
     found = attribute(posed)
-    assert looks[:2] == [False, True]
     assert found.chosen is not None
     assert found.chosen.labels[0] == "joint_damping"
