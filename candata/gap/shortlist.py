@@ -32,9 +32,8 @@ ALONE, BESIDE = 0.4, 0.2
 #: Fewest and most such candidates, and the most where each is simulated on the recording.
 LEAST, MOST, SIMULATED = 3, 8, 4
 #: Share of what is left that a candidate, simulated on a few recorded episodes, must close there to be tried on all,
-#: and from which a search of all is worth while, or any candidate on all episodes before the cause is called unknown.
-#: Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction
-#: that is worth all of it closed a tenth.
+#: and from which a search of all is worth while, or a candidate on all episodes before the cause is called unknown.
+#: Chosen: beside a delay of 120 ms that is off by 3 %, a dry friction that is worth all of it closed a tenth.
 TRIED, WORTH = 0.05, 0.1
 #: How many of those that gain such a share where they are fitted come along.
 FITTED = 3
