@@ -25,9 +25,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import effect
 from candata.gap.floor import null_residuals
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, replay_all
+from candata.gap.replay import EffectSet, Replayer, replay_all, true_start
 from candata.gap.residuals import Layout, residual
 from candata.gap.starts import Starts, starts
 from candata.scenes import Scene
@@ -75,6 +76,9 @@ class Library:
         Libraries of some of the episodes that this diagnosis has asked for.
     told : callable
         Called now and then with how many simulations are done and about how long the others take.
+    own : bool
+        Whether the worlds start where these recordings read that they do. Then a sensor at fault began elsewhere, and
+        reads what was recorded; in the start of other recordings, which it was not part of, it reads something else.
     """
 
     replayer: Replayer
@@ -86,6 +90,7 @@ class Library:
     memo: dict[str, Compact] = field(default_factory=dict)
     parts: dict[tuple[int, ...], Library] = field(default_factory=dict)
     told: Callable[[str], None] = lambda stage: None
+    own: bool = True
 
     def take(self, index: NDArray[np.int64]) -> Library:
         """Return the library of some episodes."""
@@ -93,7 +98,8 @@ class Library:
         if key not in self.parts:
             root = self.folder.parents[2] if self.folder else None
             begin, plan = self.begin.take(index), self.plan.take(index)
-            self.parts[key] = library(self.replayer, self.recs.take(index), begin, plan, root, self.told)
+            part = library(self.replayer, self.recs.take(index), begin, plan, root, self.told)
+            self.parts[key] = replace(part, own=self.own)
         return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
@@ -111,21 +117,30 @@ class Library:
 
     def lacks(self, some: EffectSet) -> bool:
         """Tell whether the cache has no file for a signature."""
-        file = self._file(_text(some))
+        file = self._file(self._name(some))
         return file is None or not file.exists()
 
     def keep(self, some: EffectSet) -> None:
         """Simulate a signature into the cache, unless it is there; nothing of it stays in memory."""
-        if _read(self._file(_text(some))) is None:
-            _keep(self._file(_text(some)), residual=self._residual(some) - self.nominal)
+        if _read(self._file(self._name(some))) is None:
+            _keep(self._file(self._name(some)), residual=self._residual(some) - self.nominal)
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
-        return self._kept(_text(some), lambda: self._residual(some) - self.nominal)
+        return self._kept(self._name(some), lambda: self._residual(some) - self.nominal)
+
+    def _name(self, some: EffectSet) -> str:
+        """Return what names a signature: the effects, and whether the start is what they read."""
+        return f"{_text(some)} read" if self._is_read(some) else _text(some)
+
+    def _is_read(self, some: EffectSet) -> bool:
+        """Tell whether the start is what a sensor at fault read."""
+        return self.own and any(effect(s.name).unread is not None for s in some)
 
     def _residual(self, some: EffectSet) -> Compact:
         """Return the residual of noise-free recordings of a world under the nominal replay."""
-        return _recorded(self.replayer, self.recs, self.begin, self.plan, some)
+        begin = true_start(self.replayer.scene, self.recs, self.begin, some) if self._is_read(some) else self.begin
+        return _recorded(self.replayer, self.recs, begin, self.plan, some)
 
     def nulls(self, noise: Noise) -> Array:
         """Return the residuals `(R, E, B, D)` of null recordings under their replay, with a noise of their own."""
@@ -162,10 +177,11 @@ def library(
 ) -> Library:
     """Return the library of a set of recordings; `root` is the cache's folder, None keeps nothing."""
     flat = replace(plan, phase=np.zeros_like(plan.phase))
-    folder = None
+    folder, shared = None, begin
     if root is not None:
-        folder, begin = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
-    blank = Library(replayer, recs, begin, flat, np.zeros(1, np.float32), folder, told=told)
+        folder, shared = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
+    own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)
+    blank = Library(replayer, recs, shared, flat, np.zeros(1, np.float32), folder, told=told, own=own)
     return replace(blank, nominal=blank._kept("nominal", lambda: blank._residual(())))
 
 

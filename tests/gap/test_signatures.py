@@ -37,6 +37,29 @@ def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_epi
     assert np.abs(seen[inside]).max() > 1e-3
 
 
+def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_episodes, planted):
+    """Of its own recording a library knows what was read; of another recording, shared, only the place."""
+    some = planted("joint_offset", offset_rad=(0.08, -0.06))
+    recs = recordings(arm, arm_episodes(some, noise=False))
+    own = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    inside = np.isfinite(own.raw)
+    (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))
+    error, wrong = (np.abs(one[inside] - own.raw[inside]).max() for one in (found, other))
+    assert np.abs(own.raw[inside]).max() > 1e-3
+    assert error < 0.2 * wrong
+
+
+def test_only_the_recording_whose_start_it_is_owns_a_library(still, planted, tmp_path):
+    some = planted("joint_offset", offset_rad=(0.08, -0.06))
+    moved = replace(still.begin, qpos=still.begin.qpos + 0.01, qpos0=still.begin.qpos0 + 0.01)
+    first, again, other = shelf(still, tmp_path), shelf(still, tmp_path), shelf(still, tmp_path, moved)
+    assert (first.own, again.own, other.own) == (True, True, False)
+    assert [part.take(np.arange(3)).own for part in (first, other)] == [True, False]
+    first.keep(some)
+    assert not again.lacks(some)
+    assert other.lacks(some)
+
+
 def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, tmp_path):
     some = planted("armature", armature_kgm2=0.01)
     (fresh,) = shelf(still, None).signatures([some])
