@@ -8,7 +8,6 @@ from pathlib import Path
 from time import monotonic, process_time
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,7 +23,7 @@ from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.floor import sensor_noise, spread
 from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
-from candata.gap.locate import acts_on, locate, symptoms
+from candata.gap.locate import acts_on, locate, slides, symptoms
 from candata.gap.mismatch import checked
 from candata.gap.origin import data_used, provenance, title
 from candata.gap.outlook import say_outlook
@@ -240,13 +239,13 @@ def _concluded(f: _Findings, rng: np.random.Generator) -> Diagnosis:
         verdict=word,
         effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
-        unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, _slides(f.scene)), typical, unit),
+        unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
         ranking=_ranking(f, rng),
         gap=size,
         where=where,
         next_motion=proposed,
         data=data_used(f.dataset, f.problem, f.episodes, len(f.held.recs)),
-        measures=measures(f.held, np.isin(f.scene.file.joints, _slides(f.scene))),
+        measures=measures(f.held, np.isin(f.scene.file.joints, slides(f.scene))),
         provenance=provenance(f.scene),
     )
     losses = EpisodeLosses(
@@ -284,12 +283,6 @@ def _rest(
 def lasting(name: str) -> str:
     """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
     return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
-
-
-def _slides(scene: Scene) -> list[str]:
-    """Return the names of slide joints: a wrist on rails."""
-    slide = mujoco.mjtJoint.mjJNT_SLIDE
-    return [j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide]
 
 
 def _typical(f: _Findings, channel: str, element: str | None) -> tuple[float, str]:

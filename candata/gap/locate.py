@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.evidence import HeatMap
 from candata.gap.residuals import Layout
 from candata.gap.score import Compact, Score, rho
+from candata.scenes import Scene
 from candata.schema.report import Symptom
 
 Array = NDArray[np.float64]
@@ -98,3 +100,9 @@ def acts_on(found: Sequence[Symptom], slides: Sequence[str]) -> str | None:
     if first.channel == "joint_position":
         return "wrist" if first.element in slides else "joint"
     return {"fingertip_force": "fingertip", "object_pose": "object"}[first.channel]
+
+
+def slides(scene: Scene) -> list[str]:
+    """Return the names of slide joints: a wrist on rails."""
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    return [j for j, i in zip(scene.file.joints, scene.joint_ids, strict=True) if scene.model.jnt_type[i] == slide]

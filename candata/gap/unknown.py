@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.floor import null_recordings
-from candata.gap.locate import LEVEL
+from candata.gap.locate import LEVEL, acts_on, slides
 from candata.gap.replay import EffectSet
 from candata.gap.residual_force import residual_force
 from candata.gap.search import Problem
@@ -48,7 +48,7 @@ class Described:
     ----------
     unknown : Unknown
     stopgap : tuple of EffectSetting
-        Empty for a fault of a reading, which no force mends.
+        Empty where no force mends it.
     """
 
     unknown: Unknown
@@ -58,7 +58,9 @@ class Described:
 def describe(
     problem: Problem, world: EffectSet, where: Sequence[Symptom], nearest: str | None, rng: np.random.Generator
 ) -> Described | None:
-    """Return what remains in a world as a force: where, how large, on what it depends; None where none mends it.
+    """Return what remains in a world as a force: where, how large, on what it depends; None where none stands out.
+
+    Where the force mends next to nothing, the worst symptom says on what it acts.
 
     Parameters
     ----------
@@ -77,8 +79,13 @@ def describe(
     found = _standing_out(some, world, rng)
     if not found:
         return None
-    best = _best(some, world, found)
-    return Described(_unknown(some, best, where, nearest), best.settings) if best.closed >= LITTLE else None
+    best, place = _best(some, world, found), acts_on(where, slides(problem.replayer.scene))
+    if best.closed < LITTLE and place not in (None, best.suspects[0].place):
+        there = [s for s in found if s.place == place]
+        if not there:
+            return None
+        best = stopgap(some, world, there[:1])
+    return Described(_unknown(some, best, where, nearest), best.settings if best.closed > 0 else ())
 
 
 def unseating(
@@ -159,7 +166,8 @@ def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest:
     force, size = _typical(best)
     closed = round(best.closed, 4)
     text = _words(problem, best, force, size, where)
-    text += f"; {_means(suspect)} fitted to it closes {100 * closed:.0f} % of the gap on held-out episodes"
+    if closed > 0:
+        text += f"; {_means(suspect)} fitted to it closes {100 * closed:.0f} % of the gap on held-out episodes"
     if nearest is not None:
         text += f"; the nearest effect of the library is {nearest}, which does not explain it"
     return Unknown(
@@ -185,10 +193,11 @@ def _unit(suspect: Suspect) -> str:
 
 
 def _typical(best: Stopgap) -> tuple[Array, float]:
-    """Return the mean force `(A,)` and the median size while it acts."""
+    """Return the mean force `(A,)` and the median size while it acts; as regressed where playing it does not help."""
     suspect = best.suspects[0]
+    scale = best.scale if best.closed > 0 else 1.0
     terms = suspect.by_row[..., list(suspect.found.terms)]
-    force = best.scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
+    force = scale * np.einsum("etak,ka->eta", terms, suspect.found.coefficients)
     force = force[np.isfinite(force).all(2)]
     size = np.sqrt((force**2).sum(1))
     acting = size > ACTS * np.quantile(size, 0.95)

@@ -20,6 +20,7 @@ from candata.gap.starts import starts
 from candata.gap.unknown import describe
 from candata.reports.files import STOPGAP, write_diagnosis
 from candata.schema.effect import EffectsFile
+from candata.schema.report import Symptom
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import add_noise
 from tests.effects.gripper import ROLES, grip, write_scene
@@ -55,7 +56,7 @@ def grips(scene, effects, count: int = 8, seconds: float = 1.6, seed: int = 5) -
     )  # fmt: skip
 
 
-def described(scene, recs, world=()):
+def described(scene, recs, world=(), where=()):
     """What is said of a recording's unknown cause."""
     rng = np.random.default_rng(1)
     replayer, begin = Replayer(scene), starts(scene, recs)
@@ -67,7 +68,7 @@ def described(scene, recs, world=()):
         replayer=replayer, recs=recs, begin=begin, plan=plan, score=level, parts=folds(recs.tasks, rng),
         noise=spread.noise,
     )  # fmt: skip
-    return describe(problem, world, (), None, rng)
+    return describe(problem, world, where, None, rng)
 
 
 @pytest.fixture(scope="module")
@@ -96,10 +97,18 @@ def test_the_stop_gap_of_a_cogging_torque_closes_the_gap(cogging):
     assert [(s.name, s.element) for s in cogging.stopgap] == [("learned_residual", "elbow")]
 
 
-def test_a_force_that_mends_too_little_is_not_described(arm, arm_episodes, hiding, cogging, monkeypatch):
+@pytest.mark.parametrize(
+    ("least", "element", "place"), [(-1.0, "elbow", "joint"), (1.0, None, None), (1.0, "elbow", "joint")]
+)
+def test_where_a_force_mends_nothing_the_symptoms_say_on_what_it_acts(
+    arm, arm_episodes, hiding, monkeypatch, least, element, place
+):
+    monkeypatch.setattr(unknown, "LITTLE", least)
     cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
-    monkeypatch.setattr(unknown, "LITTLE", cogging.unknown.closable + 0.001)
-    assert described(arm, recordings(arm, arm_episodes(hiding(cause)))) is None
+    channel = "joint_position" if place and least > 0 else "fingertip_force"
+    worst = Symptom(channel=channel, element="elbow", phase=None, ratio=9.0, p=0.001)
+    found = described(arm, recordings(arm, arm_episodes(hiding(cause))), where=(worst,))
+    assert (found and (found.unknown.acts_on, found.unknown.element)) == (place and (place, element))
 
 
 def test_with_the_cause_switched_off_nothing_stands_out(arm, arm_episodes):
