@@ -43,7 +43,7 @@ CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 OWN_CODE = ("floor", "replay", "residuals", "starts")
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
-#: decides when contact begins, hardly what an effect does.
+#: decides when contact begins, hardly what an effect does but for a sensor at fault that read it.
 SAME_PLACE, SAME_TURN = 0.02, 0.1
 #: Seed of null recordings: the same from the cache and without it.
 NULL_SEED = 0

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from candata.effects._residual_terms import AXES, JOINT_TERMS, OBJECT_TERMS
 from candata.gap.dictionary import Description, Sample, describe_force, fitted
+from candata.gap.locate import slides
 from candata.gap.residual_force import Residual
 from candata.scenes import Scene
 
@@ -113,8 +114,7 @@ def _joint(scene: Scene, j: int, real: Residual, null: Residual, parts: Sequence
     by_row = np.concatenate([real.joint[:, :, j, :_PERIODIC], np.sin(at), np.cos(at)], axis=-1)[:, :, None]
     terms = np.concatenate([sample.terms[..., :_PERIODIC], _blocks(by_row[..., _PERIODIC:], rows)], axis=-1)
     sample = replace(sample, terms=terms, groups=(*plain, (_PERIODIC, _PERIODIC + 1)))
-    slide = scene.model.jnt_type[scene.joint_ids[j]] == mujoco.mjtJoint.mjJNT_SLIDE
-    place: Place = "wrist" if slide else "joint"
+    place: Place = "wrist" if scene.file.joints[j] in slides(scene) else "joint"
     found = describe_force(sample, parts)
     return Suspect(place, scene.file.joints[j], slice(0), sample, by_row, found, wave, JOINT_TERMS)
 

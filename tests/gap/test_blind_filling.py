@@ -137,6 +137,16 @@ def test_ray_keeps_what_one_process_keeps(damped, arm, filled, tmp_path):
     assert all(same(ours[name], theirs[name]) for name in ours)
 
 
+def test_what_is_filled_for_other_recordings_is_what_they_ask_for(damped, arm, tmp_path):
+    """A sensor at fault read the start of the recording itself, and another start in the others."""
+    some = source(damped, arm.name, tmp_path)._replace(only=("joint_offset",))
+    plans = [planned(some._replace(shared=shared), "first") for shared in (True, False)]
+    assert [len(plan.tasks) for plan in plans] == [plan.total for plan in plans]
+    list(alone(keep_signature, plans[0].tasks))
+    assert planned(some._replace(shared=True), "first").tasks == []
+    assert len(planned(some, "first").tasks) == plans[1].total > 0
+
+
 def test_nothing_is_kept_for_tosses(cube, played, tmp_path):
     data = recorded(tmp_path / "real", played(cube, duration_s=0.7))
     assert planned(source(data, cube.name, tmp_path / "cache")) == (0, [])

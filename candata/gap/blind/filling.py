@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -48,6 +49,8 @@ class Source(NamedTuple):
         Seed of the diagnoses: of more than 64 episodes it decides which are searched.
     only : tuple of str
         Effects to search among; all that can act and show when empty.
+    shared : bool
+        For other recordings of the same commands, to which a sensor at fault says another start.
     """
 
     dataset: str
@@ -56,6 +59,7 @@ class Source(NamedTuple):
     cache: str
     seed: int = 0
     only: tuple[str, ...] = ()
+    shared: bool = False
 
 
 class Plan(NamedTuple):
@@ -115,7 +119,7 @@ def shared_by(places: Sequence[Place], cache: Path, seed: int) -> Source | None:
     if len(looked) < 2 or 2 * max(shared) <= len(looked):
         return None
     place = looked[shared.index(max(shared))][0]
-    return source(place.folder, place.scene, cache, seed)
+    return source(place.folder, place.scene, cache, seed)._replace(shared=True)
 
 
 class _Begun(NamedTuple):
@@ -145,4 +149,7 @@ def _posed(some: Source, depth: Depth) -> list[tuple[Problem, EffectSet]]:
             "there is nothing to diagnose in these recordings", expected=f"{FEWEST} episodes or more that move",
             found=f"{len(found.everything)} episodes", where=Where(path=some.dataset), fix="record more",
         )  # fmt: skip
-    return wanted(found.problem, depth)
+    problem = found.problem
+    if some.shared:
+        problem = replace(problem, library=replace(problem.library, own=False, parts={}))
+    return wanted(problem, depth)
