@@ -44,8 +44,9 @@ def signatures(
 ) -> None:
     """Simulate what every effect does under these commands, so that later diagnoses of them need not.
 
-    Another recording shares them when its commands are the same and it starts within 2 cm and 0.1 rad. An interrupted
-    run goes on where it was; a later diagnosis says what it would have said.
+    Another recording shares them when its commands are the same and it starts within 2 cm and 0.1 rad; not
+    those of tracker biases and joint offsets, which follow from where each recording starts. An interrupted run goes on
+    where it was; a later diagnosis says what it would have said.
     """
     from candata.datasets.durable import user_cache
     from candata.gap.blind.cluster import crew_of
