@@ -257,7 +257,7 @@ def _fitness(fit: Fitness) -> list[str]:
     """Return what to say about the scene, a line each."""
     lines = []
     if fit.moving:
-        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f}")
+        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f} ({fit.worst})")
     if fit.live:
         least = min(fit.live, key=lambda name: fit.moved[name])
         lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import pytest
 
 from candata.datasets import open_dataset
-from candata.errors import DataError, UsageError
+from candata.errors import DataError, SceneError, UsageError
 from candata.gap.blind.cases import (
     CASE,
     CASES,
@@ -22,9 +24,11 @@ from candata.gap.blind.cases import (
 from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
+from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
 from candata.schema.report import DataUsed, EpisodeCount, Report
+from tests.gap.conftest import ARM, ROLES
 
 SALT = "ab" * 32
 SMALL = {"seed": 1, "episodes": 2, "duration_s": 0.4}
@@ -212,3 +216,43 @@ def test_a_scene_is_checked_before_anything_is_hidden(cube):
     # A cube in free flight on a rigid plane moves alike whatever its mass.
     assert fit.dead == ("object_mass",)
     assert set(fit.live) == {"sliding_friction", "pose_bias"}
+
+
+@pytest.mark.parametrize("seed", [96, 106])
+def test_a_joint_that_only_command_noise_moves_is_not_asked_to_follow(hand, seed):
+    """In these motions the noise of a finger's sideways joint, which no motion moves, spans 0.03 rad."""
+    fit = check_scene(hand, seed=seed, duration_s=3.2, only=("pose_bias",))
+    assert fit.moving >= 10
+    assert fit.follows > 0.95
+
+
+@pytest.mark.parametrize("gear", [1, -1, 2])
+def test_a_scene_is_refused_where_a_joint_does_not_follow(tmp_path, gear):
+    """A servo drives its joint to the command over the gear, which may be negative; an equality holds the joint."""
+    free = ARM.replace('joint="elbow"', f'joint="elbow" gear="{gear}"')
+    fit = check_scene(written(tmp_path / "fit", free), seed=1, duration_s=3.2, only=("joint_damping",))
+    assert fit.moving == 2
+    assert fit.follows > 0.9
+    stuck = free.replace(
+        "</worldbody>",
+        '</worldbody><equality><joint joint1="elbow" solref=".004 1" solimp=".999 .9999 .001"/></equality>',
+    )
+    with pytest.raises(SceneError, match="at joint elbow"):
+        check_scene(written(tmp_path / "stuck", stuck), seed=1, duration_s=3.2, only=("joint_damping",))
+
+
+def test_motors_have_no_target_to_follow(tmp_path):
+    motors = re.sub(
+        r"<position (.*?) kp=.*?forcerange", r"<motor \1 ctrllimited='true' ctrlrange='-1 1' forcerange", ARM
+    )
+    assert motors.count("<motor") == 2
+    fit = check_scene(written(tmp_path, motors), seed=1, duration_s=3.2, only=("joint_damping",))
+    assert (fit.moving, fit.worst) == (0, "")
+
+
+def written(folder: Path, model: str) -> Scene:
+    """The scene of an arm's model."""
+    folder.mkdir(exist_ok=True)
+    (folder / "arm.xml").write_text(model)
+    (folder / "scene.yaml").write_text(ROLES)
+    return load_scene(folder / "scene.yaml")

@@ -10,16 +10,22 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError
 from candata.gap.blind.draws import draw_setting, possible_effects
+from candata.gap.lagged import drives
+from candata.policies import command_limits
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
 
-#: A joint moves where its command spans more than this [rad or m]: more than the command noise.
-MOVING = 0.02
-#: Longest lag within which a joint has to follow [s], and the correlation that counts as following.
-LAG_S, FOLLOWS = 0.15, 0.8
+#: A joint is moved where its command spans more than this share of its range. Command noise alone, 0.004 of the range
+#: (1 sd), spans 0.04 at most, and faster than a soft servo follows.
+MOVING = 0.05
+#: Longest lag within which a joint has to follow [s], and the correlation that counts as following. In free sweeps of
+#: three hands: soft servos whose fingers touch each other 0.57 and more (150 seeds), reversed ones 0.26 at most.
+LAG_S, FOLLOWS = 0.15, 0.4
+#: A joint that moves by less than this share of its target's span is held.
+STILL = 0.1
 #: Smallest largest change of a channel, in its own unit, that counts as a change at all.
 MOVES = 1e-3
 COMPARED = ("joint_position", "object_pose", "fingertip_force")
@@ -35,12 +41,15 @@ class Fitness:
         Driven joints that the motions move.
     follows : float
         Smallest correlation of these with their targets; NaN without any.
+    worst : str
+        The joint whose correlation that is; empty without any.
     moved : dict of str to float
         Largest change of a channel that each effect makes, in the channel's unit.
     """
 
     moving: int
     follows: float
+    worst: str
     moved: dict[str, float]
 
     @property
@@ -66,15 +75,17 @@ def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[st
     rng = np.random.default_rng(seed)
     worlds = [(), *((draw_setting(scene, name, rng),) for name in names)]
     nominal, *others = [_played(scene, policies, world, seed, duration_s) for world in worlds]
-    following = [c for episode in nominal for c in _following(scene, episode)]
+    following = [pair for episode in nominal for pair in _following(scene, episode)]
+    least, worst = min(following, default=(float("nan"), ""))
     found = Fitness(
-        len(following), min(following, default=float("nan")),
+        len({joint for _, joint in following}), least, worst,
         {name: _change(nominal, other) for name, other in zip(names, others, strict=True)},
     )  # fmt: skip
     if following and found.follows < FOLLOWS:
         raise SceneError(
             f"joints of scene {scene.name} do not follow their targets",
-            expected=f"correlation of at least {FOLLOWS:g} within {LAG_S:g} s", found=f"{found.follows:.2f}",
+            expected=f"correlation of at least {FOLLOWS:g} within {LAG_S:g} s",
+            found=f"{found.follows:.2f} at joint {found.worst}",
             fix="check the actuators' gains and the order of joints and actuators",
         )  # fmt: skip
     return found
@@ -88,21 +99,20 @@ def _played(
     return make_episodes(scene, jobs, duration_s=duration_s)
 
 
-def _following(scene: Scene, episode: Episode) -> list[float]:
-    """Return the best correlation, over lags, of each joint that moves in free motion with its target."""
+def _following(scene: Scene, episode: Episode) -> list[tuple[float, str]]:
+    """Return the best correlation, over lags, of each servo's joint that moves in free motion with its target."""
     if "action" not in episode or ("contact" in episode and episode["contact"].any()):
         return []
-    lags = range(round(LAG_S * scene.file.rate_hz) + 1)
-    joint_of = {scene.model.joint(name).id: i for i, name in enumerate(scene.file.joints)}
-    driven = [(c, joint_of[scene.driven_joints[a]]) for c, a in enumerate(scene.actuator_ids.tolist())
-              if scene.driven_joints.get(a) in joint_of]  # fmt: skip
-    pairs = [(episode["action"][:, c], episode["joint_position"][:, j]) for c, j in driven]
-    return [_correlation(a, q, lags) for a, q in pairs if np.ptp(a) > MOVING]
+    lags, servos = range(round(LAG_S * scene.file.rate_hz) + 1), drives(scene)
+    target, read = servos.targets(episode["action"]), episode["joint_position"][:, servos.joints]
+    moved = np.ptp(episode["action"], axis=0) > MOVING * np.ptp(command_limits(scene), axis=1)
+    names = [scene.file.joints[j] for j in servos.joints]
+    return [(_correlation(target[:, s], read[:, s], lags), names[s]) for s in np.flatnonzero(moved[servos.columns])]
 
 
 def _correlation(target: NDArray[np.float64], read: NDArray[np.float64], lags: range) -> float:
-    """Return the largest correlation over lags; 0 for a joint that does not move at all."""
-    if np.ptp(read) == 0:
+    """Return the largest correlation over lags; 0 for a joint that hardly moves."""
+    if np.ptp(read) < STILL * np.ptp(target):
         return 0.0
     return max(float(np.corrcoef(target[: len(target) - k], read[k:])[0, 1]) for k in lags)
 
