@@ -87,6 +87,10 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best)
+        sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown) else None
+        if grown is not None and sharper is not None and not is_next(sharper, grown):
+            problem, best = world, sharper
+            continue
         if grown is None or not is_next(best, grown):
             if not has_room(best):
                 return best, world, remains
@@ -124,6 +128,19 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
 def _next(problem: Problem, best: Fit) -> Fit | None:
     """Return the best set with one more effect; None where nothing passes."""
     return _grown(problem, best, _beside(problem, best.members, here_of(problem, best)))
+
+
+def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
+    """Return `best` refitted from where its members are in a grown set; None where they explain no more there.
+
+    A fit that is not at its sharpest leaves what every further effect seems to take.
+    """
+    own = tuple(m for m in grown.members if m[0].label in best.labels)
+    before = float(problem.score.loss(here_of(problem, best)).mean())
+    if float(problem.score.loss(residuals_at(problem, own)).mean()) >= before:
+        return None
+    found = joint(problem, own, problem.score.loss(problem.nominal))
+    return found if found.gain > best.gain else None
 
 
 def _beside(problem: Problem, members: Members, here: Compact) -> Stage:

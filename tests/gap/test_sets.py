@@ -10,11 +10,12 @@ import pytest
 from candata.gap import sets, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
+from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
-from candata.gap.refine import joint
+from candata.gap.refine import around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
-from candata.gap.search import Problem
+from candata.gap.search import Fit, Problem
 from candata.gap.stage import look
 
 
@@ -40,6 +41,18 @@ def test_an_early_member_gives_way_to_the_true_one(arm, posed):
     found = sets._swapped(problem, wrong)
     assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
     assert found.evidence.loss.mean() < wrong.evidence.loss.mean()
+
+
+def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, planted):
+    recs = recordings(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    blunt = members(arm, joint_dry_friction=0.22)
+    plane = around(problem, blunt, lambda u: divided(blunt, u))
+    best = Fit(blunt, plane, cross_fit(replace(plane, slope=0 * plane.slope), problem.score, problem.parts, base))
+    found, _, _ = sets.forward(problem, best, [])
+    assert found.labels == ("joint_dry_friction",)
+    assert found.members[0][1] == pytest.approx(0.3, rel=0.02)
 
 
 def test_a_true_set_is_left_as_it_is(arm, posed):
@@ -291,4 +304,3 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
     assert faint < worth.EXTRA * found.gain
-    assert not remains
