@@ -304,3 +304,4 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
     assert faint < worth.EXTRA * found.gain
+    assert not remains
