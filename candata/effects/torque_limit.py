@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Array, Bounds, Effect, Parameter, scaled, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -16,13 +16,19 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.actuator_forcerange[ids] = (-x[0], x[0])
 
 
+def _bounds(scene: Scene) -> Bounds:
+    """Return limits from a fiftieth of the median motor's to twice that, or to the strongest motor's own."""
+    usual = _select.drive_torque(scene)
+    return Bounds(0.02 * usual, max(2.0 * usual, _select.largest_drive_torque(scene)))
+
+
 EFFECT = Effect(
     about="torque limit of the servos is replaced",
     parameters=(
         Parameter(
             "limit_Nm",
             "N m",
-            scaled_bounds(_select.drive_torque, 0.02, 2.0),
+            _bounds,
             scaled(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
             scaled_spans(_select.drive_torque, (0.12, 0.3)),
             "data sheets state stall torque; current limits cut it to a fraction",

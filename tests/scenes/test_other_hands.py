@@ -10,6 +10,7 @@ import pytest
 
 from candata.effects import effect, effect_names, flatten, setting
 from candata.errors import SceneError
+from candata.gap.blind.draws import weakened
 from candata.policies import policy
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
@@ -49,6 +50,33 @@ def test_every_effect_that_can_act_moves_something(name):
     for row, s in enumerate(some, start=1):
         assert all(np.isfinite(v[row]).all() for v in played.values()), s
         assert any(not np.array_equal(v[row], v[0]) for v in played.values()), s
+
+
+def own_values_lie_within_bounds(scene: Scene) -> None:
+    for name in (n for n in effect_names() if effect(n).possible(scene)):
+        for p in effect(name).parameters:
+            own = (p.neutral or p.identity)(scene)
+            assert np.isnan(own) or p.bounds(scene).low <= own <= p.bounds(scene).high, (name, p.name)
+
+
+@BOTH
+def test_a_models_own_values_lie_within_the_bounds(name):
+    own_values_lie_within_bounds(loaded(name))
+
+
+def test_so_do_those_of_a_wrist_ten_times_as_strong_as_the_fingers(tmp_path):
+    links = "".join(
+        f'<body pos=".1 0 0"><joint name="{n}"/><geom type="capsule" fromto="0 0 0 .1 0 0" size=".01"/>' for n in "abc"
+    )
+    limits = {"a": 5, "b": 0.5, "c": 0.5}
+    servos = "".join(f'<position name="{n}" joint="{n}" kp="9" forcerange="-{t} {t}"/>' for n, t in limits.items())
+    model = f"<mujoco><worldbody>{links}{'</body>' * 3}</worldbody><actuator>{servos}</actuator></mujoco>"
+    (tmp_path / "hand.xml").write_text(model)
+    (tmp_path / "scene.yaml").write_text("model: hand.xml\nrate_hz: 100\njoints: [a, b, c]\nactuators: [a, b, c]\n")
+    scene = load_scene(tmp_path / "scene.yaml")
+    own_values_lie_within_bounds(scene)
+    limit = weakened(scene, setting("torque_limit", np.array([0.1]), scene), 0.25)
+    assert 0.5 < flatten(limit, scene)[0] < 5
 
 
 @needs_wheel
