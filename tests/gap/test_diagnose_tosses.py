@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from candata.gap import diagnosis
+
 COUNT, SECONDS = 12, 0.8
 
 
@@ -39,6 +41,14 @@ def test_errors_are_told_in_physical_units(elliptic):
 def test_with_the_pyramidal_cone_nothing_is_named(cube, played, judge):
     report = judge(cube, played(cube, count=COUNT, duration_s=SECONDS, seed=5)).report
     assert (report.verdict, report.effects) == ("no_gap", ())
+
+
+def test_more_tosses_are_searched_than_episodes_of_a_hand(cube, played, judge, monkeypatch):
+    assert diagnosis.TOSSES > diagnosis.SEARCHED
+    monkeypatch.setattr(diagnosis, "SEARCHED", 2)
+    monkeypatch.setattr(diagnosis, "TOSSES", 8)
+    report = judge(cube, played(cube, count=COUNT, duration_s=0.4, seed=5)).report
+    assert report.data.notes == ("effects searched on 8 episodes, measured on the other 4",)
 
 
 @pytest.mark.slow
