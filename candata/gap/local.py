@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import effect
 from candata.gap.candidates import Candidate, local_candidates
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, rho
@@ -17,9 +18,10 @@ Array = NDArray[np.float64]
 #: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
 #: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
-#: Most variants that are simulated because they act on an element whose readings stand out. Of 24 drawn faults of one
-#: element, those on an element that stood out stood among the first seven by their promise, with the six above.
-ALSO = 8
+#: Most variants that are simulated because they act on the joint, or on the fingertip, whose readings stand out: all
+#: drive and joint effects of a joint. (Of 24 drawn faults of one element, those on an element that stood out stood
+#: among the first seven by their promise; one motor's limit, worth 0.6 floors, promised less than eight others.)
+ALSO = 9
 #: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
 #: what is simulated, never what is named.
 STANDS_OUT = 1.5
@@ -49,18 +51,22 @@ def promising(
     """
     found: list[tuple[float, Candidate]] = []
     worst = _standing_out(problem, here)
-    also: list[tuple[float, Candidate]] = []
+    also: dict[str, list[tuple[float, Candidate]]] = {channel: [] for channel in worst}
     for c, response in responses:
         variants = local_candidates(c, problem.replayer.scene)
         if not variants:
             continue
         gains = promises(problem, c, variants, response, base)
         found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
-        also += [(gain, v) for gain, v in gains if v.element in worst]
+        channel = _channel(c)
+        if channel in worst:
+            also[channel] += [(gain, v) for gain, v in gains if v.element == worst[channel]]
     chosen = [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
-    others = [c for _, c in sorted(also, key=lambda pair: -pair[0]) if c.label not in taken]
-    return chosen + others[:ALSO]
+    for pairs in also.values():
+        others = [c for _, c in sorted(pairs, key=lambda pair: -pair[0]) if c.label not in taken]
+        chosen += others[:ALSO]
+    return chosen
 
 
 def promises(
@@ -72,21 +78,21 @@ def promises(
     return sorted(gains, key=lambda pair: -pair[0])
 
 
-def _standing_out(problem: Problem, here: Compact) -> set[str]:
-    """Return the joint and the fingertip whose readings leave the nulls most, if they do so at all."""
-    found = set()
+def _standing_out(problem: Problem, here: Compact) -> dict[str, str]:
+    """Return the joint and the fingertip whose readings leave the nulls most, by channel, where they do so at all."""
+    found = {}
     for channel in ("joint_position", "fingertip_force"):
         elements = dict.fromkeys(_owner(c, e) for c, e, _ in problem.plan.columns if c == channel)
-        loss = {e: _own_loss(problem, here, e) for e in elements}
+        loss = {e: _own_loss(problem, here, channel, e) for e in elements}
         worst = max(loss, key=lambda e: loss[e], default=None)
         if worst is not None and loss[worst] > STANDS_OUT:
-            found.add(worst)
+            found[channel] = worst
     return found
 
 
-def _own_loss(problem: Problem, here: Compact, element: str) -> float:
+def _own_loss(problem: Problem, here: Compact, channel: str, element: str) -> float:
     """Return the loss of an element's own readings over what the nulls have there."""
-    mine = _own_columns(problem, element) & problem.score.mask
+    mine = _own_columns(problem, channel, element) & problem.score.mask
     size = [float(rho(z[mine]).mean()) if mine.any() else 0.0 for z in (here, *problem.score.null)]
     return size[0] / max(float(np.mean(size[1:])), 1e-9)
 
@@ -107,13 +113,18 @@ def _screened(problem: Problem, variant: Candidate, response: Curve | Plane, bas
 
 def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
     """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
-    mine = _own_columns(problem, str(variant.element))
+    mine = _own_columns(problem, _channel(variant), str(variant.element))
     return mine if mine.any() else None
 
 
-def _own_columns(problem: Problem, element: str) -> NDArray[np.bool_]:
-    """Return `(K,)` which block means are readings of a joint or fingertip."""
-    mine = np.array([_owner(channel, label) == element for channel, label, _ in problem.plan.columns])
+def _channel(c: Candidate) -> str:
+    """Return the channel in which what an effect acts on has readings; a joint and a fingertip may share a name."""
+    return "joint_position" if effect(c.name).acts_on == "joint" else "fingertip_force"
+
+
+def _own_columns(problem: Problem, channel: str, element: str) -> NDArray[np.bool_]:
+    """Return `(K,)` which block means are an element's readings in a channel."""
+    mine = np.array([(name, _owner(name, label)) == (channel, element) for name, label, _ in problem.plan.columns])
     return np.tile(mine, problem.plan.phase.shape[1])
 
 

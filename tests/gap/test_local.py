@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.candidates import candidates
+from candata.gap.candidates import candidate, candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.local import promising
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.stage import typical
+from candata.simulate.episodes import Job, make_episodes
 
 
 @pytest.fixture(scope="module")
@@ -38,3 +39,18 @@ def test_a_joint_at_fault_stands_out_and_brings_every_effect_on_it(variants):
 
 def test_without_a_fault_few_variants_are_simulated(variants):
     assert len(variants()) <= 6
+
+
+def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
+    """In the built-in hand both are called index2: places for variants go to the joint and the tip that stand out."""
+    made = make_episodes(hand, [Job(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise)
+    problem = _problem(Replayer(hand), recordings(hand, made), np.random.default_rng(0), None, lambda stage: None)
+    force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
+    here = problem.nominal + 30 * np.tile(force, problem.plan.phase.shape[1]).astype(np.float32)
+    some = [
+        candidate(name, hand) for name in ("servo_gain", "joint_damping", "armature", "tactile_gain", "tactile_bias")
+    ]
+    responses, _ = respond(problem, here, some)
+    found = {c.label for c in promising(problem, here, responses, problem.score.loss(here))}
+    assert {"tactile_gain index2", "tactile_bias index2"} <= found
+    assert not found & {"servo_gain index2", "joint_damping index2", "armature index2"}
