@@ -89,7 +89,8 @@ def _owned(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[n
     """Return `(size,)` whether each number acts on `element`."""
     if element is None or parameter.owners is None:
         return np.ones(parameter.size(scene), bool)
-    return np.array([owner == element for owner in parameter.owners(scene)], bool)
+    own = scene.file.groups.get(element, (element,))
+    return np.array([owner in own for owner in parameter.owners(scene)], bool)
 
 
 def active(name: str, scene: Scene, element: str | None = None) -> NDArray[np.bool_]:

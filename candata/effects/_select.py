@@ -30,24 +30,38 @@ def has_forces(scene: Scene) -> bool:
 
 
 def joints(scene: Scene, element: str | None) -> Ids:
-    """Return indices into `scene.file.joints`: all driven hinges, or the one named.
+    """Return indices into `scene.file.joints`: all driven hinges, or the one or the group named.
 
     Raises
     ------
     UnknownNameError
-        When `element` is no driven hinge.
+        When `element` is no driven hinge and no group of them.
     """
-    return _picked(scene, scene.driven_hinges, element)
+    return _picked(scene, scene.driven_hinges, scene.driven_hinges, element)
 
 
-def _picked(scene: Scene, hinges: Ids, element: str | None) -> Ids:
-    """Return the hinges, or the one named."""
+def _picked(scene: Scene, usual: Ids, possible: Ids, element: str | None) -> Ids:
+    """Return the usual joints, or those of the possible joint or group named."""
     if element is None:
-        return hinges
-    known = {scene.file.joints[i]: i for i in hinges}
+        return usual
+    known = {scene.file.joints[i]: np.array([i]) for i in usual} | _groups(scene, possible)
     if element not in known:
-        raise UnknownNameError("joint", element, known)
-    return np.array([known[element]])
+        raise UnknownNameError("joint or group", element, known)
+    return known[element]
+
+
+def _groups(scene: Scene, possible: Ids) -> dict[str, Ids]:
+    """Return the indices of each group that holds possible joints only."""
+    found = {name: np.array([scene.file.joints.index(j) for j in own], int) for name, own in scene.file.groups.items()}
+    return {name: ids for name, ids in found.items() if len(ids) and np.isin(ids, possible).all()}
+
+
+def _places(scene: Scene, usual: Ids, possible: Ids) -> tuple[str, ...]:
+    """Return the names of the usual joints and of the groups that are not one of these or all."""
+    groups = [
+        n for n, ids in _groups(scene, possible).items() if np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)
+    ]
+    return (*(scene.file.joints[i] for i in usual), *groups)
 
 
 def moving_hinges(scene: Scene) -> Ids:
@@ -63,14 +77,29 @@ def has_moving_hinges(scene: Scene) -> bool:
     return len(moving_hinges(scene)) > 0
 
 
-def moving_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the hinges that resist motion, in the order of `joint_position`."""
-    return tuple(scene.file.joints[i] for i in moving_hinges(scene))
+def moving_places(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the hinges that resist motion, in the order of `joint_position`, and of groups of them."""
+    return _places(scene, moving_hinges(scene), moving_hinges(scene))
 
 
 def joint_names(scene: Scene) -> tuple[str, ...]:
     """Return the names of the driven hinges, in the order of `joint_position`."""
     return tuple(scene.file.joints[i] for i in scene.driven_hinges)
+
+
+def joint_places(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the driven hinges, in the order of `joint_position`, and of groups of them."""
+    return _places(scene, scene.driven_hinges, scene.driven_hinges)
+
+
+def servo_places(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the driven hinges and of groups of driven joints, slides too: a wrist on rails."""
+    return _places(scene, scene.driven_hinges, _driven(scene))
+
+
+def _driven(scene: Scene) -> Ids:
+    """Return indices into `scene.file.joints` of the driven joints, slides too."""
+    return np.flatnonzero(np.isin(scene.joint_ids, list(scene.driven_joints.values())))
 
 
 def fingertip_names(scene: Scene) -> tuple[str, ...]:
@@ -79,13 +108,23 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 
 def dofs(scene: Scene, element: str | None) -> Ids:
-    """Return addresses in qvel of the hinges that resist motion, or of the one named."""
-    return scene.joint_dof[_picked(scene, moving_hinges(scene), element)]
+    """Return addresses in qvel of the hinges that resist motion, or of the one or the group named."""
+    return scene.joint_dof[_picked(scene, moving_hinges(scene), moving_hinges(scene), element)]
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:
-    """Return actuator ids that drive the joints."""
-    ids = set(scene.joint_ids[joints(scene, element)].tolist())
+    """Return actuator ids that drive the hinges, or the one or the group named."""
+    return _drives(scene, joints(scene, element))
+
+
+def servos(scene: Scene, element: str | None) -> Ids:
+    """Return actuator ids as `actuators` does; a group may hold slides too, for what has the same unit there."""
+    return _drives(scene, _picked(scene, scene.driven_hinges, _driven(scene), element))
+
+
+def _drives(scene: Scene, chosen: Ids) -> Ids:
+    """Return the ids of the actuators of joints."""
+    ids = set(scene.joint_ids[chosen].tolist())
     return np.array([a for a, joint in scene.driven_joints.items() if joint in ids], int)
 
 

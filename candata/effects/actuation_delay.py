@@ -37,7 +37,7 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Line:
     steps = np.zeros((len(x), len(scene.actuator_ids)))
     ids = scene.actuator_ids.tolist()
     for row, element in enumerate(elements):
-        columns = [ids.index(a) for a in _select.actuators(scene, element)]
+        columns = [ids.index(a) for a in _select.servos(scene, element)]
         steps[row, columns] = x[row, 0] / step
     return _Line(None, steps, int(np.ceil(MAX_DELAY_S / step)) + 2)
 
@@ -74,6 +74,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_names,
+    elements=_select.servo_places,
     command=Hook(_start, _apply),
 )

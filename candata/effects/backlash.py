@@ -55,6 +55,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_names,
+    elements=_select.joint_places,
     command=Hook(_start, _apply),
 )

@@ -37,6 +37,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_moving_hinges,
-    elements=_select.moving_names,
+    elements=_select.moving_places,
     edit=_edit,
 )

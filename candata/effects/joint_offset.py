@@ -59,7 +59,7 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_names,
+    elements=_select.joint_places,
     edit=_edit,
     reading=Hook(_start, _apply),
     moves=("joint_position", "object_pose", "fingertip_force"),

@@ -11,7 +11,7 @@ from candata.scenes.assemble import Scene
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Scale the velocity gain; the position gain stays (`servo_gain` is another effect)."""
-    model.actuator_biasprm[_select.actuators(scene, element), 2] *= x[0]
+    model.actuator_biasprm[_select.servos(scene, element), 2] *= x[0]
 
 
 def _has_damping(scene: Scene) -> bool:
@@ -34,6 +34,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_has_damping,
-    elements=_select.joint_names,
+    elements=_select.servo_places,
     edit=_edit,
 )

@@ -11,7 +11,7 @@ from candata.scenes.assemble import Scene
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Scale the whole position law kp (u - q - offset); the velocity gain stays (`servo_damping` is another)."""
-    ids = _select.actuators(scene, element)
+    ids = _select.servos(scene, element)
     model.actuator_gainprm[ids, 0] *= x[0]
     model.actuator_biasprm[ids, :2] *= x[0]
 
@@ -31,6 +31,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_names,
+    elements=_select.servo_places,
     edit=_edit,
 )

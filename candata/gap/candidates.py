@@ -118,6 +118,18 @@ def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
     return [candidate(c.name, scene, e) for e in elements] if c.element is None and len(elements) > 1 else []
 
 
+def on_slides(c: Candidate, scene: Scene) -> list[Candidate]:
+    """Return the variants of a candidate on groups of joints where it does not act as a whole: on slides."""
+    joints = set(effect(c.name).elements(scene))
+    return [v for v in local_candidates(c, scene) if not joints.issuperset(elements_of(v, scene))]
+
+
+def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:
+    """Return the joints of a candidate on a group; else its element alone."""
+    element = str(c.element)
+    return scene.file.groups.get(element, (element,))
+
+
 def probes(c: Candidate, scene: Scene) -> list[Array]:
     """Return the coordinates `(d,)` of a candidate's probes, along one coordinate each.
 

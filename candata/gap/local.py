@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effect
-from candata.gap.candidates import Candidate, local_candidates
+from candata.gap.candidates import Candidate, elements_of, local_candidates, on_slides
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, rho
 from candata.gap.search import Problem, fit_one
@@ -46,22 +46,23 @@ def promising(
     -----
     What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
     fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
-    along with its effect where that effect as a whole gains. All effects on the elements whose readings
-    stand out most come along too, as a strong fault spreads beyond what it sits on.
+    along with its effect where that effect as a whole gains. All effects on the elements whose readings stand out most
+    come along too, as a strong fault spreads beyond what it sits on; and all variants on slides, where the effect as a
+    whole does nothing.
     """
     found: list[tuple[float, Candidate]] = []
-    worst = _standing_out(problem, here)
+    slides: list[Candidate] = []
+    scene, worst = problem.replayer.scene, _standing_out(problem, here)
     also: dict[str, list[tuple[float, Candidate]]] = {channel: [] for channel in worst}
     for c, response in responses:
-        variants = local_candidates(c, problem.replayer.scene)
-        if not variants:
-            continue
-        gains = promises(problem, c, variants, response, base)
+        slides += on_slides(c, scene)
+        aside = {v.label for v in slides}
+        gains = promises(problem, c, [v for v in local_candidates(c, scene) if v.label not in aside], response, base)
         found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
         channel = _channel(c)
         if channel in worst:
             also[channel] += [(gain, v) for gain, v in gains if v.element == worst[channel]]
-    chosen = [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
+    chosen = slides + [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
     for pairs in also.values():
         others = [c for _, c in sorted(pairs, key=lambda pair: -pair[0]) if c.label not in taken]
@@ -92,7 +93,7 @@ def _standing_out(problem: Problem, here: Compact) -> dict[str, str]:
 
 def _own_loss(problem: Problem, here: Compact, channel: str, element: str) -> float:
     """Return the loss of an element's own readings over what the nulls have there."""
-    mine = _own_columns(problem, channel, element) & problem.score.mask
+    mine = _own_columns(problem, channel, (element,)) & problem.score.mask
     size = [float(rho(z[mine]).mean()) if mine.any() else 0.0 for z in (here, *problem.score.null)]
     return size[0] / max(float(np.mean(size[1:])), 1e-9)
 
@@ -113,7 +114,7 @@ def _screened(problem: Problem, variant: Candidate, response: Curve | Plane, bas
 
 def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
     """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
-    mine = _own_columns(problem, _channel(variant), str(variant.element))
+    mine = _own_columns(problem, _channel(variant), elements_of(variant, problem.replayer.scene))
     return mine if mine.any() else None
 
 
@@ -122,9 +123,9 @@ def _channel(c: Candidate) -> str:
     return "joint_position" if effect(c.name).acts_on == "joint" else "fingertip_force"
 
 
-def _own_columns(problem: Problem, channel: str, element: str) -> NDArray[np.bool_]:
-    """Return `(K,)` which block means are an element's readings in a channel."""
-    mine = np.array([(name, _owner(name, label)) == (channel, element) for name, label, _ in problem.plan.columns])
+def _own_columns(problem: Problem, channel: str, elements: tuple[str, ...]) -> NDArray[np.bool_]:
+    """Return `(K,)` which block means are readings of some elements in a channel."""
+    mine = np.array([name == channel and _owner(name, label) in elements for name, label, _ in problem.plan.columns])
     return np.tile(mine, problem.plan.phase.shape[1])
 
 

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, local_candidates
+from candata.gap.candidates import Candidate, candidates, elements_of, local_candidates, on_slides
 from candata.gap.floor import perturbed
 from candata.gap.folds import null_threshold
 from candata.gap.local import LOCAL, promises
-from candata.gap.refine import polished, refined
+from candata.gap.refine import PROMISE, polished, refined
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.shortlist import Screened, reconsidered, rivals, screened
+from candata.gap.shortlist import Screened, brief, reconsidered, rivals, screened
 from candata.gap.starts import Starts
+from candata.scenes import Scene
 
 Array = NDArray[np.float64]
 #: Where the loss lies within the nulls' range: how many times its threshold and its standard error a gain must be, how
@@ -129,9 +131,11 @@ def _judged(problem: Problem, seen: Screened, base: Array, luck: Array, held: Me
 
 
 def unheld(problem: Problem, held: Members) -> list[Candidate]:
-    """Return the candidates that may be tried beside the effects held."""
-    taken = {c.name for c, _ in held} | problem.ruled_out
-    return [c for c in candidates(problem.replayer.scene, list(problem.recs.readings)) if c.name not in taken]
+    """Return the candidates that may be tried beside the effects held: the same effect again only on slides."""
+    scene, taken = problem.replayer.scene, {c.name for c, _ in held} | problem.ruled_out
+    known = {c.label for c, _ in held}
+    again = [v for c, _ in held for v in on_slides(c, scene) if v.label not in known]
+    return [*(c for c in candidates(scene, list(problem.recs.readings)) if c.name not in taken), *again]
 
 
 def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
@@ -140,14 +144,38 @@ def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:
     Tried are the best fit's effect on each of its elements alone; where it is a fault of one element already, also all
     other effects on that element.
     """
-    known = {f.labels[0] for f in stage.fits}
     best = stage.fits[0]
+    found = _parts(problem, best, stage)
+    known = {f.labels[0] for f in (*stage.fits, *found)}
     unknown = [v for v in _kin(problem, best, stage) if v.label not in known]
     near = rivals(problem, here, unknown, stage.base, best.evidence.gain) if unknown else []
     responses = respond(problem, here, near)[0] if near else []
-    found = refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
-    fits = [f for f in found if not f.members[0][0].is_neutral(f.members[0][1])]
-    return replace(stage, fits=tuple(sorted((*stage.fits, *fits), key=lambda f: -f.gain)))
+    found += refined(problem, _fits(problem, responses, stage.base), stage.base, ()) if responses else []
+    new = {f.labels[0]: f for f in found if not f.members[0][0].is_neutral(f.members[0][1])}
+    fits = [*new.values(), *(f for f in stage.fits if f.labels[0] not in new)]
+    return replace(stage, fits=tuple(sorted(fits, key=lambda f: -f.gain)))
+
+
+def _parts(problem: Problem, best: Fit, stage: Stage) -> list[Fit]:
+    """Return the fits of one element's numbers of a vector, where these alone keep most of what it gains.
+
+    They begin where the whole vector's fit has them: signatures of that element say less of a place so far out.
+    """
+    (c, u) = best.members[0]
+    variants = local_candidates(c, problem.replayer.scene) if c.size > 1 else []
+    points = [(v, u[v.own]) for v in variants if v.size < c.size]
+    if not points:
+        return []
+    part, index = brief(problem)
+    whole, *others = part.residuals([part.setting([m]) for m in (best.members[0], *points)])
+    most, *gains = (float((stage.base[index] - part.score.loss(z)).mean()) for z in (whole, *others))
+    order = [i for i in np.argsort(gains)[::-1] if gains[i] > PROMISE * most][:RIVALS]
+    zs = problem.residuals([problem.setting([points[i]]) for i in order]) if order else []
+    planes = [
+        (v, Plane(v.low, v.high, at, z, best.plane.slope[v.own]))
+        for (v, at), z in zip((points[i] for i in order), zs, strict=True)
+    ]
+    return _fits(problem, planes, stage.base)
 
 
 def _kin(problem: Problem, best: Fit, stage: Stage) -> list[Candidate]:
@@ -163,7 +191,7 @@ def _kin(problem: Problem, best: Fit, stage: Stage) -> list[Candidate]:
 
 def sharpened(problem: Problem, stage: Stage) -> Stage:
     """Return the stage with the best fit and its nearest rivals at their sharpest: only then are they compared."""
-    best = _simplest(stage.fits[0], stage.fits)
+    best = _simplest(stage.fits[0], stage.fits, problem.replayer.scene)
     name = best.members[0][0].name
     others = [f for f in stage.fits if f.members[0][0].name != name and is_near(f, best)]
     front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
@@ -231,10 +259,15 @@ def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
     return bool(worse.mean() <= errors * standard_error(worse))
 
 
-def _simplest(best: Fit, fits: Sequence[Fit]) -> Fit:
+def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
     same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best)]
-    return min([best, *same], key=lambda f: (f.members[0][0].size, f.members[0][0].element is None))
+    return min([best, *same], key=lambda f: (f.members[0][0].size, _breadth(f.members[0][0], scene)))
+
+
+def _breadth(c: Candidate, scene: Scene) -> float:
+    """Return on how many elements a candidate acts; infinite for all."""
+    return inf if c.element is None else len(elements_of(c, scene))
 
 
 def standard_error(values: Array) -> float:

@@ -294,6 +294,13 @@ def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
         ("support", (file.support,) if file.support else (), geoms),
     ]
     needs += [(f"member of group {g}", m, set(file.joints)) for g, m in file.groups.items()]
+    for group in file.groups:
+        if group in (*file.joints, *file.fingertips):
+            raise SceneError(
+                f"scene {name}: group {group} bears the name of a joint or fingertip",
+                expected="a name of its own: reports tell one from the other by it",
+                found=group,
+            )
     for role, wanted, known in needs:
         for item in wanted:
             if item not in known:

@@ -182,7 +182,7 @@ def test_scene_show(tmp_path, capsys):
         "3",
         "0.08",
         "0.4",
-        "fingers",
+        "index",
     ]
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -53,6 +55,46 @@ def test_a_joint_effect_edits_its_joint_only(scene, name, element):
             continue
         joints = model.dof_jntid[changed] if field in BY_DOF else model.actuator_trnid[changed, 0]
         assert {model.joint(int(j)).name for j in joints} == expected, field
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_a_joint_effect_edits_the_joints_of_its_group_only(scene, name):
+    model = build_worlds(scene, [(probe(name, scene, "index"),)]).models[0]
+    rows = {f: len(np.flatnonzero((getattr(model, f) != getattr(scene.model, f)).reshape(len(getattr(model, f)), -1)
+                                  .any(1))) for f in BY_DOF + BY_ACTUATOR}  # fmt: skip
+    assert set(rows.values()) == {0, len(scene.file.groups["index"])}
+
+
+@pytest.mark.parametrize("name", ["actuation_delay", "servo_gain", "servo_damping"])
+def test_what_has_the_same_unit_there_acts_on_a_wrist_on_rails(scene, name, rng):
+    world = build_worlds(scene, [(probe(name, scene, "wrist"),)])
+    if effect(name).edit:
+        changed = (world.models[0].actuator_biasprm != scene.model.actuator_biasprm).any(1)
+        found = {scene.model.actuator(int(a)).name for a in np.flatnonzero(changed)}
+    else:
+        steps = world.command[0].state.steps[0]
+        found = {a for a, late in zip(scene.file.actuator_names, steps, strict=True) if late}
+    assert found == set(scene.file.groups["wrist"])
+
+
+@pytest.mark.parametrize("name", ["torque_limit", "joint_damping", "joint_offset", "backlash"])
+def test_what_has_another_unit_there_does_not(scene, name):
+    assert "wrist" not in effect(name).elements(scene)
+    with pytest.raises(UnknownNameError, match="wrist"):
+        build_worlds(scene, [(probe(name, scene, "wrist"),)])
+
+
+def test_a_group_of_all_or_of_one_joint_is_no_element_of_its_own(scene):
+    groups = {
+        "fingers": scene.file.joints[3:],
+        "one": (JOINT,),
+        "none": (),
+        "mixed": ("wrist_x", JOINT),
+        "two": ("index1", JOINT),
+    }
+    other = replace(scene, file=scene.file.model_copy(update={"groups": groups}))
+    assert effect("joint_damping").elements(other)[12:] == ("two",)
+    assert effect("servo_gain").elements(other)[12:] == ("mixed", "two")
 
 
 def test_a_joint_effect_edits_something(scene):
@@ -107,13 +149,16 @@ def test_an_offset_is_read_at_its_joint_only(scene):
     assert [scene.file.joints[i] for i in changed] == [JOINT]
 
 
-@pytest.mark.parametrize(("name", "numbers"), [("joint_offset", 1), ("tactile_bias", 3)])
-def test_a_vector_on_one_element_holds_its_numbers_only(scene, name, numbers):
+@pytest.mark.parametrize(
+    ("name", "element", "numbers"),
+    [("joint_offset", JOINT, 1), ("joint_offset", "index", 3), ("tactile_bias", JOINT, 3)],
+)
+def test_a_vector_on_one_element_holds_its_numbers_only(scene, name, element, numbers):
     x = np.zeros(len(active(name, scene)))
-    x[active(name, scene, JOINT)] = 0.05
-    given = setting(name, x, scene, JOINT)
+    x[active(name, scene, element)] = 0.05
+    given = setting(name, x, scene, element)
     value = given.parameters[effect(name).parameters[0].name]
-    assert np.size(value) == numbers == active(name, scene, JOINT).sum()
+    assert np.size(value) == numbers == active(name, scene, element).sum()
     assert np.array_equal(flatten(given, scene), x)
 
 

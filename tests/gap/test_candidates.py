@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.candidates import candidate, candidates, first_probes, local_candidates, probes, typical_size
+from candata.gap.candidates import (
+    candidate,
+    candidates,
+    first_probes,
+    local_candidates,
+    on_slides,
+    probes,
+    typical_size,
+)
 from candata.schema.effect import EffectSetting
 
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -141,6 +149,13 @@ def test_a_local_variant_acts_on_its_element_alone(hand, name):
             assert setting.element == c.element
             flatten(setting, hand)  # within bounds, of the right size
         assert local_candidates(c, hand) == [], "an element has no elements"
+
+
+def test_only_a_group_that_an_effect_spares_is_on_slides(hand, arm):
+    assert [v.label for v in on_slides(candidate("servo_gain", hand), hand)] == ["servo_gain wrist"]
+    assert on_slides(candidate("joint_damping", hand), hand) == []
+    assert on_slides(candidate("servo_gain", hand, "index"), hand) == []
+    assert on_slides(candidate("servo_gain", arm), arm) == []
 
 
 def test_one_number_of_a_vector_is_searched_to_both_sides(hand):

@@ -54,3 +54,4 @@ def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     found = {c.label for c in promising(problem, here, responses, problem.score.loss(here))}
     assert {"tactile_gain index2", "tactile_bias index2"} <= found
     assert not found & {"servo_gain index2", "joint_damping index2", "armature index2"}
+    assert "servo_gain wrist" in found, "what the effect does on hinges says nothing of slides"

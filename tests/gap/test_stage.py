@@ -7,17 +7,20 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from candata.effects import flatten
 from candata.gap import stage as staging
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import CrossFit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.response import Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.stage import narrowed, sharpened, tied_with, typical
 
 BASE = np.full(8, 2.0)
+CHANNELS = ("joint_position", "object_pose", "fingertip_force")
 
 
 def fit(c, loss: np.ndarray) -> Fit:
@@ -53,6 +56,58 @@ def test_a_fault_of_one_element_brings_its_neighbours_and_other_effects_there(
     assert found.fits[0].labels == (f"{name} {element}",)
 
 
+@pytest.mark.parametrize(
+    ("truth", "found"),
+    [
+        ({"thumb_bend": 0.05, "thumb_rota1": -0.04, "thumb_rota2": 0.06}, "joint_offset thumb"),
+        ({"ring1": 0.05}, "joint_offset ring1"),
+        ({"thumb_bend": 0.05, "mid1": -0.05, "ring2": 0.05, "pinky1": 0.05}, None),
+    ],
+)
+def test_the_numbers_of_one_finger_stand_for_a_vector_where_they_keep_what_it_gains(hand, monkeypatch, truth, found):
+    """Residuals are the offsets that are still missing, off by a little where the vector was fitted."""
+    whole = candidate("joint_offset", hand)
+    names = [hand.file.joints[i] for i in hand.driven_hinges]
+    true = np.array([truth.get(name, 0.0) for name in names])
+    luck = np.random.default_rng(0).normal(0, 0.002, (8, len(true)))
+
+    def residuals(worlds):
+        return [((true - flatten(world[0], hand) + luck) / 0.01).astype(np.float32) for world in worlds]
+
+    score = SimpleNamespace(loss=lambda z: 1 + (z**2).mean(1))
+    problem = SimpleNamespace(
+        replayer=SimpleNamespace(scene=hand), residuals=residuals, score=score,
+        setting=lambda members: [c.setting(u, hand) for c, u in members],
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "brief", lambda problem: (problem, np.arange(8)))
+    monkeypatch.setattr(staging, "_fits", lambda problem, planes, base: planes)
+    at = true + np.linspace(-0.004, 0.004, len(true))
+    plane = Plane(whole.low, whole.high, at, luck, -100 * np.repeat(np.eye(len(true))[:, None], 8, axis=1))
+    base = score.loss(residuals([[whole.setting(0 * at, hand)]])[0])
+    first = staging.Stage(base, luck, (Fit(((whole, at),), plane, None),), 0.0, (), (), (), 0.0)
+    parts = staging._parts(problem, first.fits[0], first)
+    assert [v.label for v, _ in parts[:1]] == ([found] if found else [])
+    for v, own in parts:
+        assert np.array_equal(own.at, at[v.own])
+        assert own.slope.shape == (v.size, 8, len(true))
+
+
+def test_a_scalar_has_no_numbers_of_one_element(arm, posed):
+    best = fit(candidate("joint_damping", arm), BASE / 2)
+    assert staging._parts(None, best, None) == []
+
+
+def test_beside_an_effect_the_same_one_is_tried_on_slides_only(hand):
+    problem = SimpleNamespace(
+        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(readings=CHANNELS), ruled_out=frozenset()
+    )
+    held = ((candidate("actuation_delay", hand), np.array([0.03])), (candidate("joint_damping", hand), np.ones(1)))
+    again = [c.label for c in staging.unheld(problem, held) if c.name in ("actuation_delay", "joint_damping")]
+    assert again == ["actuation_delay wrist"]
+    more = (*held, (candidate("actuation_delay", hand, "wrist"), np.array([0.03])))
+    assert not [c for c in staging.unheld(problem, more) if c.name == "actuation_delay"]
+
+
 def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     """One replay dealt the second rival all the luck; from other starts it is the worse one."""
     steady, lucky = candidate("joint_damping", arm), candidate("servo_damping", arm)
@@ -61,7 +116,12 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     def losses_from(begins, worlds):
         return np.array([[np.full(8, losses[world][begin]) for world in worlds] for begin in begins])
 
-    problem = SimpleNamespace(begin=0, losses_from=losses_from, setting=lambda members: members[0][0].name)
+    problem = SimpleNamespace(
+        begin=0,
+        losses_from=losses_from,
+        setting=lambda members: members[0][0].name,
+        replayer=SimpleNamespace(scene=arm),
+    )
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
     fits = (fit(lucky, BASE * 0.45), fit(steady, BASE * 0.5))

@@ -62,6 +62,13 @@ def test_a_role_that_names_what_the_model_lacks(written, role, line, known, near
         assert f"  expected: one of {known}\n  found: {wrong!r}\n" in text
 
 
+def test_a_group_named_like_a_joint(written):
+    path = written(f"{ROLES}joints: [bend]\ngroups: {{bend: [bend]}}\n", BOX + ARM[0], tail=ARM[1])
+    text = refusal(path, SceneError)
+    assert text.startswith(f"scene {path}: group bend bears the name of a joint or fingertip\n")
+    assert "  expected: a name of its own" in text
+
+
 def test_a_model_that_does_not_compile(written):
     path = written(ROLES, '<body name="empty"><freejoint/></body>')
     text = refusal(path, SceneError)

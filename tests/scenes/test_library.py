@@ -73,7 +73,7 @@ def test_roles_are_read_from_the_model(hand):
     assert (found.integrator, found.cone, found.solver) == ("implicitfast", "elliptic", "newton")
     assert found.object_mass_kg == pytest.approx(0.25)
     thumb = next(joint for joint in found.joints if joint.name == "thumb_bend")
-    assert (thumb.type, thumb.unit, thumb.group, thumb.actuator) == ("hinge", "rad", "fingers", "thumb_bend")
+    assert (thumb.type, thumb.unit, thumb.group, thumb.actuator) == ("hinge", "rad", "thumb", "thumb_bend")
     assert (thumb.kp, thumb.limit) == (3.0, 1.1)
     assert found.fingertips[1].frame == "site index2_frame"
 

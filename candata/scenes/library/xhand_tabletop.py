@@ -13,6 +13,8 @@ RATE_HZ = 80.0
 #: Five physics steps a control step: 2.5 ms.
 SUBSTEPS = 5
 WRIST = ("wrist_x", "wrist_y", "wrist_z")
+#: How the names of a finger's joints begin.
+FINGERS = ("thumb", "index", "mid", "ring", "pinky")
 #: Wrist rails: stiffness [N/m] and damping [N s/m], about critical for the 1.7 kg that they carry.
 WRIST_KP, WRIST_KV, WRIST_LIMIT_N = 3000.0, 140.0, 120.0
 CAN_RADIUS_M, CAN_HALF_HEIGHT_M, CAN_MASS_KG = 0.030, 0.060, 0.25
@@ -161,7 +163,7 @@ def _file() -> SceneFile:
         fingertips=hand.fingertips,
         fingertip_frames=hand.fingertip_frames,
         support="table",
-        groups={"wrist": WRIST, "fingers": hand.joints},
+        groups={"wrist": WRIST, **{f: tuple(j for j in hand.joints if j.startswith(f)) for f in FINGERS}},
         noise=Noise(
             object_pose=(0.001, np.deg2rad(0.5).item()),
             joint_position=0.002,
