@@ -54,9 +54,10 @@ class Stopgap:
 
     @property
     def closed(self) -> float:
-        """Share of the gap that it closes on held-out episodes, between -1 and 1."""
+        """Share of the gap that it closes on held-out episodes, between -1 and 1; none where all ask for no force."""
         before, after = float(self.before.mean()), float(self.size.mean())
-        return float(np.clip(1 - (after - 1) / max(before - 1, 1e-6), -1, 1))
+        closed = float(np.clip(1 - (after - 1) / max(before - 1, 1e-6), -1, 1))
+        return closed if self.scale else min(closed, 0.0)
 
 
 def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stopgap:

@@ -17,6 +17,7 @@ from candata.gap.residual_force import residual_force
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.starts import starts
+from candata.gap.stopgap import Stopgap
 from candata.gap.unknown import describe
 from candata.reports.files import STOPGAP, write_diagnosis
 from candata.schema.effect import EffectsFile
@@ -230,3 +231,10 @@ def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
     ]
     # On motions it has not seen; the noise alone is a part of what remains.
     assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize(("scale", "after", "closed"), [(1.0, 1.5, 0.5), (0.0, 1.5, 0.0), (0.0, 2.5, -0.5)])
+def test_a_force_that_all_episodes_ask_none_of_closes_nothing(scale, after, closed):
+    """What the folds' own forces close then is luck, and of no force there is no typical size."""
+    found = Stopgap((), scale, (), np.ones(4), np.full(4, after), np.full(4, 2.0))
+    assert found.closed == pytest.approx(closed)
