@@ -45,24 +45,24 @@ def promising(
     Notes
     -----
     What a fault of one joint or fingertip does is taken for what the same fault of all does to that joint's or
-    fingertip's own readings: a screen without simulations. An element without readings of its own (the support) comes
-    along with its effect where that effect as a whole gains. All effects on the elements whose readings stand out most
-    come along too, as a strong fault spreads beyond what it sits on; and all variants on slides, where the effect as a
-    whole does nothing.
+    fingertip's own readings: a screen without simulations. All effects on the elements whose readings stand out most
+    come along too, as a strong fault spreads beyond what it sits on. So do all variants on the support, which has no
+    readings, and on slides, where the effect as a whole does nothing: of them such a screen says nothing.
     """
     found: list[tuple[float, Candidate]] = []
-    slides: list[Candidate] = []
+    aside: list[Candidate] = []
     scene, worst = problem.replayer.scene, _standing_out(problem, here)
     also: dict[str, list[tuple[float, Candidate]]] = {channel: [] for channel in worst}
     for c, response in responses:
-        slides += on_slides(c, scene)
-        aside = {v.label for v in slides}
-        gains = promises(problem, c, [v for v in local_candidates(c, scene) if v.label not in aside], response, base)
+        variants = local_candidates(c, scene)
+        aside += [*on_slides(c, scene), *(v for v in variants if v.element == scene.file.support)]
+        apart = {v.label for v in aside}
+        gains = promises(problem, c, [v for v in variants if v.label not in apart], response, base)
         found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
         channel = _channel(c)
         if channel in worst:
             also[channel] += [(gain, v) for gain, v in gains if v.element == worst[channel]]
-    chosen = slides + [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
+    chosen = aside + [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
     for pairs in also.values():
         others = [c for _, c in sorted(pairs, key=lambda pair: -pair[0]) if c.label not in taken]

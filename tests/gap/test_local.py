@@ -48,10 +48,12 @@ def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
     here = problem.nominal + 30 * np.tile(force, problem.plan.phase.shape[1]).astype(np.float32)
     some = [
-        candidate(name, hand) for name in ("servo_gain", "joint_damping", "armature", "tactile_gain", "tactile_bias")
+        candidate(name, hand)
+        for name in ("servo_gain", "joint_damping", "armature", "tactile_gain", "tactile_bias", "sliding_friction")
     ]
     responses, _ = respond(problem, here, some)
     found = {c.label for c in promising(problem, here, responses, problem.score.loss(here))}
     assert {"tactile_gain index2", "tactile_bias index2"} <= found
     assert not found & {"servo_gain index2", "joint_damping index2", "armature index2"}
     assert "servo_gain wrist" in found, "what the effect does on hinges says nothing of slides"
+    assert "sliding_friction table" in found, "what it does on all says nothing of what has no readings"

@@ -79,6 +79,19 @@ def test_where_a_width_helps_no_more_only_the_last_is_simulated(problem, monkeyp
     assert widths == [refine.WIDTHS[i] for i in simulated]
 
 
+@pytest.mark.parametrize(("names", "simulated"), [(3, True), (4, False)])
+def test_of_a_few_effects_the_slopes_of_all_numbers_are_simulated(problem, monkeypatch, names, simulated):
+    """However many they are: sixteen joint offsets and a torque limit are two names. Of many names, few numbers."""
+    monkeypatch.setattr(refine, "MOST_SLOPES", 1)
+    asked, real = [], refine._differences
+    monkeypatch.setattr(refine, "_differences", lambda *a: asked.append(a) or real(*a))
+    base = problem.score.loss(problem.nominal)
+    some = ("joint_dry_friction", "joint_damping", "armature", "actuation_delay")[:names]
+    scene = problem.replayer.scene
+    refine.joint(problem, tuple((c, c.neutral + 1e-3) for c in (candidate(n, scene) for n in some)), base)
+    assert bool(asked) == simulated
+
+
 def test_no_slopes_are_simulated_of_a_set_that_leaves_next_to_nothing(problem, monkeypatch):
     monkeypatch.setattr(refine, "_differences", lambda *a: pytest.fail("slopes were simulated"))
     c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
