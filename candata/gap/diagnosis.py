@@ -20,7 +20,7 @@ from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
-from candata.gap.floor import sensor_noise, spread
+from candata.gap.floor import sensor_noise, spread, understated
 from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, slides, symptoms
@@ -186,6 +186,8 @@ def _problem(
     shelf = library(replayer, recs, begin, plan, cache, progress)
     kind, noise = sensor_noise(replayer.scene.file.noise, recs)
     level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
+    if kind == "declared":
+        recs = replace(recs, notes=(*recs.notes, *understated(noise, recs, readings)))
     parts = folds(recs.tasks, rng)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else problem

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import SMALLEST, floor, null_recordings, perturbed, sensor_noise
+from candata.gap.floor import SMALLEST, floor, null_recordings, perturbed, sensor_noise, understated
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout
@@ -31,6 +31,20 @@ def arm_floor(arm, arm_episodes):
 
 def test_declared_noise_is_the_noise(arm, arm_episodes):
     assert sensor_noise(arm.file.noise, recordings(arm, arm_episodes(count=2))) == ("declared", arm.file.noise)
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, False), (1.2, False), (2.0, True)])
+@pytest.mark.parametrize("fault", [{}, {"frictionloss_Nm": 0.3}])
+def test_more_noise_than_declared_is_told(arm, arm_episodes, planted, rng, times, told, fault):
+    """The arm swings all the time, and a dry joint moves it otherwise: neither is taken for noise."""
+    recs = recordings(arm, arm_episodes(planted("joint_dry_friction", **fault) if fault else (), noise=False))
+    louder = Noise(joint_position=times * arm.file.noise.joint_position)
+    recs = replace(recs, readings=add_noise(recs.readings, louder, rng))
+    readings = replay_all(Replayer(arm), recs, starts(arm, recs), [()])[0]
+    notes = understated(arm.file.noise, recs, readings)
+    assert bool(notes) == told
+    if told:
+        assert notes[0].startswith("noise of joint position: 0.001 rad declared, 0.002")
 
 
 @pytest.mark.parametrize("declared", [None, Noise()])
