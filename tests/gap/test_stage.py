@@ -132,6 +132,23 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     assert found.fits[1].gain == pytest.approx(2.0 - 1.4)
 
 
+@pytest.mark.parametrize(("other", "slopes"), [("pose_bias", True), ("pose_latency", False)])
+def test_a_scalar_is_fitted_as_a_vector_that_it_is_compared_with(hand, monkeypatch, other, slopes):
+    """By slopes it is the better one; beside another scalar both are read off curves, and none is taken."""
+    losses = {"pose_scale": 0.98 if slopes else 1.04, other: 1.0}
+    problem = SimpleNamespace(
+        begin=0, replayer=SimpleNamespace(scene=hand), setting=lambda members: members[0][0].name,
+        losses_from=lambda begins, worlds: np.array([[np.full(8, losses[w]) for w in worlds] for _ in begins]),
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
+    monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(members[0][0], np.full(8, 0.98)))
+    fits = (fit(candidate(other, hand), np.full(8, 1.0)), fit(candidate("pose_scale", hand), np.full(8, 1.04)))
+    found = sharpened(problem, staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0))
+    assert found.fits[0].labels == ("pose_scale" if slopes else other,)
+    assert found.fits[0].gain == pytest.approx(1.02 if slopes else 1.0)
+
+
 def test_a_rival_that_gains_less_is_near_while_episodes_do_not_tell_the_two_apart(arm):
     best = fit(candidate("joint_damping", arm), np.full(8, 1.0))
     c, swing = candidate("servo_damping", arm), np.tile([1.0, -1.0], 4)
