@@ -139,6 +139,8 @@ class Effect:
         channel: where a replay of a recording starts.
     fitted : bool
         Whether its numbers only come from a fit to recordings: never a candidate of a search, never drawn.
+    early : bool
+        Whether its hooks act before those of other effects, which follow by name: a gain, before an offset is added.
     pace : callable, optional
         `(scene, x (d,)) -> float` true time that passes during one recorded control step, in control steps; the
         edit scales the physics step by the same.
@@ -158,6 +160,7 @@ class Effect:
     unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
     pace: Callable[[Scene, Array], float] | None = None
     fitted: bool = False
+    early: bool = False
 
 
 def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:

@@ -93,6 +93,11 @@ def _owned(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[n
     return np.array([owner in own for owner in parameter.owners(scene)], bool)
 
 
+def turn(name: str) -> tuple[bool, str]:
+    """Return the key by which effects are sorted whose hooks act one after another: early ones, then by name."""
+    return not effect(name).early, name
+
+
 def active(name: str, scene: Scene, element: str | None = None) -> NDArray[np.bool_]:
     """Return `(d,)` which numbers of the vector act: all, or those that belong to `element`."""
     return np.concatenate([_owned(p, scene, element) for p in effect(name).parameters])

@@ -50,4 +50,5 @@ EFFECT = Effect(
     elements=_select.fingertip_names,
     reading=Hook(_start, _apply),
     moves=("fingertip_force",),
+    early=True,
 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect, flatten
+from candata.effects import effect, flatten, turn
 from candata.gap.recordings import Recordings
 from candata.gap.starts import Starts, is_toss, starts
 from candata.rotation import normalise
@@ -157,7 +157,7 @@ def needs_simulation(some: EffectSet) -> bool:
 
 def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:
     """Return the readings of a replay passed through sensing effects that need no simulation."""
-    for s in sorted(some, key=lambda s: s.name):  # the stepping loop's order
+    for s in sorted(some, key=lambda s: turn(s.name)):  # the stepping loop's order
         hook = effect(s.name).reading
         if hook is None:
             continue

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import Hook, effect, flatten
+from candata.effects import Hook, effect, flatten, turn
 from candata.errors import UsageError
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -39,7 +39,7 @@ class Worlds:
     pace : (n,) float64
         True time that passes during one recorded row, in nominal control steps.
     command, force, reading : tuple of Filter
-        Hooks of the effects present, in the order of their names.
+        Hooks of the effects present, in the order in which they act.
     """
 
     models: list[mujoco.MjModel]
@@ -60,7 +60,7 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
     cache: dict[str, mujoco.MjModel] = {}
     models = [_model(scene, tuple(some), cache) for some in effects]
     kinds: dict[str, list[Filter]] = {"command": [], "force": [], "reading": []}
-    for name in sorted({s.name for some in effects for s in some}):
+    for name in sorted({s.name for some in effects for s in some}, key=turn):
         for hook_name, filters in kinds.items():
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
@@ -87,7 +87,7 @@ def unread(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dic
         Effects of the world.
     """
     out = dict(readings)
-    for s in sorted(some, key=lambda s: s.name, reverse=True):  # against the stepping loop's order
+    for s in sorted(some, key=lambda s: turn(s.name), reverse=True):  # against the stepping loop's order
         hook = effect(s.name).unread
         if hook is not None:
             out = hook(scene, flatten(s, scene), s.element, out)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from candata.effects._contact import time_form
+from candata.gap.replay import sense
 from candata.rotation import difference
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
@@ -111,6 +112,24 @@ def test_a_dead_band_swallows_small_components_and_no_others(hand):
     force = np.tile([0.29, -0.29, 2.0], (1, 5, 1))
     _, out = hook.apply(hook.state, {"fingertip_force": force})
     assert np.array_equal(out["fingertip_force"], np.tile([0.0, 0.0, 2.0], (1, 5, 1)))
+
+
+def test_a_gain_scales_the_force_and_not_the_offset(hand):
+    """A fingertip reads gain times force plus offset, then what its firmware swallows; replays read it alike."""
+    given = (
+        setting("tactile_bias", bias_N=(0.1,) * 15),
+        setting("tactile_dead_band", band_N=0.3),
+        setting("tactile_gain", gain=2.0),
+    )
+    force = np.tile([0.05, 0.15, 1.0], (1, 5, 1))
+    out = {"fingertip_force": force}
+    for hook in build_worlds(hand, [given]).reading:
+        _, out = hook.apply(hook.state, out)
+    expected = np.tile([0.0, 0.4, 2.1], (1, 5, 1))
+    np.testing.assert_allclose(out["fingertip_force"], expected)
+    np.testing.assert_allclose(
+        sense(hand, {"fingertip_force": force[:, None]}, given)["fingertip_force"][:, 0], expected
+    )
 
 
 POSE_EFFECTS = [
