@@ -81,6 +81,7 @@ def understated(noise: Noise, recs: Recordings, readings: dict[str, Array]) -> t
     """Return a note for each channel that is noisier than declared: part of its gap is noise that no effect explains.
 
     Read off the recording, and off what it differs by from its replay: motion adds to the one, a fault to the other.
+    Rotations are left out, as quaternions do not subtract.
     """
     away = replace(recs, readings={c: v - readings[c] for c, v in recs.readings.items() if c in readings})
     step = noise.force_step / np.sqrt(12)

@@ -73,7 +73,10 @@ def promising(
 def promises(
     problem: Problem, c: Candidate, variants: Sequence[Candidate], response: Curve | Plane, base: Array
 ) -> list[tuple[float, Candidate]]:
-    """Return the held-out gain that each variant of `c` on one element promises, the best first; see `promising`."""
+    """Return the held-out gain that each variant of `c` on one element promises, the best first; see `promising`.
+
+    An element without readings (a fingertip where no forces were recorded, the support) promises what all of them do.
+    """
     whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
     gains = [(_screened(problem, v, response, base, whole), v) for v in variants]
     return sorted(gains, key=lambda pair: -pair[0])

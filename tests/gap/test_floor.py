@@ -44,7 +44,9 @@ def test_more_noise_than_declared_is_told(arm, arm_episodes, planted, rng, times
     notes = understated(arm.file.noise, recs, readings)
     assert bool(notes) == told
     if told:
-        assert notes[0].startswith("noise of joint position: 0.001 rad declared, 0.00")
+        before, after = notes[0].split("declared, ")
+        assert before == "noise of joint position: 0.001 rad "
+        assert float(after.split(" rad seen")[0]) == pytest.approx(0.002, rel=0.15)
 
 
 @pytest.mark.parametrize("declared", [None, Noise()])
