@@ -117,7 +117,9 @@ def _all(
     responses, dead = respond(problem, here, found, held)
     if problem.simulated:
         return responses, tuple(dead)
-    responses += respond(problem, here, promising(problem, here, responses, base), held)[0]
+    acting = {c.label for c, _ in held}
+    variants = [v for v in promising(problem, here, responses, base) if v.label not in acting]
+    responses += respond(problem, here, variants, held)[0]
     return responses, tuple(dead)
 
 

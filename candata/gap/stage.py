@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.candidates import Candidate, candidates, elements_of, local_candidates, on_slides
+from candata.gap.candidates import Candidate, candidate, candidates, elements_of, local_candidates, on_slides
 from candata.gap.floor import perturbed
 from candata.gap.folds import null_threshold
 from candata.gap.local import LOCAL, promises
@@ -131,9 +131,10 @@ def _judged(problem: Problem, seen: Screened, base: Array, luck: Array, held: Me
 
 
 def unheld(problem: Problem, held: Members) -> list[Candidate]:
-    """Return the candidates that may be tried beside the effects held: the same effect again only on slides."""
-    scene, taken = problem.replayer.scene, {c.name for c, _ in held} | problem.ruled_out
-    known = {c.label for c, _ in held}
+    """Return the candidates that may be tried beside the effects held: the same one only on slides, or beside those."""
+    scene, known = problem.replayer.scene, {c.label for c, _ in held}
+    rails = {c.label for c, _ in held if c.label in {v.label for v in on_slides(candidate(c.name, scene), scene)}}
+    taken = {c.name for c, _ in held if c.label not in rails} | problem.ruled_out
     again = [v for c, _ in held for v in on_slides(c, scene) if v.label not in known]
     return [*(c for c in candidates(scene, list(problem.recs.readings)) if c.name not in taken), *again]
 

@@ -97,6 +97,16 @@ def test_a_scalar_has_no_numbers_of_one_element(arm, posed):
     assert staging._parts(None, best, None) == []
 
 
+def test_beside_an_effect_on_slides_the_same_one_is_tried_on_hinges(hand):
+    problem = SimpleNamespace(
+        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(readings=CHANNELS), ruled_out=frozenset()
+    )
+    held = ((candidate("actuation_delay", hand, "wrist"), np.array([0.03])),)
+    assert [c.label for c in staging.unheld(problem, held) if c.name == "actuation_delay"] == ["actuation_delay"]
+    held = ((candidate("actuation_delay", hand, "index"), np.array([0.03])),)
+    assert not [c for c in staging.unheld(problem, held) if c.name == "actuation_delay"]
+
+
 def test_beside_an_effect_the_same_one_is_tried_on_slides_only(hand):
     problem = SimpleNamespace(
         replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(readings=CHANNELS), ruled_out=frozenset()
