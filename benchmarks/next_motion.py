@@ -23,6 +23,7 @@ from scipy.optimize import minimize_scalar
 from candata.gap.candidates import Candidate, candidate
 from candata.gap.floor import floor
 from candata.gap.next_motion import all_motions, rivals_of, separating_motion
+from candata.gap.noise import sensor_noise
 from candata.gap.recordings import recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
@@ -73,11 +74,12 @@ def record(scene: Scene, motion: Motion, world: EffectSet, count: int, seed: int
     begin = starts(scene, recs)
     nominal = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(scene, recs, begin, nominal)
-    spread = floor(replayer, recs, begin, plan, rng, NULLS, world)
+    kind, noise, _ = sensor_noise(scene.file.noise, recs, nominal)
+    spread = floor(replayer, recs, begin, plan, noise, rng, NULLS, world)
     raw = residual(recs, plan, nominal)
     level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, None)
-    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf, nominal, raw)
+    return Problem(replayer, recs, begin, plan, level, [], noise, kind, rng, shelf, nominal, raw)
 
 
 def fitted(problem: Problem, c: Candidate) -> np.ndarray:

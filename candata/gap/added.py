@@ -77,7 +77,10 @@ def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) ->
     light = [joint(world, members, base, widths=()) for _, members in by_loss(part, others)[:RIVALS]]
     near = [joint(world, f.members, base) if is_tied(f, best) else f for f in light if is_tied(f, best, UNSURE)]
     first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
-    return first, [f for f in (best, *near) if f is not first and is_tied(f, first, UNSURE)]
+    if first is not best:
+        # Beside another member the rest is challenged anew: each exchange leaves less, so this ends.
+        return challenged(problem, world, first, rough)
+    return best, [f for f in near if is_tied(f, best, UNSURE)]
 
 
 def by_loss(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Members]]:

@@ -20,11 +20,12 @@ from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
-from candata.gap.floor import sensor_noise, spread, understated
+from candata.gap.floor import spread
 from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
 from candata.gap.locate import acts_on, locate, slides, symptoms
 from candata.gap.mismatch import checked
+from candata.gap.noise import sensor_noise
 from candata.gap.origin import data_used, provenance, title
 from candata.gap.outlook import say_outlook
 from candata.gap.pace import REST, Pace
@@ -184,10 +185,9 @@ def _problem(
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
     shelf = library(replayer, recs, begin, plan, cache, progress)
-    kind, noise = sensor_noise(replayer.scene.file.noise, recs)
-    level = score(raw, spread(kind, noise, plan, shelf.nulls(noise)), plan)
-    if kind == "declared":
-        recs = replace(recs, notes=(*recs.notes, *understated(noise, recs, readings)))
+    kind, noise, notes = sensor_noise(replayer.scene.file.noise, recs, readings)
+    recs = replace(recs, notes=(*recs.notes, *notes))
+    level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else problem
@@ -196,7 +196,7 @@ def _problem(
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
     """Return the problem and the evidence on episodes that took no part in the search."""
     world = problem.setting(fit.members) if fit else ()
-    r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS)
+    r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS, problem.noise)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)
     raw = residual(recs, r.plan, r.before)

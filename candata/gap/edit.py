@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
 from candata.gap.floor import REPLICAS, floor
+from candata.gap.noise import sensor_noise
 from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual
@@ -21,6 +22,7 @@ from candata.gap.verdict import EXPLAINED, FEWEST
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.report import EditTest
+from candata.schema.scene import Noise
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
@@ -59,25 +61,38 @@ class Replayed:
 
 
 def replayed(
-    replayer: Replayer, recs: Recordings, world: EffectSet, rng: np.random.Generator, replicas: int
+    replayer: Replayer,
+    recs: Recordings,
+    world: EffectSet,
+    rng: np.random.Generator,
+    replicas: int,
+    noise: Noise | None = None,
 ) -> Replayed:
     """Return recordings replayed in the nominal scene and in the one with `world` added, measured in its floors.
+
+    The sensors' noise is that of these recordings where none is given.
 
     No more than `MANY` episodes are simulated at a time: a simulation takes twenty times the memory of its recording.
     """
     blocks = np.array_split(np.arange(len(recs)), -(-len(recs) // MANY))
-    return _joined([_replayed(replayer, recs.take(block), world, rng, replicas) for block in blocks], recs)
+    return _joined([_replayed(replayer, recs.take(block), world, rng, replicas, noise) for block in blocks], recs)
 
 
 def _replayed(
-    replayer: Replayer, recs: Recordings, world: EffectSet, rng: np.random.Generator, replicas: int
+    replayer: Replayer,
+    recs: Recordings,
+    world: EffectSet,
+    rng: np.random.Generator,
+    replicas: int,
+    noise: Noise | None,
 ) -> Replayed:
     """Return one block of recordings replayed without and with `world`."""
     begin = starts(replayer.scene, recs)
     before, after = replay_all(replayer, recs, begin, [(), world])
     plan = layout(replayer.scene, recs, begin, before)
     raw = residual(recs, plan, before)
-    level = score(raw, floor(replayer, recs, begin, plan, rng, replicas, world), plan)
+    noise = noise or sensor_noise(replayer.scene.file.noise, recs, before).noise
+    level = score(raw, floor(replayer, recs, begin, plan, noise, rng, replicas, world), plan)
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     return Replayed(recs, begin, plan, level, before, after, sizes[0], sizes[1])
 

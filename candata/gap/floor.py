@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.held import held
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, replay, true_start
 from candata.gap.residuals import Layout, residual
@@ -22,18 +22,8 @@ Array = NDArray[np.float64]
 #: fresh noise. (Losses of one start spread by 0.13 to 0.15 floors with the noise, means of four over several starts by
 #: 0.08, of which the noise explains 0.07: starts matter little.)
 REPLICAS, WORLDS, NOISES = 16, 4, 4
-#: Smallest noise that is believed where none is declared: resolution of good encoders [rad or m], motion
-#: capture [m, rad] and tactile sensors [N].
-SMALLEST = Noise(object_pose=(2e-4, 1e-3), joint_position=3e-4, fingertip_force=0.01)
-#: Times the declared noise that quiet stretches must show to be told of. (In 90 blind cases of two hands, whose noise
-#: is as declared, they showed 0.94 to 1.08 times as much, of rounded forces up to 1.17.)
-MORE = 1.3
-#: What `_high_pass` would read for unit white noise without correction (measured on 10^6 normal samples).
-QUIET_BIAS = 0.68
 #: Share of a column's typical spread below which no episode's own spread is believed.
 SPREAD_FLOOR = 0.3
-
-FloorKind = Literal["measured", "declared", "assumed"]
 
 
 @dataclass(frozen=True)
@@ -42,8 +32,6 @@ class Floor:
 
     Attributes
     ----------
-    kind : str
-        declared (from the scene's `noise`) or assumed (from the recording's quiet stretches).
     sigma : (E, B, D) float64
         Spread of each residual: the 68 % quantile of its size over null replays, by episode, column and phase.
     null : (R, E, B, D) float64
@@ -52,68 +40,9 @@ class Floor:
         The noise with which they were made.
     """
 
-    kind: FloorKind
     sigma: Array
     null: Array
     noise: Noise
-
-
-def sensor_noise(scene_noise: Noise | None, recs: Recordings) -> tuple[FloorKind, Noise]:
-    """Return the noise to use: the declared one, or one estimated from the recording."""
-    if scene_noise is not None and _any(scene_noise):
-        return "declared", scene_noise
-    return "assumed", Noise(
-        object_pose=(
-            max(SMALLEST.object_pose[0], _high_pass(recs, "object_pose", slice(0, 3))),
-            max(SMALLEST.object_pose[1], 2 * _high_pass(recs, "object_pose", slice(4, 7))),
-        ),
-        joint_position=max(SMALLEST.joint_position, _high_pass(recs, "joint_position", slice(None))),
-        fingertip_force=max(SMALLEST.fingertip_force, _high_pass(recs, "fingertip_force", slice(None))),
-    )
-
-
-def _any(noise: Noise) -> bool:
-    """Tell whether any noise is declared."""
-    return max(*noise.object_pose, noise.joint_position, noise.fingertip_force, noise.force_step) > 0
-
-
-def understated(noise: Noise, recs: Recordings, readings: dict[str, Array]) -> tuple[str, ...]:
-    """Return a note for each channel that is noisier than declared: part of its gap is noise that no effect explains.
-
-    Read off the recording, and off what it differs by from its replay: motion adds to the one, a fault to the other.
-    Rotations are left out, as quaternions do not subtract.
-    """
-    away = replace(recs, readings={c: v - readings[c] for c, v in recs.readings.items() if c in readings})
-    step = noise.force_step / np.sqrt(12)
-    rows = (
-        ("object position", "object_pose", slice(0, 3), noise.object_pose[0], "m"),
-        ("joint position", "joint_position", slice(None), noise.joint_position, "rad"),
-        ("fingertip force", "fingertip_force", slice(None), float(np.hypot(noise.fingertip_force, step)), "N"),
-    )
-    seen = [min(_high_pass(r, channel, columns) for r in (recs, away)) for _, channel, columns, *_ in rows]
-    return tuple(
-        f"noise of {name}: {told:.2g} {unit} declared, {found:.2g} {unit} seen in quiet stretches: part of the gap"
-        for (name, *_, told, unit), found in zip(rows, seen, strict=True)
-        if found > MORE * told > 0
-    )
-
-
-def _high_pass(recs: Recordings, channel: str, columns: slice) -> float:
-    """Return the noise of a channel (1 sd) from second differences in its quietest fifth.
-
-    White noise of sd s has second differences of sd s sqrt(6); the median size of a normal is 0.6745 sd; and the
-    lowest fifth of medians over eight rows lies at `QUIET_BIAS` of the true median.
-    """
-    if channel not in recs.readings:
-        return 0.0
-    values = recs.readings[channel].reshape(*recs.readings[channel].shape[:2], -1)[..., columns]
-    bend = np.abs(values[:, 2:] - 2 * values[:, 1:-1] + values[:, :-2])
-    window = min(8, bend.shape[1])
-    count = bend.shape[1] // window
-    windows = bend[:, : count * window].reshape(len(recs), count, window, -1)
-    whole = np.isfinite(windows).all(2)
-    local = np.median(windows, axis=2)[whole]
-    return float(np.quantile(local, 0.2) / QUIET_BIAS / 0.6745 / np.sqrt(6)) if local.size else 0.0
 
 
 def null_recordings(
@@ -149,7 +78,7 @@ def null_recordings(
     noisy = add_noise(readings, noise, rng)
     taken = recs.take(index)
     for name, values in taken.readings.items():
-        noisy[name] = np.where(np.isfinite(values), noisy[name], np.nan)
+        noisy[name] = np.where(np.isfinite(values), held(noisy[name], taken.sources.get(name)), np.nan)
     return replace(taken, readings=noisy)
 
 
@@ -186,6 +115,7 @@ def floor(
     recs: Recordings,
     begin: Starts,
     plan: Layout,
+    noise: Noise,
     rng: np.random.Generator,
     replicas: int = REPLICAS,
     world: EffectSet = (),
@@ -200,6 +130,8 @@ def floor(
     replayer : Replayer
     recs, begin, plan
         What was recorded, where it starts, how it is cut into blocks.
+    noise : Noise
+        That of its sensors.
     rng : numpy.random.Generator
         Noise of the nulls.
     replicas : int
@@ -207,8 +139,7 @@ def floor(
     world : tuple of EffectSetting
         Effects both in the null recordings and in their replays.
     """
-    kind, noise = sensor_noise(replayer.scene.file.noise, recs)
-    return spread(kind, noise, plan, null_residuals(replayer, recs, begin, plan, noise, rng, replicas, world))
+    return spread(noise, plan, null_residuals(replayer, recs, begin, plan, noise, rng, replicas, world))
 
 
 def null_residuals(
@@ -228,10 +159,10 @@ def null_residuals(
     return residual(nulls, wide, readings).reshape(replicas, len(recs), *plan.phase.shape[1:], -1)
 
 
-def spread(kind: FloorKind, noise: Noise, plan: Layout, null: Array) -> Floor:
+def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
     """Return the floor of null residuals `(R, E, B, D)`; those outside the plan's phases do not count."""
     seen = np.where((plan.phase >= 0)[..., None], null, np.nan)
-    return Floor(kind, _sigma(plan, seen, smallest(plan, noise)), seen, noise)
+    return Floor(_sigma(plan, seen, smallest(plan, noise)), seen, noise)
 
 
 def smallest(plan: Layout, noise: Noise) -> Array:

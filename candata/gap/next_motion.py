@@ -228,7 +228,7 @@ def _losses(rivals: Rivals, recs: Recordings, truth: EffectSet, others: Sequence
     plan = layout(scene, recs, begin, nominal)
     own = residual(recs, plan, right)
     # What the truth leaves of its own recording is the floor: noise, and the chaos of these contacts.
-    level = score(own, spread("declared", rivals.noise, plan, own[None]), plan)
+    level = score(own, spread(rivals.noise, plan, own[None]), plan)
     none = level.normal(residual(recs, plan, nominal))
     return [worse(level, none, level.normal(residual(recs, plan, r))) for r in theirs]
 

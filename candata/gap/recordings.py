@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
+from candata.gap.held import sources
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
@@ -52,6 +53,8 @@ class Recordings:
         What was left out, what is doubtful, what cannot be tested: for the report.
     moving : bool
         Whether anything was seen to move.
+    sources : dict of str to ndarray
+        For a channel slower than the log, the row `(E, T)` in which each reading was new; others are not there.
     """
 
     ids: tuple[str, ...]
@@ -62,6 +65,7 @@ class Recordings:
     instant_force: bool
     notes: tuple[str, ...] = ()
     moving: bool = True
+    sources: dict[str, NDArray[np.int64]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -77,6 +81,7 @@ class Recordings:
             commands=self.commands[index],
             readings={n: v[index] for n, v in self.readings.items()},
             lengths=self.lengths[index],
+            sources={n: rows[index] for n, rows in self.sources.items()},
         )
 
 
@@ -126,6 +131,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         )
         for c in shared
     }
+    slow, slower = sources(readings, scene.file.rate_hz)
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
@@ -136,7 +142,8 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        notes,
+        (*notes, *slower),
+        sources=slow,
     )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError
+from candata.gap.held import held
 from candata.gap.recordings import Recordings
 from candata.gap.starts import Starts, is_toss, reach, support_height
 from candata.rotation import difference
@@ -118,15 +119,17 @@ def residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Arra
     """Return recorded minus replayed, `(E, B, D)` block means; NaN where either is missing.
 
     Joints in rad or m, positions in m, rotations as world-frame rotation vectors in rad (Sola 2018, eq. 105), forces
-    in N in the fingertip's frame.
+    in N in the fingertip's frame. Of a sensor slower than the log, both are taken where its reading was new.
     """
-    parts = []
+    parts: list[Array] = []
     for channel in dict.fromkeys(c for c, _, _ in plan.columns):
         recorded, replayed = recs.readings[channel], readings[channel]
         if channel == "object_pose":
-            parts += [recorded[..., :3] - replayed[..., :3], difference(recorded[..., 3:], replayed[..., 3:])]
+            some = [recorded[..., :3] - replayed[..., :3], difference(recorded[..., 3:], replayed[..., 3:])]
         else:
-            parts.append((recorded - replayed).reshape(*recorded.shape[:2], -1))
+            some = [(recorded - replayed).reshape(*recorded.shape[:2], -1)]
+        slow = recs.sources.get(channel)
+        parts += some if slow is None else [np.where(np.isfinite(part), held(part, slow), np.nan) for part in some]
     joined = np.concatenate(parts, axis=-1)
     joined[:, 0, [c == "fingertip_force" for c, _, _ in plan.columns]] = np.nan
     count = joined.shape[1] // plan.rows

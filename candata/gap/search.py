@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate
-from candata.gap.floor import FloorKind
 from candata.gap.folds import CrossFit, cross_fit
+from candata.gap.noise import NoiseKind
 from candata.gap.pace import Pace
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, name_of, needs_simulation, replay_all, sense
@@ -45,7 +45,7 @@ class Problem:
     score: Score
     parts: list[Index]
     noise: Noise
-    floor_kind: FloorKind
+    floor_kind: NoiseKind
     rng: np.random.Generator
     library: Library
     before: dict[str, Array]

@@ -351,7 +351,9 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
     """Return problem and fit in units of the floor of the fitted world."""
     world = problem.setting(best.members)
-    spread = floor(problem.replayer, problem.recs, problem.begin, problem.plan, problem.rng, NULLS_AGAIN, world)
+    spread = floor(
+        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, NULLS_AGAIN, world
+    )
     new = replace(problem, score=score(problem.raw, spread, problem.plan))
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)

@@ -27,8 +27,9 @@ Responses = Sequence[tuple[Candidate, Curve | Plane]]
 #: the gap were always among the first two.
 GROWN = 8
 #: Share of what a set's signatures explain that one with a member exchanged may explain less, to be told from it by
-#: simulation. Chosen: of a tracker's scale, its bias and a support's height, 1 to 2 %; of what came next, 15 %.
-ALIKE = 0.05
+#: simulation. Chosen: of a tracker's scale, its bias and a support's height, 1 to 2 %; of damping of the servos, named
+#: for that of the joints with full support, 9 %; of what came next, 15 %.
+ALIKE = 0.12
 #: Most steps of a fit, the shares of a step that are tried, and the share of the loss below which it ends.
 STEPS, SHARES, ENOUGH = 6, (1.0, 0.5, 0.25, 0.1), 0.01
 #: Half widths over which a curve's slope is read, as shares of the range: wider than where a fit is sharpened. Chosen.

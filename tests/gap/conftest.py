@@ -178,7 +178,7 @@ def white_score(one_phase) -> Callable[..., Score]:
         rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16, columns: int = 1
     ) -> Score:
         shape = (episodes, size // columns, columns)
-        spread = Floor("declared", np.ones(shape), rng.standard_normal((replicas, *shape)), Noise())
+        spread = Floor(np.ones(shape), rng.standard_normal((replicas, *shape)), Noise())
         return score(np.zeros(shape), spread, one_phase(episodes, *shape[1:]))
 
     return make

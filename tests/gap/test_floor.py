@@ -7,21 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import SMALLEST, floor, null_recordings, perturbed, sensor_noise, understated
+from candata.gap.floor import floor, null_recordings, perturbed
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout
 from candata.gap.starts import STILL_ROWS, starts
 from candata.rotation import difference
 from candata.schema.scene import Noise
-from candata.simulate.episodes import add_noise
 
 
 def floor_of(scene, episodes, replicas: int = 8, seed: int = 0, world=()):
     recs, replayer = recordings(scene, episodes), Replayer(scene)
     begin = starts(scene, recs)
     plan = layout(scene, recs, begin, replay_all(replayer, recs, begin, [()])[0])
-    return plan, floor(replayer, recs, begin, plan, np.random.default_rng(seed), replicas, world)
+    return plan, floor(replayer, recs, begin, plan, scene.file.noise, np.random.default_rng(seed), replicas, world)
 
 
 @pytest.fixture(scope="module")
@@ -29,73 +28,8 @@ def arm_floor(arm, arm_episodes):
     return floor_of(arm, arm_episodes(count=4))
 
 
-def test_declared_noise_is_the_noise(arm, arm_episodes):
-    assert sensor_noise(arm.file.noise, recordings(arm, arm_episodes(count=2))) == ("declared", arm.file.noise)
-
-
-@pytest.mark.parametrize(("times", "told"), [(1.0, False), (1.2, False), (2.0, True)])
-@pytest.mark.parametrize("fault", [{}, {"frictionloss_Nm": 0.3}])
-def test_more_noise_than_declared_is_told(arm, arm_episodes, planted, rng, times, told, fault):
-    """The arm swings all the time, and a dry joint moves it otherwise: neither is taken for noise."""
-    recs = recordings(arm, arm_episodes(planted("joint_dry_friction", **fault) if fault else (), noise=False))
-    louder = Noise(joint_position=times * arm.file.noise.joint_position)
-    recs = replace(recs, readings=add_noise(recs.readings, louder, rng))
-    readings = replay_all(Replayer(arm), recs, starts(arm, recs), [()])[0]
-    notes = understated(arm.file.noise, recs, readings)
-    assert bool(notes) == told
-    if told:
-        before, after = notes[0].split("declared, ")
-        assert before == "noise of joint position: 0.001 rad "
-        assert float(after.split(" rad seen")[0]) == pytest.approx(0.002, rel=0.15)
-
-
-@pytest.mark.parametrize("declared", [None, Noise()])
-def test_without_declared_noise_the_floor_is_assumed(plain_recordings, declared):
-    still = plain_recordings(joint_position=np.full((2, 40, 2), 0.3))
-    # Nothing moves and there is no object: what good sensors cannot resolve is left.
-    assert sensor_noise(declared, still) == ("assumed", SMALLEST)
-
-
-@pytest.mark.parametrize("size", [0.002, 0.02])
-@pytest.mark.parametrize("moving", [False, True])
-def test_white_noise_of_known_size_is_recovered(plain_recordings, rng, size, moving):
-    t = np.arange(160) / 100
-    wave = moving * 0.5 * np.clip((t - 0.5) / 0.4, 0, 1) * np.sin(2 * np.pi * t)
-    recs = plain_recordings(joint_position=wave[:, None] + size * rng.standard_normal((8, 160, 2)))
-    # 2,400 second differences know a standard deviation to 3 %; 15 % allows for the choice of quiet stretches.
-    assert sensor_noise(None, recs)[1].joint_position == pytest.approx(size, rel=0.15)
-
-
-def test_assumed_noise_scales_with_the_noise(plain_recordings, rng):
-    unit = rng.standard_normal((8, 160, 2))
-    found = [
-        sensor_noise(None, plain_recordings(joint_position=s * unit))[1].joint_position for s in (0.002, 0.02, 0.2)
-    ]
-    # Nothing but the scale differs: rounding only.
-    assert found[1:] == pytest.approx([10 * found[0], 100 * found[0]], rel=1e-9)
-
-
-def test_assumed_noise_of_a_pose_tells_position_from_rotation(plain_recordings, rng):
-    pose = np.tile([0.1, 0.2, 0.3, 1, 0, 0, 0], (8, 160, 1))
-    recs = plain_recordings(**add_noise({"object_pose": pose}, Noise(object_pose=(0.004, 0.05)), rng))
-    position, rotation = sensor_noise(None, recs)[1].object_pose
-    # Both come from the same estimate, so its own bias drops out of the ratio; each is known to some 3 %.
-    assert rotation / position == pytest.approx(0.05 / 0.004, rel=0.15)
-
-
-def test_a_moving_recording_is_not_taken_for_noise(plain_recordings, rng):
-    t = np.arange(160) / 100
-    wave = np.where(t < 0.5, 0.0, 0.5 * np.sin(12 * np.pi * (t - 0.5)))
-    recs = plain_recordings(
-        joint_position=np.repeat(wave[None, :, None], 8, 0) + 0.002 * rng.standard_normal((8, 160, 1))
-    )
-    # Second differences of the sine alone reach 0.5 (12 pi / 100)^2 = 0.07, thirty times the noise.
-    assert sensor_noise(None, recs)[1].joint_position < 0.004
-
-
 def test_the_spread_of_a_floor_is_positive_and_as_large_as_the_noise(arm, arm_floor):
     plan, found = arm_floor
-    assert found.kind == "declared"
     assert found.sigma.shape == (4, *plan.phase.shape[1:], 2)
     assert (found.sigma > 0).all()
     # A block mean of five rows keeps 1 / sqrt(5) of the noise; the start, known to 1 / sqrt(8), and the observer that

@@ -137,11 +137,11 @@ def problem(arm, arm_episodes, planted):
     begin = starts(arm, recs)
     readings = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(arm, recs, begin, readings)
-    spread = floor(replayer, recs, begin, plan, rng, 4)
+    spread = floor(replayer, recs, begin, plan, arm.file.noise, rng, 4)
     raw = residual(recs, plan, readings)
     level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, None)
-    return Problem(replayer, recs, begin, plan, level, [], spread.noise, spread.kind, rng, shelf, readings, raw)
+    return Problem(replayer, recs, begin, plan, level, [], spread.noise, "declared", rng, shelf, readings, raw)
 
 
 def tie(arm, *names: str) -> SimpleNamespace:

@@ -63,7 +63,7 @@ def described(scene, recs, world=(), where=()):
     replayer, begin = Replayer(scene), starts(scene, recs)
     nominal = replay_all(replayer, recs, begin, [world])[0]
     plan = layout(scene, recs, begin, nominal)
-    spread = floor(replayer, recs, begin, plan, rng, 4, world)
+    spread = floor(replayer, recs, begin, plan, scene.file.noise, rng, 4, world)
     level = score(residual(recs, plan, nominal), spread, plan)
     problem = SimpleNamespace(
         replayer=replayer, recs=recs, begin=begin, plan=plan, score=level, parts=folds(recs.tasks, rng),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.gap.floor import floor
+from candata.gap.noise import sensor_noise
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual
@@ -75,5 +76,6 @@ def make_bed(dataset: Dataset, scene: Scene, rng: np.random.Generator, episodes:
     replayer, begin = Replayer(scene), starts(scene, recs)
     readings = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(scene, recs, begin, readings)
-    spread = floor(replayer, recs, begin, plan, rng, REPLICAS, world)
+    noise = sensor_noise(scene.file.noise, recs, readings).noise
+    spread = floor(replayer, recs, begin, plan, noise, rng, REPLICAS, world)
     return Bed(replayer, recs, begin, plan, score(residual(recs, plan, readings), spread, plan))

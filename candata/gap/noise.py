@@ -1,0 +1,226 @@
+"""The sensors' noise: measured where motions were repeated, declared by the scene, or read off quiet stretches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.stats import chi2, norm
+
+from candata.gap.held import only_new
+from candata.gap.recordings import Recordings
+from candata.rotation import difference
+from candata.schema.scene import Noise
+
+Array = NDArray[np.float64]
+NoiseKind = Literal["measured", "declared", "assumed"]
+Readings = dict[str, Array]
+#: What is read, with its unit; noise is an array of these, one standard deviation each.
+QUANTITIES = (("object position", "m"), ("object rotation", "rad"), ("joint position", "rad"), ("fingertip force", "N"))
+#: Smallest noise that is believed where none is declared: resolution of good encoders [rad or m], motion
+#: capture [m, rad] and tactile sensors [N].
+SMALLEST = Noise(object_pose=(2e-4, 1e-3), joint_position=3e-4, fingertip_force=0.01)
+#: Times the declared noise that must be seen for it not to be believed.
+MORE = 1.3
+#: Rows of a window, and the degree of the polynomial that is taken for motion in it. Chosen: of a 1 Hz sine of 0.5 rad
+#: at 100 Hz, a parabola leaves 0.2 mrad.
+WINDOW, DEGREE = 8, 2
+#: Quantile over windows, and over a quantity's columns, at which noise is read: noise is in all of them, what shakes a
+#: slipping fingertip is not. (Of a gripper whose fingers slip all the time, the mean of the calmest windows was five
+#: times the noise of the forces, this 1.4 times.)
+QUIET, LOW = 0.1, 0.25
+#: Pairs of repeated episodes from which noise is measured. Chosen: one could be an accident.
+PAIRS = 2
+#: How far commands of repeated episodes may be apart on average, as a share of their range, and lengths of one another.
+#: Chosen: a logger's clock is no better.
+ALIKE = 0.01
+#: Significant digits of noise that is estimated: null replays are kept by it, and it is known no better.
+DIGITS = 2
+#: Smallest resolution of a force that is looked for [N], and how far from whole multiples of it readings may lie.
+RESOLUTION, WHOLE = 1e-6, 1e-3
+#: Noise in resolutions below which rounding hides it, and multiples of the resolution that noise reaches.
+HIDDEN, REACH = 0.1, 20
+
+_BASIS = np.linalg.qr(np.vander(np.arange(WINDOW) - (WINDOW - 1) / 2, DEGREE + 1, increasing=True))[0]
+
+
+class SensorNoise(NamedTuple):
+    """Noise by which a recording is judged.
+
+    Attributes
+    ----------
+    kind : str
+        measured (in repeated motions), declared (by the scene), or assumed (from quiet stretches).
+    noise : Noise
+    notes : tuple of str
+        Channels in which the recording is noisier than the scene declares.
+    """
+
+    kind: NoiseKind
+    noise: Noise
+    notes: tuple[str, ...] = ()
+
+
+def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -> SensorNoise:
+    """Return the noise by which recordings are judged: measured, else declared, else assumed.
+
+    Where a channel is clearly noisier than declared, what is seen counts: no effect explains noise.
+
+    Parameters
+    ----------
+    declared : Noise or None
+        What the scene says; none where all of it is zero.
+    recs : Recordings
+    replayed : dict of str to ndarray
+        Readings of the nominal replay. Noise is read off the recording, and off what it differs by from its replay:
+        motion adds to the one, a fault to the other, so the smaller counts.
+    """
+    told = _sizes(declared or Noise())
+    step = force_step(recs.readings)
+    even = replace(recs, readings=dithered(recs.readings, step))
+    pairs = repeated(recs)
+    kind: NoiseKind = "measured" if len(pairs) >= PAIRS else "assumed"
+    if kind == "measured":
+        first, second = (even.take(side) for side in np.array(pairs).T)
+        variance, how = variances(first, second.readings) / 2, "measured in repeated motions"
+    else:
+        variance = np.minimum(variances(even), variances(even, replayed))
+        how = "seen in quiet stretches"
+    seen = np.append(np.sqrt(variance[:3]), before_rounding(float(variance[3]) - step**2 / 12, step))
+    more = _with_rounding(seen, step) > MORE * np.maximum(_with_rounding(told, step), _sizes(SMALLEST))
+    notes = tuple(
+        f"noise of {name}: {a:.2g} {unit} declared, {b:.2g} {unit} {how}, and that counts"
+        for (name, unit), a, b, louder in zip(QUANTITIES, told, seen, more, strict=True)
+        if louder and told.any()
+    )
+    if kind == "assumed" and declared is not None and told.any():
+        if not notes:
+            return SensorNoise("declared", declared)
+        return SensorNoise(kind, _noise(np.where(more, seen, told), declared.force_step), notes)
+    return SensorNoise(kind, _noise(np.maximum(seen, _sizes(SMALLEST)), step), notes)
+
+
+def repeated(recs: Recordings) -> list[tuple[int, int]]:
+    """Return pairs of episodes in which the same commands were played; a third repeat is paired with the second."""
+    spread = np.ptp(recs.commands, axis=(0, 1)) if recs.commands.size else np.zeros(0)
+    moving = spread > 0
+    pairs: list[tuple[int, int]] = []
+    last: list[int] = []
+    for i in range(len(recs) if moving.any() else 0):
+        same = next((k for k, j in enumerate(last) if _is_repeat(recs, i, j, spread, moving)), None)
+        if same is None:
+            last.append(i)
+        else:
+            pairs.append((last[same], i))
+            last[same] = i
+    return pairs
+
+
+def _is_repeat(recs: Recordings, i: int, j: int, spread: Array, moving: NDArray[np.bool_]) -> bool:
+    """Tell whether two episodes are as long and were commanded the same."""
+    short, long = sorted((int(recs.lengths[i]), int(recs.lengths[j])))
+    apart = np.abs(recs.commands[i, :short] - recs.commands[j, :short])[:, moving].mean(0)
+    return long - short <= ALIKE * long and bool((apart <= ALIKE * spread[moving]).all())
+
+
+def variances(recs: Recordings, other: Readings | None = None) -> Array:
+    """Return `(4,)` variances of white noise in readings, or in what they differ by from others; 0 where none are.
+
+    What a parabola leaves of short windows is noise, read off those where it leaves least.
+    """
+    windows = [_windows(q, recs, other) for q, _ in QUANTITIES]
+    return np.array([0.0 if w is None else _white(w) for w in windows])
+
+
+def _windows(quantity: str, recs: Recordings, other: Readings | None) -> Array | None:
+    """Return windows `(E, N, WINDOW, D)` of a quantity, or of its difference; None where it was not recorded."""
+    channel = "object_pose" if quantity.startswith("object") else quantity.replace(" ", "_")
+    if channel not in recs.readings:
+        return None
+    slow = recs.sources.get(channel)
+    values = _cut(only_new(recs.readings[channel], slow))
+    others = np.repeat(values[:, :, :1], WINDOW, axis=2) if other is None else _cut(only_new(other[channel], slow))
+    if quantity == "object rotation":
+        return difference(values[..., 3:], others[..., 3:])
+    apart = values - others
+    return apart[..., :3] if channel == "object_pose" else apart
+
+
+def _cut(values: Array) -> Array:
+    """Return `(E, T, ...)` values as windows `(E, N, WINDOW, D)`; a first row holds no force yet."""
+    count = (values.shape[1] - 1) // WINDOW
+    return values[:, 1 : 1 + count * WINDOW].reshape(len(values), count, WINDOW, -1)
+
+
+def _white(windows: Array) -> float:
+    """Return the variance of white noise in windows `(E, N, WINDOW, D)`; 0 without any that is whole.
+
+    Of n numbers, what a polynomial of k terms leaves is chi-squared with n - k degrees of freedom.
+    """
+    free = WINDOW - DEGREE - 1
+    left = (windows**2).sum(2) - (np.einsum("tk,entd->ekdn", _BASIS, windows) ** 2).sum(1).swapaxes(1, 2)
+    columns = left.reshape(-1, windows.shape[-1]).T
+    quiet = [np.quantile(c[np.isfinite(c)], QUIET) for c in columns if np.isfinite(c).any()]
+    return max(float(np.quantile(quiet, LOW)), 0.0) / float(chi2.ppf(QUIET, free)) if quiet else 0.0
+
+
+def dithered(readings: Readings, step: float) -> Readings:
+    """Return readings whose forces are as uneven as before they were rounded to whole steps, by fixed random numbers.
+
+    A window in which no rounded reading changes would show no noise at all. Dither of one step's width adds the
+    variance of a uniform error, step^2 / 12 (Widrow & Kollar 2008).
+    """
+    if step == 0:
+        return readings
+    force = readings["fingertip_force"]
+    even = np.random.default_rng(0).uniform(-step / 2, step / 2, force.shape)
+    return readings | {"fingertip_force": force + even}
+
+
+def force_step(readings: Readings) -> float:
+    """Return the resolution of the forces [N]: what all of them are whole multiples of; 0 where there is nothing."""
+    sizes = np.abs(readings.get("fingertip_force", np.zeros(0)))
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
+    step = float(sizes.min()) if sizes.size else 0.0
+    is_whole = step > RESOLUTION and bool((np.abs(sizes / step - np.round(sizes / step)) < WHOLE).all())
+    return round(step, 6) if is_whole else 0.0
+
+
+def before_rounding(variance: float, step: float) -> float:
+    """Return the noise (1 sd) that, rounded to whole steps around zero, has a variance; 0 where rounding hides it."""
+    if step == 0:
+        return float(np.sqrt(variance))
+    if variance >= _rounded(1.0) * step**2:
+        # Far beyond the resolution, rounding too adds the variance of a uniform error.
+        return float(np.sqrt(variance - step**2 / 12))
+    if variance <= _rounded(HIDDEN) * step**2:
+        return 0.0
+    return step * float(brentq(lambda s: _rounded(s) - variance / step**2, HIDDEN, 1.0))
+
+
+def _rounded(size: float) -> float:
+    """Return the variance of normal noise of a size, in steps, rounded to whole ones.
+
+    Of k^2 = 1 + 3 + ... + (2k - 1), the sum over k of (2k - 1) P(|n| > k - 1/2).
+    """
+    k = np.arange(1, REACH)
+    return float(((2 * k - 1) * 2 * norm.sf((k - 0.5) / size)).sum())
+
+
+def _with_rounding(sizes: Array, step: float) -> Array:
+    """Return `(4,)` sizes, that of forces with what rounding adds."""
+    return np.append(sizes[:3], np.hypot(sizes[3], step / np.sqrt(12)))
+
+
+def _sizes(noise: Noise) -> Array:
+    """Return `(4,)` noise by quantity."""
+    return np.array([*noise.object_pose, noise.joint_position, noise.fingertip_force])
+
+
+def _noise(sizes: Array, step: float) -> Noise:
+    """Return noise of sizes `(4,)`, rounded."""
+    position, rotation, joint, force = (float(f"{s:.{DIGITS}g}") for s in sizes)
+    return Noise(object_pose=(position, rotation), joint_position=joint, fingertip_force=force, force_step=step)

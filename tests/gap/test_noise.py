@@ -1,0 +1,150 @@
+"""Noise of sensors: measured in repeats, declared, or read off quiet stretches."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap.noise import SMALLEST, before_rounding, force_step, repeated, sensor_noise
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer, replay_all
+from candata.gap.starts import starts
+from candata.schema.scene import Noise
+from candata.simulate.episodes import add_noise
+
+#: A tenth of 150 windows with five degrees of freedom each know a standard deviation to 4 %; the quietest column of a
+#: few lies lower by as much.
+SURE = 0.15
+
+
+def still(recs):
+    """Readings of a replay in which nothing moves: what is read off the recording alone is the smaller."""
+    return {name: np.cumsum(np.ones_like(v), axis=1) ** 3 for name, v in recs.readings.items()}
+
+
+def swing(rows=160):
+    t = np.arange(rows) / 100
+    return 0.5 * np.clip((t - 0.5) / 0.4, 0, 1) * np.sin(2 * np.pi * t)
+
+
+@pytest.mark.parametrize(("times", "told"), [(1.0, False), (1.2, False), (2.0, True)])
+@pytest.mark.parametrize("fault", [{}, {"frictionloss_Nm": 0.3}])
+def test_clearly_more_noise_than_declared_counts(arm, arm_episodes, planted, rng, times, told, fault):
+    """The arm swings all the time, and a dry joint moves it otherwise: neither is taken for noise."""
+    recs = recordings(arm, arm_episodes(planted("joint_dry_friction", **fault) if fault else (), noise=False))
+    louder = Noise(joint_position=times * arm.file.noise.joint_position)
+    recs = replace(recs, readings=add_noise(recs.readings, louder, rng))
+    readings = replay_all(Replayer(arm), recs, starts(arm, recs), [()])[0]
+    kind, noise, notes = sensor_noise(arm.file.noise, recs, readings)
+    if not told:
+        assert (kind, noise, notes) == ("declared", arm.file.noise, ())
+        return
+    assert kind == "assumed"
+    assert noise.joint_position == pytest.approx(0.002, rel=SURE)
+    before, after = notes[0].split(" declared, ")
+    assert before == "noise of joint position: 0.001 rad"
+    assert float(after.split(" rad seen")[0]) == pytest.approx(0.002, rel=SURE)
+
+
+@pytest.mark.parametrize("declared", [None, Noise()])
+def test_without_declared_noise_the_floor_is_assumed(plain_recordings, declared):
+    recs = plain_recordings(joint_position=np.full((2, 40, 2), 0.3))
+    # Nothing moves and there is no object: what good sensors cannot resolve is left.
+    assert sensor_noise(declared, recs, still(recs)) == ("assumed", SMALLEST, ())
+
+
+@pytest.mark.parametrize("size", [0.002, 0.02])
+@pytest.mark.parametrize("moving", [False, True])
+def test_white_noise_of_known_size_is_recovered(plain_recordings, rng, size, moving):
+    recs = plain_recordings(joint_position=moving * swing()[:, None] + size * rng.standard_normal((8, 160, 2)))
+    assert sensor_noise(None, recs, still(recs)).noise.joint_position == pytest.approx(size, rel=SURE)
+
+
+def test_noise_of_a_pose_tells_position_from_rotation(plain_recordings, rng):
+    pose = np.tile([0.1, 0.2, 0.3, 0, 1, 0, 0], (8, 160, 1))
+    recs = plain_recordings(**add_noise({"object_pose": pose}, Noise(object_pose=(0.004, 0.05)), rng))
+    position, rotation = sensor_noise(None, recs, still(recs)).noise.object_pose
+    assert position == pytest.approx(0.004, rel=SURE)
+    assert rotation == pytest.approx(0.05, rel=SURE)
+
+
+def test_a_moving_recording_is_not_taken_for_noise(plain_recordings, rng):
+    t = np.arange(160) / 100
+    wave = np.where(t < 0.5, 0.0, 0.5 * np.sin(12 * np.pi * (t - 0.5)))
+    recs = plain_recordings(
+        joint_position=np.repeat(wave[None, :, None], 8, 0) + 0.002 * rng.standard_normal((8, 160, 1))
+    )
+    # Of the sine, a parabola over 80 ms leaves up to ten times the noise. A third of the windows is quiet: the lowest
+    # tenth of all is the lowest third of those: of chi-squared with five degrees of freedom, 1.4 times as much.
+    assert sensor_noise(None, recs, still(recs)).noise.joint_position == pytest.approx(1.4 * 0.002, rel=SURE)
+
+
+def test_a_replay_takes_motion_off(plain_recordings, rng):
+    wave = np.tile(0.5 * np.sin(12 * np.pi * np.arange(160) / 100)[:, None], (8, 1, 2))
+    recs = plain_recordings(joint_position=wave + 0.002 * rng.standard_normal(wave.shape))
+    found = sensor_noise(None, recs, {"joint_position": wave})
+    assert found.noise.joint_position == pytest.approx(0.002, rel=SURE)
+
+
+@pytest.mark.parametrize(("step", "size"), [(0.05, 0.02), (0.05, 0.03), (0.02, 0.03), (0.0, 0.03)])
+def test_rounded_forces_tell_their_step_and_the_noise_before_it(plain_recordings, rng, step, size):
+    free = {"fingertip_force": np.zeros((8, 160, 2, 3))}
+    recs = plain_recordings(**add_noise(free, Noise(fingertip_force=size, force_step=step), rng))
+    noise = sensor_noise(None, recs, still(recs)).noise
+    assert noise.force_step == pytest.approx(step)
+    assert noise.fingertip_force == pytest.approx(size, rel=SURE)
+
+
+def test_forces_that_are_whole_multiples_of_nothing_have_no_step(rng):
+    assert force_step({"fingertip_force": rng.standard_normal((2, 20, 1, 3))}) == 0
+    assert force_step({"fingertip_force": np.zeros((2, 20, 1, 3))}) == 0
+    assert force_step({}) == 0
+
+
+def test_noise_that_rounding_hides_is_not_seen():
+    assert before_rounding(0.0, 0.05) == 0
+    assert before_rounding(0.05**2 / 12 + 4, 0.05) == pytest.approx(2)
+    assert before_rounding(4.0, 0.0) == 2
+
+
+def played_again(plain_recordings, rng, size=0.002, copies=2, late=0):
+    """Six episodes: three motions, each `copies` times, so fast that nothing in them is quiet."""
+    t = np.arange(160) / 100
+    waves = np.stack([np.sin(2 * np.pi * f * t) for f in (5.0, 6.0, 7.0)])
+    which = np.arange(6) % 3 if copies == 2 else np.array([0, 0, 1, 2, 2, 2])[:6]
+    commands = waves[which][..., None]
+    joints = commands + size * rng.standard_normal((6, 160, 4))
+    lengths = np.where(np.arange(6) == 5, 160 - late, 160)
+    return plain_recordings(commands=commands, lengths=lengths, joint_position=joints)
+
+
+def test_repeats_are_episodes_of_the_same_commands(plain_recordings, rng):
+    assert repeated(played_again(plain_recordings, rng)) == [(0, 3), (1, 4), (2, 5)]
+    assert repeated(played_again(plain_recordings, rng, copies=3)) == [(0, 1), (3, 4), (4, 5)]
+    # A fifth shorter is another motion, a row is the logger's doing.
+    assert repeated(played_again(plain_recordings, rng, late=32)) == [(0, 3), (1, 4)]
+    assert repeated(played_again(plain_recordings, rng, late=1)) == [(0, 3), (1, 4), (2, 5)]
+
+
+def test_what_was_never_commanded_is_no_repeat(plain_recordings):
+    assert repeated(plain_recordings(joint_position=np.zeros((4, 40, 1)))) == []
+    assert repeated(plain_recordings(commands=np.ones((4, 40, 1)), joint_position=np.zeros((4, 40, 1)))) == []
+
+
+@pytest.mark.parametrize("declared", [None, Noise(joint_position=0.002), Noise(joint_position=0.0005)])
+def test_noise_is_measured_in_repeats_whatever_is_declared(plain_recordings, rng, declared):
+    recs = played_again(plain_recordings, rng)
+    kind, noise, notes = sensor_noise(declared, recs, still(recs))
+    assert kind == "measured"
+    assert noise.joint_position == pytest.approx(0.002, rel=SURE)
+    assert len(notes) == (declared is not None and declared.joint_position < 0.001)
+    # Off the recording alone, the motion is taken for noise: without repeats it is ten times too large.
+    alone = recs.take([0, 1, 2])
+    assert sensor_noise(None, alone, still(alone)).noise.joint_position > 0.02
+
+
+def test_one_repeat_may_be_an_accident(plain_recordings, rng):
+    recs = played_again(plain_recordings, rng).take([0, 1, 2, 3])
+    assert sensor_noise(None, recs, still(recs)).kind == "assumed"
