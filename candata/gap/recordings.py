@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.errors import DataError, Where
 from candata.gap.held import sources
+from candata.gap.spikes import without_spikes
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
@@ -132,6 +133,9 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         for c in shared
     }
     slow, slower = sources(readings, scene.file.rate_hz)
+    spiky: tuple[str, ...] = ()
+    if "object_pose" in readings:
+        readings["object_pose"], spiky = without_spikes(readings["object_pose"])
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
@@ -142,7 +146,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*notes, *slower),
+        (*notes, *slower, *spiky),
         sources=slow,
     )
 
