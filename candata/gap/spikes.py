@@ -36,8 +36,8 @@ def _first(quaternions: Array) -> Array:
     """Return the first finite quaternion `(E, 1, 4)` of each episode; the identity of none."""
     seen = np.asarray(np.isfinite(quaternions).all(2))
     first = quaternions[np.arange(len(seen)), seen.argmax(1)]
-    out: Array = np.where(seen.any(1)[:, None], first, [1.0, 0.0, 0.0, 0.0])
-    return out[:, None]
+    first[~np.isfinite(first).all(1)] = [1.0, 0.0, 0.0, 0.0]
+    return first[:, None]
 
 
 def _spikes(values: Array, least: float) -> NDArray[np.bool_]:
