@@ -8,6 +8,7 @@ from candata.gap.pace import TOGETHER
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import Compact
+from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
@@ -73,7 +74,14 @@ def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) ->
         return best, []
     base = world.score.loss(world.nominal)
     part, _ = brief(problem)
-    others = [one.members for some in exchanged(part, rough, best.members) for one in some[:ADDED]]
+    seen = {c.label for c, _ in rough}
+    rough = [*rough, *respond(part, part.nominal, [c for c, _ in best.members if c.label not in seen])[0]]
+    now = {c.label: u for c, u in best.members}
+    others = [
+        tuple((c, now.get(c.label, u)) for c, u in one.members)
+        for some in exchanged(part, rough, best.members)
+        for one in some[:ADDED]
+    ]
     light = [joint(world, members, base, widths=()) for _, members in by_loss(part, others)[:RIVALS]]
     near = [joint(world, f.members, base) if is_tied(f, best) else f for f in light if is_tied(f, best, UNSURE)]
     first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))

@@ -103,5 +103,11 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
     if remains:
         chosen, world, remains = jointly(world, chosen)
-    chosen, others = challenged(problem, world, chosen, first.rough)
-    return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(others))
+    better, others = challenged(problem, world, chosen, first.rough)
+    if better.labels != chosen.labels:
+        # What the wrong member hid may be seen now.
+        grown, world, remains = forward(world, better, first.fits)
+        if grown.labels != better.labels:
+            grown, others = challenged(problem, world, grown, first.rough)
+        better = grown
+    return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))

@@ -10,6 +10,7 @@ import pytest
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.gap import attribute, diagnose, diagnosis
 from candata.gap.candidates import candidate
+from candata.gap.refine import joint
 from candata.schema.episode import Episode
 
 
@@ -245,3 +246,27 @@ def test_a_rival_of_one_name_in_a_set_is_reported(arm, arm_episodes, planted, ju
     assert found["joint_dry_friction"].rivals == ("joint_damping",)
     assert found["actuation_delay"].rivals == ()
     assert found["joint_dry_friction"].support == 0.0 < found["actuation_delay"].support
+
+
+def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge, monkeypatch):
+    """A search that took damping for one cause of three, and ended there, loses it and finds what it hid."""
+    true, begun = attribute.forward, []
+
+    def wrong_at_first(problem, best, alone, rough=()):
+        begun.append(set(best.labels))
+        if len(begun) > 1:
+            return true(problem, best, alone, rough)
+        values = {"joint_damping": 0.3, "actuation_delay": 0.03}
+        members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+        return joint(problem, members, problem.score.loss(problem.nominal)), problem, True
+
+    monkeypatch.setattr(attribute, "forward", wrong_at_first)
+    monkeypatch.setattr(attribute, "jointly", lambda world, best: (best, world, True))
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+        *planted("servo_gain", kp_scale=0.8),
+    )
+    report = judge(arm, arm_episodes(effects, count=12)).report
+    assert "joint_damping" not in begun[1]
+    assert {e.name for e in report.effects} == {"joint_dry_friction", "actuation_delay", "servo_gain"}

@@ -157,6 +157,16 @@ def test_a_wrong_member_is_exchanged_for_the_one_that_adds_up(arm, posed, right)
     assert rivals == []
 
 
+def test_a_member_that_was_not_looked_at_alone_keeps_no_other_from_being_exchanged(arm, posed, right):
+    problem, first = posed
+    damping = candidate("joint_damping", arm), np.full(1, 0.3)
+    wrong = joint(problem, (damping, right.members[1]), problem.score.loss(problem.nominal))
+    some = [r for r in first.rough if r[0].label != right.labels[1]]
+    assert len(some) == len(first.rough) - 1
+    best, _ = added.challenged(problem, problem, wrong, some)
+    assert names(best.members) == TRUE
+
+
 def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
     problem, first = posed
     monkeypatch.setattr(together, "ALIKE", 1.0)
@@ -175,8 +185,6 @@ def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, ri
     assert added.challenged(problem, problem, wrong, first.rough) == (wrong, [])
     assert added.challenged(problem, problem, right, ()) == (right, [])
     assert added.challenged(replace(problem, measured=right.members[:1]), problem, right, first.rough) == (right, [])
-    some = [r for r in first.rough if r[0].name != "actuation_delay"]
-    assert added.challenged(problem, problem, right, some) == (right, [])
 
 
 def test_a_rival_that_is_as_good_takes_support_from_what_it_exchanges(arm, posed, right):
