@@ -16,7 +16,7 @@ from candata.gap.refine import PROMISE
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import respond
-from candata.gap.search import Members, Problem
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
@@ -154,12 +154,17 @@ def _gains(problem: Problem, responses: Responses, base: Array) -> list[tuple[fl
     return sorted(found, key=lambda pair: -pair[0])
 
 
-def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Array, gain: Array) -> list[Candidate]:
-    """Return the candidates that come near the gain `(E,)` of what is best so far, on a few episodes."""
+def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Array, best: Fit) -> list[Candidate]:
+    """Return the candidates that come near the best fit so far, on a few episodes.
+
+    Like is compared with like: of the best too counts what its signatures promise, where that is less than it gains.
+    """
     part, index = brief(problem)
-    responses, _ = respond(part, here[index], found)
-    least = PROMISE * float(gain[index].mean())
-    return [c for own, c in _gains(part, responses, base[index]) if own > least]
+    label, own = best.labels[0], best.members[0][0]
+    responses, _ = respond(part, here[index], [own, *found])
+    gains = _gains(part, responses, base[index])
+    promised = [float(best.evidence.gain[index].mean()), *(gain for gain, c in gains if c.label == label)]
+    return [c for gain, c in gains if c.label != label and gain > PROMISE * max(min(promised), 0.0)]
 
 
 def gains_share(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members) -> bool:

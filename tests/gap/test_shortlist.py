@@ -7,13 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from candata.gap import shortlist
 from candata.gap import stage as staging
 from candata.gap.attribute import attribute
-from candata.gap.candidates import candidates
+from candata.gap.candidates import candidate, candidates
 from candata.gap.diagnosis import _problem
+from candata.gap.folds import CrossFit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
+from candata.gap.search import Fit
 from candata.gap.shortlist import FEW, FITTED, MOST, _fitted_gain, _gains, brief, few, reconsidered, screened
 from candata.gap.stage import typical
 
@@ -112,3 +115,16 @@ def test_before_a_cause_is_called_unknown_more_is_looked_at(posed, monkeypatch):
     found = attribute(posed)
     assert found.chosen is not None
     assert found.chosen.labels[0] == "joint_damping"
+
+
+@pytest.mark.parametrize(("promised", "near"), [(0.035, ["servo_damping"]), (0.07, []), (-0.01, ["servo_damping"])])
+def test_a_rival_is_compared_with_what_the_best_one_promised(posed, monkeypatch, promised, near):
+    """Fitted on the recording the best one gains 0.07; a rival's signatures promise 0.02."""
+    scene = posed.replayer.scene
+    best, rival = candidate("joint_damping", scene), candidate("servo_damping", scene)
+    count = len(posed.recs)
+    fitted = Fit(((best, best.neutral),), None, CrossFit(np.full(count, 0.07), np.zeros(count), np.zeros((0, 0))))
+    monkeypatch.setattr(shortlist, "respond", lambda part, here, found, held=(): (found, []))
+    monkeypatch.setattr(shortlist, "_gains", lambda part, found, base: [(promised, best), (0.02, rival)])
+    found = shortlist.rivals(posed, posed.nominal, [rival], np.ones(count), fitted)
+    assert [c.label for c in found] == near

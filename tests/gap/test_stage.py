@@ -142,6 +142,23 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     assert found.fits[1].gain == pytest.approx(2.0 - 1.4)
 
 
+@pytest.mark.parametrize(("threshold", "first"), [(0.0, "joint_damping"), (0.05, "servo_damping")])
+def test_a_rival_of_a_faint_effect_is_sharpened_where_nulls_gain_as_much(arm, monkeypatch, threshold, first):
+    """Sharp, it is the better one; it is not looked at where nulls gain nothing to speak of."""
+    sharp = {"joint_damping": 1.95, "servo_damping": 1.94}
+    problem = SimpleNamespace(
+        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].name,
+        losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(
+        staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
+    )
+    fits = (fit(candidate("joint_damping", arm), np.full(8, 1.95)), fit(candidate("servo_damping", arm), BASE - 0.02))
+    stage = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, threshold, (), (), (), 0.0)
+    assert sharpened(problem, stage).fits[0].labels == (first,)
+
+
 @pytest.mark.parametrize(("other", "slopes"), [("pose_bias", True), ("pose_latency", False)])
 def test_a_scalar_is_fitted_as_a_vector_that_it_is_compared_with(hand, monkeypatch, other, slopes):
     """By slopes it is the better one; beside another scalar both are read off curves, and none is taken."""
