@@ -40,7 +40,7 @@ Compact = NDArray[np.float32]
 #: Rooms whose code decides a signature.
 CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
-OWN_CODE = ("floor", "replay", "residuals", "starts")
+OWN_CODE = ("floor", "held", "replay", "residuals", "starts")
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
 #: decides when contact begins, hardly what an effect does but for a sensor at fault that read it.
@@ -217,7 +217,8 @@ def _key(replayer: Replayer, recs: Recordings, begin: Starts) -> str:
     """Return the name of all signatures on the same commands in the same scene by the same code."""
     text = hashlib.sha256(f"{replayer.scene.digest}|{mujoco.__version__}|{_code()}|{recs.instant_force}".encode())
     text.update("|".join(recs.readings).encode())
-    for values in (recs.commands, recs.lengths, begin.rows):
+    text.update("|".join(recs.sources).encode())
+    for values in (recs.commands, recs.lengths, begin.rows, *recs.sources.values()):
         text.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
     return text.hexdigest()[:32]
 

@@ -108,6 +108,14 @@ def test_other_commands_have_other_signatures(still, tmp_path):
     assert other.folder.parent != shelf(still, tmp_path).folder.parent
 
 
+def test_a_slower_sensor_has_other_signatures(still, tmp_path):
+    """Of the same commands: what is held between readings moves by other residuals, and so do its nulls."""
+    rows = np.broadcast_to(np.arange(still.recs.commands.shape[1]) // 3 * 3, still.recs.commands.shape[:2])
+    recs = [replace(still.recs, sources={"joint_position": some}) for some in (rows, np.maximum(rows - 1, 0))]
+    parts = [library(still.replayer, one, still.begin, still.plan, tmp_path) for one in (still.recs, *recs)]
+    assert len({part.folder.parent for part in parts}) == 3
+
+
 def test_nulls_are_the_same_with_and_without_the_cache(still, tmp_path):
     noise = still.replayer.scene.file.noise
     fresh = shelf(still, None).nulls(noise)
