@@ -21,10 +21,13 @@ def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:
     """
     if poses.shape[1] < 5:
         return poses, ()
-    position = poses[..., :3]
-    turned = difference(poses[..., 3:], np.broadcast_to(_first(poses[..., 3:]), poses[..., 3:].shape))
-    # A rotation vector that passes pi turns over: what seems to jump there for good is no spike.
-    spike = _spikes(position, LEAST[0]) | _spikes(turned, LEAST[1])
+    size = poses.shape[1]
+    around = [poses[:, 2 + k : size - 2 + k] for k in (-2, -1, 1, 2)]
+    at = poses[:, 2:-2]
+    # Turns are told from each row itself: from the first row, a turn by pi would jump to and fro.
+    moved = [some[..., :3] - at[..., :3] for some in around]
+    turned = [difference(some[..., 3:], at[..., 3:]) for some in around]
+    spike = np.pad(_spikes(moved, LEAST[0]) | _spikes(turned, LEAST[1]), ((0, 0), (2, 2)))
     if not spike.any():
         return poses, ()
     total = int(np.isfinite(poses).all(2).sum())
@@ -32,21 +35,11 @@ def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:
     return np.where(spike[..., None], np.nan, poses), (note,)
 
 
-def _first(quaternions: Array) -> Array:
-    """Return the first finite quaternion `(E, 1, 4)` of each episode; the identity of none."""
-    seen = np.asarray(np.isfinite(quaternions).all(2))
-    first = quaternions[np.arange(len(seen)), seen.argmax(1)]
-    first[~np.isfinite(first).all(1)] = [1.0, 0.0, 0.0, 0.0]
-    return first[:, None]
-
-
-def _spikes(values: Array, least: float) -> NDArray[np.bool_]:
-    """Return `(E, T)` which of values `(E, T, 3)` are spikes; none within two rows of an end or a gap."""
-    at = values[:, 2:-2]
-    before, after = 2 * values[:, 1:-3] - values[:, :-4], 2 * values[:, 3:-1] - values[:, 4:]
-    middle = (values[:, 1:-3] + values[:, 3:-1]) / 2
-    away = np.stack([np.sqrt(((at - other) ** 2).sum(2)) for other in (before, after, middle)])
+def _spikes(around: list[Array], least: float) -> NDArray[np.bool_]:
+    """Return `(E, N)` which rows are spikes, by where the two rows before and after lie from each `(E, N, 3)`."""
+    first, before, after, last = around
+    lines = (2 * before - first, 2 * after - last, (before + after) / 2)
+    away = np.stack([np.sqrt((line**2).sum(2)) for line in lines])
     with np.errstate(invalid="ignore"):
         usual = np.array([[np.median(e[np.isfinite(e)]) if np.isfinite(e).any() else 0.0 for e in one] for one in away])
-        far = (away > np.maximum(TIMES * usual, least)[..., None]).all(0)
-    return np.pad(far, ((0, 0), (2, 2)))
+        return np.asarray((away > np.maximum(TIMES * usual, least)[..., None]).all(0))

@@ -46,6 +46,15 @@ def test_flight_and_spin_go_on(spin):
     assert left_out(flying(spin=spin)) == []
 
 
+def test_a_rest_half_a_turn_from_the_start_is_no_spike():
+    """Half a turn may be told either way round: 0.01 rad of noise changes which."""
+    poses = flying()
+    off = np.zeros(100)
+    off[[40, 60, 61]] = 0.02
+    poses[:, 20:, 3:] = exp(np.stack([np.zeros(100), np.zeros(100), np.pi - 0.01 + off], axis=1))[20:]
+    assert left_out(poses) == []
+
+
 def test_a_bounce_goes_on_from_there():
     poses = flying()
     height = np.abs(np.arange(100) / 100 - 0.5) * 2.0
