@@ -49,6 +49,7 @@ which needs the packages of mujoco[sysid] and a parameter written for each effec
 """
 #: Results whose pace tells the time left.
 LATEST = 21
+FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 SCORE_EXAMPLE = """\b
@@ -87,6 +88,7 @@ def bench(
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     ray: Annotated[str | None, typer.Option(metavar="ADDRESS", help=RAY)] = None,
     minutes: Annotated[float | None, typer.Option(min=0, help=MINUTES)] = None,
+    follow: Annotated[bool, typer.Option(help=FOLLOW)] = True,
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Hide causes, diagnose them from the data alone, open the labels, print the score: misses first.
@@ -118,7 +120,7 @@ def bench(
                 out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, crew=crew,
                 told=lambda _name: advance(1),
             )  # fmt: skip
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until)
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow)
         _diagnose_and_score(run, json)
 
 
@@ -156,6 +158,7 @@ class _Run:
     baselines: tuple[str, ...]
     baseline_cases: int
     until: float
+    follow: bool = False
 
 
 def _diagnose_and_score(run: _Run, json: bool) -> None:
@@ -182,7 +185,8 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     with console.progress("weighing true causes", hiding) as advance:
         shares = measure_shares(run.out, done, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
-    found = score_run(outcomes, scene=places[0].scene, cases=len(places), filled=filled)
+    followed = _followed(run, done, outcomes) if run.follow else []
+    found = score_run(outcomes, scene=places[0].scene, cases=len(places), filled=filled, followed=followed)
     if run.baselines:
         found = found.model_copy(update={"baselines": _beside(run, done, outcomes)})
     page = write_bench(found, run.out)
@@ -202,6 +206,19 @@ def _filled(run: _Run, left: Sequence[Place]) -> list[Filled]:
             for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew, run.until):
                 advance(1)
     return finished(run.out / FILLED, Filled)
+
+
+def _followed(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:
+    """Return the ambiguous cases diagnosed again, with what their reports proposed recorded in their worlds."""
+    from candata.gap.blind.following import follow_up, proposes
+
+    asked = [o for o in outcomes if proposes(o.result)]
+    labels = {o.label.case: o.label for o in outcomes}
+    with console.progress("recording what was proposed", len(asked)) as advance:
+        found = follow_up(
+            run.out, places, [o.result for o in asked], labels, crew=run.crew, seed=run.seed, told=advance
+        )  # fmt: skip
+    return [replace(o, result=found[o.label.case]) for o in asked]
 
 
 def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:

@@ -16,6 +16,9 @@ from candata.scenes import Scene
 from candata.schema.report import NextMotion
 
 MOTION_FILE = "motion.parquet"
+#: Episodes of a proposed motion to record. What it shows is spread over all episodes: where m of them tell two causes
+#: apart and the others do not at all, the mean difference is at least sqrt(m) of its standard errors.
+PLAYED = 8
 #: Length of a motion where no recording says how long one is [s].
 USUAL_S = 3.2
 
@@ -68,7 +71,9 @@ def _reason(found: Choice) -> str:
     compared = f"best of {found.tried} motions" if found.tried > 1 else "the only motion within the limits"
     size = f"{compared}: a wrong cause would be {found.separation:.2g} floors worse"
     usual = f"in the usual motions {found.usual:.2g}"
-    return f"{size}, {usual}" + ("" if found.separation >= MATTERS else "; that is little, and it may not decide")
+    return f"play it {PLAYED} times and diagnose old and new together; {size}, {usual}" + (
+        "" if found.separation >= MATTERS else "; that is little, and it may not decide"
+    )
 
 
 def more(scene: Scene, recs: Recordings, fewest: int) -> Proposal:

@@ -50,11 +50,15 @@ def postures(scene: Scene) -> Postures:
 
 def _travel(scene: Scene, start: Array) -> Array:
     """Return `(A,)` 60 % of the way to the far end of each range; none for what carries the whole hand."""
+    return np.where(d.servos(scene), 0.6, d.MOTOR_SHARE) * far(scene, start)
+
+
+def far(scene: Scene, start: Array) -> Array:
+    """Return `(A,)` the way from `start` to the far end of each range; none for what carries the whole hand."""
     low, high = d.useful_range(scene).T
-    far = np.where(np.abs(high - start) >= np.abs(low - start), high, low)
-    travel = np.where(d.servos(scene), 0.6, d.MOTOR_SHARE) * (far - start)
-    travel[sorted(d.carriers(scene))] = 0.0
-    return travel
+    way = np.where(np.abs(high - start) >= np.abs(low - start), high, low) - start
+    way[sorted(d.carriers(scene))] = 0.0
+    return way
 
 
 def blend(time_s: Array, start_s: float, length_s: float) -> Array:

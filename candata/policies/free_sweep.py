@@ -63,6 +63,39 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) 
     return plan
 
 
+def _jumps(share: float, rate_hz: float, in_turn: bool) -> Planner:
+    """Return a planner of jumps from the open hand towards the far end of each joint's range and back.
+
+    A motor that must jump is at its limit until the joint arrives: only there do a servo's own terms differ from the
+    joint's, and which motor is weak shows.
+
+    Parameters
+    ----------
+    share : float
+        Stroke over the way to the far end.
+    rate_hz : float
+        Jumps out and back each second; those of joints in turn follow from the duration.
+    in_turn : bool
+        One joint after the other, so that fingers stay out of each other's way.
+    """
+
+    def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+        hand, t = p.postures(scene), p.times(scene, duration_s)
+        stroke = share * p.far(scene, hand.open)
+        moving = np.flatnonzero(stroke)
+        out = np.zeros((len(t), len(stroke)))
+        if in_turn:
+            turn = t / duration_s * len(moving)
+            for k, joint in enumerate(rng.permutation(moving)):
+                out[:, joint] = (turn >= k) & (turn < k + 0.5)
+        else:
+            out[:, moving] = ((rate_hz * t) % 1 >= 0.5)[:, None]
+        commands = hand.open + out * stroke
+        return p.finish(scene, commands, rng, shift=_apart(scene, hand, commands), dither=False)
+
+    return plan
+
+
 #: Small slow reversals show backlash and dry friction, several speeds tell friction from damping, fast ones show
 #: delays, and strokes that the motors cannot follow tell a servo's damping from the joint's.
 VARIANTS = (
@@ -71,5 +104,7 @@ VARIANTS = (
     Variant("reversals in the air at rising speed", _reversals(0.5, 0.25, 3.0)),
     Variant("fast reversals in the air", _reversals(0.9, 2.5, 4.0)),
     Variant("large steps in the air", _reversals(0.9, 1.0, 1.6, sharp=6.0)),
+    Variant("jumps of all joints in the air", _jumps(0.8, 1.5, False)),
+    Variant("jumps of one joint after the other in the air", _jumps(0.8, 0, True)),
 )
 POLICY = Policy("sweep all joints free of the object", p.has_hand, _plan, VARIANTS)

@@ -28,6 +28,7 @@ from candata.gap.search import Problem
 from candata.gap.signatures import library
 from candata.gap.starts import starts
 from candata.policies import Motion, command_limits
+from candata.schema.effect import EffectSetting
 from candata.schema.scene import Noise
 
 
@@ -66,6 +67,19 @@ def test_the_designed_motion_separates_more_than_the_recorded_one(tied, arm):
     assert after == pytest.approx(choice.separation, rel=0.2)
     low, high = command_limits(arm).T
     assert ((low <= choice.motion.commands) & (choice.motion.commands <= high)).all()
+
+
+def test_only_jumps_tell_a_servos_damping_from_its_joints(hand):
+    """Below its limit a motor's damping is the joint's: the same torque. At the limit it is none."""
+    sets = tuple(
+        (EffectSetting(name=name, element="mid1", parameters=by),)
+        for name, by in (("servo_damping", {"kv_scale": 3.0}), ("joint_damping", {"damping_Nms_rad": 0.16}))
+    )
+    rivals = Rivals(Replayer(hand), sets, hand.file.noise, ("joint_position",))
+    motions = [m for m in all_motions(hand, 2.0) if "in the air" in m.name]
+    jumps = np.array(["jumps" in m.name for m in motions])
+    apart, _ = separations(rivals, motions, 2, 7)
+    assert apart[~jumps].max() < 0.02 < 0.1 < apart[jumps].min(), apart
 
 
 def test_a_world_is_no_rival_of_its_own(tied, arm):
@@ -153,10 +167,13 @@ def tie(arm, *names: str) -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("separation", "reason"),
     [
-        (2.04, "best of 6 motions: a wrong cause would be 2 floors worse, in the usual motions 0.31"),
+        (
+            2.04,
+            "a wrong cause would be 2 floors worse, in the usual motions 0.31",
+        ),
         (
             0.01,
-            "best of 6 motions: a wrong cause would be 0.01 floors worse, in the usual motions 0.31; "
+            "a wrong cause would be 0.01 floors worse, in the usual motions 0.31; "
             "that is little, and it may not decide",
         ),
     ],
@@ -176,7 +193,8 @@ def test_a_tie_is_answered_with_words_and_commands(problem, arm, monkeypatch, se
     assert motions == (motion,)
     assert (words.name, words.file) == ("fast reversals", "motion.parquet")
     assert words.separates == ("joint_damping", "joint_dry_friction")
-    assert (words.expected_separation, words.reason) == (separation, reason)
+    how = "play it 8 times and diagnose old and new together; best of 6 motions: "
+    assert (words.expected_separation, words.reason) == (separation, how + reason)
     ((rivals, duration_s),) = asked
     assert duration_s == 1.6
     assert [s.name for (s,) in rivals.sets] == ["joint_damping", "joint_dry_friction"]

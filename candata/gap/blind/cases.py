@@ -27,6 +27,7 @@ from candata.gap.blind.outside import alter_with
 from candata.gap.diagnosis import lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
+from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
@@ -147,9 +148,7 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
         Job(f"episode-{i:04d}", i, policies[i % len(policies)], seed, label.effects, hidden=True, noise_seed=label.seed)
         for i in range(episodes)
     ]
-    made = make_episodes(
-        scene, plans, duration_s=duration_s, noise=scene.file.noise, alter=alter_with(scene, label.outside)
-    )
+    made = hidden_world(scene, label, plans, duration_s)
     draft = path.with_name(f".{path.name}")
     shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
@@ -161,6 +160,24 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
     draft.replace(path)
     return path.name
+
+
+def hidden_world(scene: Scene, label: Label, plans: Sequence[Job], duration_s: float = 0.0) -> list[Episode]:
+    """Return recordings of a case's world: what the real rig is to a robot.
+
+    Parameters
+    ----------
+    scene : Scene
+        The nominal scene.
+    label : Label
+        The truth.
+    plans : sequence of Job
+        What is played, with the label's effects.
+    duration_s : float
+        Length of an episode [s]; a motion has its own.
+    """
+    alter = alter_with(scene, label.outside)
+    return make_episodes(scene, plans, duration_s=duration_s, noise=scene.file.noise, alter=alter)
 
 
 def _seen_from(scene: str, folder: Path) -> str:

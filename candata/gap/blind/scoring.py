@@ -21,8 +21,9 @@ KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
 
 
 def score_run(
-    outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata", filled: Sequence[Filled] = ()
-) -> BenchFile:
+    outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata", filled: Sequence[Filled] = (),
+    followed: Sequence[Outcome] = (),
+) -> BenchFile:  # fmt: skip
     """Return the table of a run with its misses.
 
     Parameters
@@ -37,8 +38,10 @@ def score_run(
         Whose diagnoses they are.
     filled : sequence of Filled
         What was simulated into their shared cache before they were diagnosed.
+    followed : sequence of Outcome
+        The ambiguous ones among them, diagnosed again with the motion that was proposed.
     """
-    rows = [row for row in (*_rows(outcomes), _filling(filled)) if row.n]
+    rows = [row for row in (*_rows(outcomes), _resolved(followed), _filling(filled)) if row.n]
     order = {False: 0, True: 2, None: 3}
     return BenchFile(
         method=method, scene=scene, cases=cases, done=len(outcomes),
@@ -168,6 +171,11 @@ def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
         Row(measure=names[c][0], value=float(np.median(v)) if v else None, n=len(v), high=names[c][1], unit="s")
         for c, v in spent.items()
     ]
+
+
+def _resolved(followed: Sequence[Outcome]) -> Row:
+    """Return how many ambiguous cases came right once what was proposed was recorded, too."""
+    return _share("ambiguous: right once the next motion is recorded", (_why(o) is None for o in followed))
 
 
 def _filling(filled: Sequence[Filled]) -> Row:
