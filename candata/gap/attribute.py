@@ -10,7 +10,7 @@ from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share
-from candata.gap.stage import Stage, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
+from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 from candata.gap.worth import LEFT, MOST, left_by
 
@@ -89,13 +89,13 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
-    several = together(problem, best, first.rough) if is_far else None
+    several = together(problem, best, as_simulated(problem, first)) if is_far else None
     if several is None:
         problem.pace.say("comparing what is best so far", SHARPEN)
         first = sharpened(problem, narrowed(problem, nominal, first))
-    best = first.fits[0]
+    best, rough = first.fits[0], as_simulated(problem, first)
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
-    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else first.rough)
+    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
@@ -103,11 +103,11 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
     if remains:
         chosen, world, remains = jointly(world, chosen)
-    better, others = challenged(problem, world, chosen, first.rough)
+    better, others = challenged(problem, world, chosen, rough)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.
         grown, world, remains = forward(world, better, first.fits)
         if grown.labels != better.labels:
-            grown, others = challenged(problem, world, grown, first.rough)
+            grown, others = challenged(problem, world, grown, rough)
         better = grown
     return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))

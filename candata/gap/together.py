@@ -26,10 +26,6 @@ Responses = Sequence[tuple[Candidate, Curve | Plane]]
 #: Sets that are grown by each other effect. Chosen: of ten pairs and triples, those whose effects each take a share of
 #: the gap were always among the first two.
 GROWN = 8
-#: Share of what a set's signatures explain that one with a member exchanged may explain less, to be told from it by
-#: simulation. Chosen: of a tracker's scale, its bias and a support's height, 1 to 2 %; of damping of the servos, named
-#: for that of the joints with full support, 9 %; of what came next, 15 %.
-ALIKE = 0.12
 #: Most steps of a fit, the shares of a step that are tried, and the share of the loss below which it ends.
 STEPS, SHARES, ENOUGH = 6, (1.0, 0.5, 0.25, 0.1), 0.01
 #: Half widths over which a curve's slope is read, as shares of the range: wider than where a fit is sharpened. Chosen.
@@ -73,24 +69,20 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
 
 
 def exchanged(problem: Problem, responses: Responses, members: Members) -> list[list[Sum]]:
-    """Return, for each member, the sets with it exchanged whose signatures leave nearly as little as the set's own.
+    """Return, for each member, the sets with it exchanged, those whose signatures leave least first.
 
-    Those of a member are best first; there are none where a member of the set is not among the responses, which are
-    those of the episodes of `problem`.
+    There are none where a member of the set is not among the responses, which are those of the episodes of `problem`.
     """
     index = {c.label: i for i, (c, _) in enumerate(responses)}
     if not all(c.label in index for c, _ in members):
         return []
     own = tuple(index[c.label] for c, _ in members)
-    alone = float(problem.score.loss(problem.nominal).mean())
-    least = _added(problem, [responses[i] for i in own]).loss
     found = []
     for left in own:
         kept = tuple(i for i in own if i != left)
         new = [i for i in _others(responses, kept) if responses[i][0].name != responses[left][0].name]
         each = [_added(problem, [responses[i] for i in (*kept, other)]) for other in new]
-        near = [one for one in each if one.loss - least < ALIKE * (alone - least)]
-        found.append(sorted(near, key=lambda one: one.loss))
+        found.append(sorted(each, key=lambda one: one.loss))
     return found
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import added, attribute, sets, together, worth
+from candata.gap import added, attribute, sets, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -17,7 +17,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.search import Problem
 from candata.gap.shortlist import brief
 from candata.gap.shrink import shares
-from candata.gap.stage import look
+from candata.gap.stage import as_simulated, look
 from candata.gap.together import sums
 
 TRUE = {"joint_dry_friction", "actuation_delay"}
@@ -169,7 +169,7 @@ def test_a_member_that_was_not_looked_at_alone_keeps_no_other_from_being_exchang
 
 def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
     problem, first = posed
-    monkeypatch.setattr(together, "ALIKE", 1.0)
+    monkeypatch.setattr(added, "ALIKE", 1.0)
     best, rivals = added.challenged(problem, problem, right, first.rough)
     assert best is right
     assert rivals == []
@@ -177,6 +177,36 @@ def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
     _, rivals = added.challenged(problem, problem, right, first.rough)
     assert len(rivals) == added.RIVALS
     assert all(len(set(f.labels) & set(right.labels)) == 1 for f in rivals)
+
+
+def test_what_is_far_where_it_is_simulated_is_not_fitted(posed, right, monkeypatch):
+    problem, first = posed
+    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert added.challenged(problem, problem, right, first.rough) == (right, [])
+
+
+def test_what_was_simulated_on_the_recording_replaces_its_chord(posed):
+    """The sum of two effects is read off these curves: its error is theirs."""
+    problem, first = posed
+    part, _ = brief(problem)
+    rough, better = dict_of(first.rough), dict_of(as_simulated(problem, first))
+    assert list(better) == list(rough)
+    fit = first.fits[0]
+    ((c, _),) = fit.members
+    u = fit.curve.at[fit.curve.sure][-1:]
+    assert not c.is_neutral(u)
+    (there,) = part.residuals([part.setting([(c, u)])])
+    error, before = (np.abs(some[c.label].read(u) - there).mean() for some in (better, rough))
+    assert error < 1e-5 < 0.02 < before
+    assert better[c.label].z.shape[1] == len(part.recs)
+    untouched = [label for label in rough if label not in {f.labels[0] for f in first.fits}]
+    assert untouched
+    assert all(better[label] is rough[label] for label in untouched)
+
+
+def dict_of(responses):
+    """The responses by label."""
+    return {c.label: r for c, r in responses}
 
 
 def test_one_effect_and_what_was_found_elsewhere_have_no_rivals(posed, wrong, right, monkeypatch):
