@@ -8,7 +8,7 @@ from candata.gap.added import challenged, together
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
+from candata.gap.sets import SETTLED, compared, forward, jointly, simplified, with_measured
 from candata.gap.shortlist import gains_share
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
@@ -103,6 +103,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
     if remains:
         chosen, world, remains = jointly(world, chosen)
+    chosen, world, remains = simplified(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.

@@ -61,6 +61,37 @@ def test_a_true_set_is_left_as_it_is(arm, posed):
     assert sets._swapped(problem, right) is None
 
 
+def blunt_fit(problem, some):
+    """A set where it is, with its slopes, fitted by nothing."""
+    plane = around(problem, some, lambda u: divided(some, u))
+    base = problem.score.loss(problem.nominal)
+    return Fit(some, plane, cross_fit(replace(plane, slope=0 * plane.slope), problem.score, problem.parts, base))
+
+
+def test_a_member_goes_that_the_others_make_up_for(arm, posed):
+    problem, _ = posed
+    fit = blunt_fit(problem, members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03))
+    found, world, _ = sets.simplified(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    assert world is not problem, "in units of the floor of its own world"
+    assert found.members[0][1] == pytest.approx(0.3, rel=0.05)
+    # Left out as they are, the others explain less than with it.
+    losses = [problem.score.loss(z).mean() for z in (fit.plane.z, problem.without_each(fit.members)[2])]
+    assert losses[1] > losses[0]
+
+
+def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
+    problem, base = posed
+    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    some = members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03)
+    monkeypatch.setattr(sets, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert sets.simplified(problem, right, True) == (right, problem, True)
+    one = blunt_fit(problem, some[:1])
+    assert sets.simplified(problem, one, False) == (one, problem, False)
+    known, fit = replace(problem, measured=(some[0], some[2])), blunt_fit(problem, some)
+    assert sets.simplified(known, fit, True)[0] is fit
+
+
 def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, planted):
     effects = (
         *planted("joint_dry_friction", frictionloss_Nm=0.3),

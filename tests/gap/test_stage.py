@@ -186,6 +186,15 @@ def test_a_rival_that_gains_less_is_near_while_episodes_do_not_tell_the_two_apar
     assert staging.is_near(fit(c, np.full(8, 1.1)), best)
 
 
+def test_a_gain_that_is_larger_by_less_than_fits_are_sharp_decides_nothing(arm):
+    best, alias, other = (
+        fit(candidate(name, arm), np.full(8, loss))
+        for name, loss in [("servo_damping", 1.0), ("joint_damping", 1.006), ("armature", 1.02)]
+    )
+    assert best.gain == pytest.approx(1.0)
+    assert tied_with(best, [best, alias, other]) == [best, alias]
+
+
 def test_what_lies_below_the_loss_of_true_worlds_cannot_be_told_apart(arm):
     best, rival = (
         fit(candidate(name, arm), np.full(8, loss)) for name, loss in [("armature", 0.8), ("time_step", 0.9)]
