@@ -228,3 +228,21 @@ def test_a_rival_that_is_as_good_takes_support_from_what_it_exchanges(arm, posed
     found = dict(zip(right.labels, shares(problem, right, rng, [rival]), strict=True))
     assert found["actuation_delay"] == sure["actuation_delay"]
     assert 0.3 < found["joint_dry_friction"][1] < 0.7
+
+
+def test_an_alias_that_loses_by_less_than_fits_are_sharp_takes_half_the_support(arm, posed, right):
+    problem, _ = posed
+    own = rises(problem, right)["joint_dry_friction"]
+    alias = replace(right, members=((candidate("joint_damping", arm), np.full(1, 0.3)), right.members[1]))
+    for share, least, most in ((0.0005, 0.45, 0.6), (0.05, 0.99, 1.0)):
+        loss = right.evidence.loss + share * own
+        rival = replace(alias, evidence=replace(right.evidence, loss=loss))
+        found = dict(zip(right.labels, shares(problem, right, np.random.default_rng(3), [rival]), strict=True))
+        assert least < found["joint_dry_friction"][1] <= most
+
+
+def rises(problem, fit):
+    """By how much the mean loss rises without each member."""
+    own = problem.score.loss(fit.plane.z).mean()
+    without = [problem.score.loss(z).mean() - own for z in problem.without_each(fit.members)]
+    return dict(zip(fit.labels, without, strict=True))
