@@ -232,8 +232,8 @@ def shares(
 
     The share is what the loss rises when the member is left out and nothing refitted, over the whole gain; support
     is how often, when episodes are resampled, that rise is positive and no one of the `rivals` without the member, sets
-    of as many effects, leaves less. How much more one leaves is known as well as fits are sharp (`SHARP` of the rise, one
-    standard deviation): an alias that loses by next to nothing, in every episode alike, takes half.
+    of as many effects, leaves less. How much more one leaves is known as well as fits are sharp (`SHARP` of the rise,
+    one standard deviation): an alias that loses by next to nothing, in every episode alike, takes half.
     """
     if len(fit.members) == 1:
         return [(1.0, float("nan"))]
