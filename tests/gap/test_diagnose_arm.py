@@ -245,7 +245,8 @@ def test_a_rival_of_one_name_in_a_set_is_reported(arm, arm_episodes, planted, ju
     assert set(found) == {"joint_dry_friction", "actuation_delay"}
     assert found["joint_dry_friction"].rivals == ("joint_damping",)
     assert found["actuation_delay"].rivals == ()
-    assert found["joint_dry_friction"].support == 0.0 < found["actuation_delay"].support
+    assert 0.4 < found["joint_dry_friction"].support < 0.6
+    assert found["actuation_delay"].support > 0.9
 
 
 def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge, monkeypatch):
