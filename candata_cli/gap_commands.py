@@ -213,6 +213,8 @@ def _followed(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[O
     from candata.gap.blind.following import follow_up, proposes
 
     asked = [o for o in outcomes if proposes(o.result)]
+    if not asked:
+        return []
     labels = {o.label.case: o.label for o in outcomes}
     with console.progress("recording what was proposed", len(asked)) as advance:
         found = follow_up(

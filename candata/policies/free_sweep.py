@@ -63,7 +63,7 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) 
     return plan
 
 
-def _jumps(share: float, rate_hz: float, in_turn: bool) -> Planner:
+def _jumps(share: float, rate_hz: float | None) -> Planner:
     """Return a planner of jumps from the open hand towards the far end of each joint's range and back.
 
     A motor that must jump is at its limit until the joint arrives: only there do a servo's own terms differ from the
@@ -73,10 +73,9 @@ def _jumps(share: float, rate_hz: float, in_turn: bool) -> Planner:
     ----------
     share : float
         Stroke over the way to the far end.
-    rate_hz : float
-        Jumps out and back each second; those of joints in turn follow from the duration.
-    in_turn : bool
-        One joint after the other, so that fingers stay out of each other's way.
+    rate_hz : float, optional
+        Jumps out and back each second of all joints at once; None lets one joint jump after the other, each once, so
+        that fingers stay out of each other's way.
     """
 
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -84,7 +83,7 @@ def _jumps(share: float, rate_hz: float, in_turn: bool) -> Planner:
         stroke = share * p.far(scene, hand.open)
         moving = np.flatnonzero(stroke)
         out = np.zeros((len(t), len(stroke)))
-        if in_turn:
+        if rate_hz is None:
             turn = t / duration_s * len(moving)
             for k, joint in enumerate(rng.permutation(moving)):
                 out[:, joint] = (turn >= k) & (turn < k + 0.5)
@@ -104,7 +103,7 @@ VARIANTS = (
     Variant("reversals in the air at rising speed", _reversals(0.5, 0.25, 3.0)),
     Variant("fast reversals in the air", _reversals(0.9, 2.5, 4.0)),
     Variant("large steps in the air", _reversals(0.9, 1.0, 1.6, sharp=6.0)),
-    Variant("jumps of all joints in the air", _jumps(0.8, 1.5, False)),
-    Variant("jumps of one joint after the other in the air", _jumps(0.8, 0, True)),
+    Variant("jumps of all joints in the air", _jumps(0.8, 1.5)),
+    Variant("jumps of one joint after the other in the air", _jumps(0.8, None)),
 )
 POLICY = Policy("sweep all joints free of the object", p.has_hand, _plan, VARIANTS)

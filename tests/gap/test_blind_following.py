@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from candata.errors import DataError
 from candata.gap.blind import following
 from candata.gap.blind.cases import CASES, hidden_world, make_cases, open_labels, read_cases, seal_labels
 from candata.gap.blind.outcomes import Outcome
@@ -99,6 +100,19 @@ def test_what_stands_is_not_recorded_again(run, asked):
     assert (len(asked), told) == (4, [1, 1])
     assert following.follow_up(run.folder, run.places, first, run.labels) == found
     assert len(asked) == 4
+
+
+def test_a_second_diagnosis_that_fails_is_a_result_and_no_end_of_the_run(run, monkeypatch):
+    def refused(dataset, scene, **_):
+        raise DataError("the commands do not match")
+
+    monkeypatch.setattr(following, "diagnose", refused)
+    first = results(run, said("ambiguous"), said("ambiguous"))
+    found = following.follow_up(run.folder, run.places, first, run.labels)
+    assert [(r.error, r.report) for r in found.values()] == [("the commands do not match", None)] * 2
+    outcome = Outcome(run.labels["case-0001"], found["case-0001"])
+    rows = {r.measure: r for r in score_run([outcome], scene="arm", cases=1, followed=[outcome]).rows}
+    assert rows["ambiguous: right once the next motion is recorded"].value == 0
 
 
 def test_a_tie_without_a_motion_to_play_is_not_followed(run):

@@ -4,21 +4,21 @@ diagnosed again. Whether that names the cause is what the proposal is worth.
 
 from __future__ import annotations
 
-import os
 import shutil
-import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
-from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.gap.blind.cases import hidden_world
 from candata.gap.blind.crew import Crew, alone
-from candata.gap.blind.running import CACHE, Place, finished, spread
+from candata.gap.blind.running import CACHE, Place, finished, run_case, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.proposal import PLAYED
-from candata.scenes import load_scene
+from candata.scenes import Scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.manifest import Lineage
+from candata.schema.report import Report
 from candata.simulate.episodes import Job
 
 FOLLOWED, FOLDER, METHOD = "followed.jsonl", "followed", "followed up"
@@ -55,13 +55,14 @@ def follow_up(
     """
     asked = {r.sealed for r in results if proposes(r)}
     standing = {r.sealed: r for r in finished(out / FOLLOWED, CaseResult)}
-    cache = str((out / CACHE).resolve())
-    tasks = [
-        (*p.anywhere, seed, labels[p.folder.name].model_dump_json(), str((out / FOLDER).resolve()), cache)
-        for p in cases
-        if p.sealed in asked - set(standing)
-    ]
-    for found in spread(out / FOLLOWED, follow_case, tasks, crew):
+    tasks = []
+    for p in cases:
+        if p.sealed in asked - set(standing):
+            both = str((out / FOLDER / p.folder.name).resolve())
+            label = labels[p.folder.name].model_dump_json()
+            judge = partial(again, label=label, folder=both, sealed=p.sealed)
+            tasks.append((*p.anywhere, seed, METHOD, judge, str((out / CACHE).resolve())))
+    for found in spread(out / FOLLOWED, run_case, tasks, crew):
         standing[found.sealed] = found
         told(1)
     return {p.folder.name: standing[p.sealed] for p in cases if p.sealed in asked}
@@ -73,33 +74,25 @@ def proposes(result: CaseResult) -> bool:
     return bool(report and report.ambiguous_class and report.next_motion and report.next_motion.file)
 
 
-def follow_case(folder: str, scene_name: str, sealed: str, seed: int, label: str, out: str, cache: str) -> CaseResult:
-    """Return the result of a case with the proposed motion recorded beside its own; runs in any process.
+def again(
+    case: Dataset, scene: Scene, seed: int, cache: Path | None, *, label: str, folder: str, sealed: str
+) -> Report:
+    """Return the report of a case with the proposed motion recorded beside its own, in `folder`; a judge of cases.
 
     The first diagnosis is done again, as its motion was not kept; should it be ambiguous no more, that is the result.
     """
-    path, scene, truth = Path(folder), load_scene(scene_name), Label.model_validate_json(label)
-    start, case = time.process_time(), open_dataset(path)
-    found = diagnose(case, scene, jobs=1, seed=seed, cache=Path(cache))
-    if found.motion:
-        (motion,) = found.motion
-        plans = [
-            Job(f"next-{i:04d}", len(case) + i, motion.name, seed, truth.effects, hidden=True,
-                noise_seed=truth.seed, motion=motion)
-            for i in range(PLAYED)
-        ]  # fmt: skip
-        both = Path(out) / path.name
-        shutil.rmtree(both, ignore_errors=True)
-        create_dataset(both, path.name)
-        append(both, [*case, *hidden_world(scene, truth, plans)], Lineage(operation="blind case", sealed=sealed))
-        found = diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=Path(cache))
-    spent = time.process_time() - start
-    return CaseResult(
-        case=path.name,
-        sealed=sealed,
-        method=METHOD,
-        cpu_s=spent,
-        cold=False,
-        process=os.getpid(),
-        report=found.report,
-    )
+    truth = Label.model_validate_json(label)
+    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache)
+    if not found.report.ambiguous_class or not found.motion:
+        return found.report
+    turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]
+    plans = [
+        Job(f"next-{i:04d}", len(case) + i, motion.name, seed, truth.effects, hidden=True,
+            noise_seed=truth.seed, motion=motion)
+        for i, motion in enumerate(turns)
+    ]  # fmt: skip
+    both = Path(folder)
+    shutil.rmtree(both, ignore_errors=True)
+    create_dataset(both, both.name)
+    append(both, [*case, *hidden_world(scene, truth, plans)], Lineage(operation="blind case", sealed=sealed))
+    return diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache).report
