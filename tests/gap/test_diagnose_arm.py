@@ -249,6 +249,25 @@ def test_a_rival_of_one_name_in_a_set_is_reported(arm, arm_episodes, planted, ju
     assert found["actuation_delay"].support > 0.9
 
 
+def test_a_set_that_one_member_explains_is_reported_as_that_effect(arm, arm_episodes, planted, judge, monkeypatch):
+    """A search that ends with damping beside the dry friction that explains all is left with the friction."""
+
+    def too_many(problem, best, alone, rough=()):
+        values = {"joint_dry_friction": 0.25, "joint_damping": 0.02}
+        members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+        return joint(problem, members, problem.score.loss(problem.nominal)), problem, False
+
+    monkeypatch.setattr(attribute, "forward", too_many)
+    report = judge(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)).report
+    assert report.verdict == "explained"
+    (found,) = report.effects
+    assert found.name == "joint_dry_friction"
+    value = found.parameters["frictionloss_Nm"]
+    assert value.value == pytest.approx(0.3, rel=0.03)
+    assert value.low < value.value < value.high
+    assert found.support > 0.5
+
+
 def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge, monkeypatch):
     """A search that took damping for one cause of three, and ended there, loses it and finds what it hid."""
     true, begun = attribute.forward, []
