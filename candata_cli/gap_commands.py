@@ -281,7 +281,8 @@ def _fitness(fit: Fitness) -> list[str]:
         least = min(fit.live, key=lambda name: fit.moved[name])
         lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
     if fit.dead:
-        lines.append(f"not drawn, since they move nothing in these motions: {', '.join(fit.dead)}")
+        why = "in these motions they move nothing, or too much to be simulated"
+        lines.append(f"not drawn, since {why}: {', '.join(fit.dead)}")
     return lines
 
 

@@ -17,6 +17,7 @@ from candata.gap.mismatch_commands import (
     paired,
     still_findings,
     unit_findings,
+    unstable_findings,
     within,
     zero_findings,
 )
@@ -30,7 +31,7 @@ from candata.gap.unseen import without_object
 from candata.gap.untested import untested_notes
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate import rollout
+from candata.simulate import Trajectory, rollout
 
 Array = NDArray[np.float64]
 #: Episodes that are looked at, evenly spread: a mismatch is in all of them.
@@ -45,7 +46,7 @@ WHOLE_ROWS = 0.1
 MOSTLY_LATE = 0.2
 #: RMS difference [rad or m] to the scene's joints, and its ratio to that of the better episodes, beyond which an
 #: episode is broken (effects gave at most 0.04 on the built-in hand, broken channels 0.4 and more), and the share of
-#: such episodes beyond which nothing is diagnosed.
+#: such episodes, or of those that the scene cannot be stepped through, beyond which nothing is diagnosed.
 STRANGE, STRANGER, MANY = 0.3, 10.0, 0.25
 #: Longest delay that effects explain [s] (the bound of `actuation_delay`).
 LATEST_S = 0.15
@@ -69,13 +70,17 @@ class _Look:
 
     def play(self, recs: Recordings, effects: EffectSet = ()) -> dict[str, Array]:
         """Return the readings of the scene under recorded commands from the recorded starts."""
+        return dict(self.played(recs, effects).readings)
+
+    def played(self, recs: Recordings, effects: EffectSet = ()) -> Trajectory:
+        """Return what the scene does under recorded commands from the recorded starts."""
         scene, begin = self.replayer.scene, starts(self.replayer.scene, self.recs)
         played = rollout(
             scene, recs.commands, begin.qpos, begin.qvel, [effects] * len(recs), instant_force=recs.instant_force,
             threads=self.replayer.threads,
         )  # fmt: skip
         self.replayer.count(len(recs) * recs.commands.shape[1] * scene.substeps)
-        return dict(played.readings)
+        return played
 
 
 def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
@@ -108,7 +113,11 @@ def _evenly(count: int, most: int) -> NDArray[np.int64]:
 
 def _by_replay(look: _Look) -> list[Finding]:
     """Return the findings that need the scene's own motion."""
-    scene, nominal = look.replayer.scene, look.play(look.recs)
+    scene, played = look.replayer.scene, look.played(look.recs)
+    nominal = played.readings
+    shaky = unstable_findings(scene, look.recs, played.failed, MANY)
+    if any(f.definite for f in shaky):
+        return shaky
     found: list[Finding] = []
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
@@ -123,7 +132,7 @@ def _by_replay(look: _Look) -> list[Finding]:
             found += _shifted(look, look.pairs, own)
     if "fingertip_force" in nominal:
         found += _by_force(scene, look.recs, nominal["fingertip_force"])
-    return found
+    return found + shaky
 
 
 def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:

@@ -224,6 +224,32 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
+def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[Finding]:
+    """Return that MuJoCo cannot step the nominal scene through the recordings: it simulates nothing then.
+
+    Parameters
+    ----------
+    scene : Scene
+    recs : Recordings
+        E episodes that were played.
+    failed : (E,) int64
+        Row before which it gave each of them up; the number of rows where it did not.
+    many : float
+        Share of such episodes from which nothing is diagnosed.
+    """
+    bad = np.flatnonzero(failed < recs.commands.shape[1])
+    if not len(bad):
+        return []
+    when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
+    return [Finding(
+        "scene_unstable", len(bad) >= many * len(recs),
+        "the nominal simulation is unstable under the recorded commands",
+        f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
+        f"none in {len(bad)} of {len(recs)} episodes that were looked at, first in {when}",
+        "give the model a smaller time step, more damping or armature, until it plays these commands", "commands",
+    )]  # fmt: skip
+
+
 def late(p: Paired, nominal: Array) -> Array:
     """Return `(S,)` rows by which each recorded joint comes after the scene's own; NaN where it does not follow."""
     reach = min(max(4, p.found.lags[-1]), p.joint.shape[1] // 4)

@@ -27,7 +27,7 @@ from candata.policies import Motion, command_limits, policy
 from candata.scenes import Scene
 from candata.schema.contact import fingertip_contact
 from candata.schema.scene import Noise
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import Job, tried_episodes
 from candata.simulate.jobs import possible_policies
 
 Array = NDArray[np.float64]
@@ -181,6 +181,8 @@ def separating_motion(rivals: Rivals, duration_s: float, rng: np.random.Generato
 def separations(rivals: Rivals, motions: Sequence[Motion], plays: int, seed: int) -> tuple[Array, Array]:
     """Return `(M,)` the least loss of a wrong rival [floors] and `(M,)` the largest fingertip force [N].
 
+    A motion that MuJoCo cannot step to its end in the world of a rival separates nothing.
+
     Parameters
     ----------
     rivals : Rivals
@@ -192,27 +194,32 @@ def separations(rivals: Rivals, motions: Sequence[Motion], plays: int, seed: int
     """
     least, force = np.full(len(motions), np.inf), np.zeros(len(motions))
     for number, truth in enumerate(rivals.sets):
-        recs = _played(rivals, motions, truth, plays, seed)
+        recs, sound = _played(rivals, motions, truth, plays, seed)
         if "fingertip_force" in recs.readings:
             size = np.linalg.norm(recs.readings["fingertip_force"], axis=-1)
             force = np.maximum(force, np.nanmax(size.reshape(len(motions), -1), axis=1))
         others = [some for k, some in enumerate(rivals.sets) if k != number]
         for losses in _losses(rivals, _compared(rivals, recs), truth, others):
             refitted = losses.reshape(len(REFIT), len(motions), plays).mean(2).min(0)
-            least = np.minimum(least, np.maximum(refitted, 0.0))
+            least = np.minimum(least, np.where(sound, np.maximum(refitted, 0.0), 0.0))
     return least, force
 
 
-def _played(rivals: Rivals, motions: Sequence[Motion], world: EffectSet, plays: int, seed: int) -> Recordings:
-    """Return recordings of the motions in a world: M x plays episodes, the plays of a motion together."""
+def _played(
+    rivals: Rivals, motions: Sequence[Motion], world: EffectSet, plays: int, seed: int
+) -> tuple[Recordings, NDArray[np.bool_]]:
+    """Return recordings of the motions in a world, and which motions `(M,)` went to their end.
+
+    They are M x plays episodes, the plays of a motion together.
+    """
     scene = rivals.replayer.scene
     jobs = [
         Job(f"{m}-{k}", m * plays + k, motion.name, seed, world, motion=motion)
         for m, motion in enumerate(motions)
         for k in range(plays)
     ]
-    made = make_episodes(scene, jobs, duration_s=0.0, noise=rivals.noise, threads=rivals.replayer.threads)
-    return recordings(scene, made)
+    made, fails = tried_episodes(scene, jobs, duration_s=0.0, noise=rivals.noise, threads=rivals.replayer.threads)
+    return recordings(scene, made), np.all(np.isnan(fails).reshape(len(motions), plays), axis=1)
 
 
 def _compared(rivals: Rivals, recs: Recordings) -> Recordings:

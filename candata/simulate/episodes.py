@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import DataError, Where
 from candata.policies import Motion, Plan, motion_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
@@ -84,6 +85,39 @@ def make_episodes(
         Threads of the pool.
     alter : callable, optional
         As in `rollout`.
+
+    Raises
+    ------
+    DataError
+        When MuJoCo could not step a simulation to its end.
+    """
+    made, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
+    for job, failed_s in zip(jobs, fails, strict=True):
+        if np.isfinite(failed_s):
+            step_ms = 1000 * scene.model.opt.timestep
+            when = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
+            raise DataError(
+                "the simulation is unstable", expected=f"a finite state after every step of {step_ms:g} ms",
+                found=f"{job.policy} {_in_words(job)}: none {when}",
+                where=Where(path=scene.name, episode=job.id),
+                fix="give the model a smaller time step, more damping or armature, or milder effects",
+            )  # fmt: skip
+    return made
+
+
+def tried_episodes(
+    scene: Scene,
+    jobs: Sequence[Job],
+    *,
+    duration_s: float,
+    noise: Noise | None = None,
+    threads: int = 1,
+    alter: Alter | None = None,
+) -> tuple[list[Episode], Array]:
+    """Return the episodes of `jobs` and when MuJoCo gave each of them up, `(n,)` [s] after its start.
+
+    Not a number where it did not; before zero, while the model settled. From there on such an episode means nothing.
+    Parameters are those of `make_episodes`.
     """
     plans = [_plan(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
@@ -99,7 +133,17 @@ def make_episodes(
         threads=threads,
         alter=alter,
     )
-    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in enumerate(zip(jobs, plans, strict=True))]
+    ends = np.array([settle + len(p.commands) for p in plans])
+    fails = np.where(played.failed < ends, (played.failed - settle) / scene.file.rate_hz, np.nan)
+    numbered = enumerate(zip(jobs, plans, strict=True))
+    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in numbered], fails
+
+
+def _in_words(job: Job) -> str:
+    """Return which effects act in a job, unless these are withheld."""
+    if job.hidden:
+        return "with what is withheld"
+    return f"with {', '.join(e.name for e in job.effects)}" if job.effects else "without any effect"
 
 
 def _plan(scene: Scene, job: Job, duration_s: float) -> Plan:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import mujoco
 import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
@@ -37,6 +39,9 @@ class Trajectory:
         Whether anything but the support touched the object in the step before the row.
     tip_force : (n, T, F) float64 [N]
         True size of the fingertips' forces, without sensing effects.
+    failed : (n,) int64
+        Row before which MuJoCo first warned of a simulation, T where it never did: from there on it means nothing (a
+        state that is not finite begins anew from the model's own).
     qpos, qvel : (n, T, nq), (n, T, nv) float64
         True state; empty unless asked for.
     """
@@ -44,6 +49,7 @@ class Trajectory:
     readings: dict[str, Array]
     touch: NDArray[np.bool_]
     tip_force: Array
+    failed: NDArray[np.int64]
     qpos: Array = field(default_factory=lambda: np.zeros(0))
     qvel: Array = field(default_factory=lambda: np.zeros(0))
 
@@ -98,7 +104,20 @@ def rollout(
     run = _Run(
         scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter, push
     )
-    return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
+    with _silent():
+        return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
+
+
+@contextmanager
+def _silent() -> Iterator[None]:
+    """Keep MuJoCo from writing warnings to the console and to a file of the working directory: they are counted."""
+    before, now = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    now.logto_console = now.logto_file = False
+    now.set()
+    try:
+        yield
+    finally:
+        before.set()
 
 
 class _Run:
@@ -137,6 +156,7 @@ class _Run:
         force, touch = np.zeros((self.n, tips, 3)), np.zeros(self.n, bool)
         rows: dict[str, list[Array]] = {}
         touches, sizes, states = [], [], []
+        failed = np.full(self.n, count)
         for k in range(count):
             readings = self._filter("reading", self._readings(force))
             for name, value in readings.items():
@@ -152,8 +172,10 @@ class _Run:
                 held[drifting] = own_time[:, k]
                 self._apply_forces(k, force, touch)
                 force, touch = self._step(held, instant)
+                failed[self.batch.warning[:, :, 1].any(1) & (failed == count)] = k + 1
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
-        return Trajectory({n: np.stack(v, 1) for n, v in rows.items()}, np.stack(touches, 1), np.stack(sizes, 1), *kept)
+        readings = {n: np.stack(v, 1) for n, v in rows.items()}
+        return Trajectory(readings, np.stack(touches, 1), np.stack(sizes, 1), failed, *kept)
 
     def _readings(self, force: Array) -> dict[str, Array]:
         """Return what perfect sensors read now."""

@@ -47,7 +47,7 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
     Raises
     ------
     DataError
-        When a simulation left the finite numbers.
+        When MuJoCo could not step a simulation to its end.
     """
     from candata.datasets import write_part
     from candata.simulate.episodes import make_episodes

@@ -6,10 +6,12 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from candata.datasets import open_dataset
 from candata.errors import DataError, SceneError, UsageError
+from candata.gap.blind import sanity
 from candata.gap.blind.cases import (
     CASE,
     CASES,
@@ -216,6 +218,18 @@ def test_a_scene_is_checked_before_anything_is_hidden(cube):
     # A cube in free flight on a rigid plane moves alike whatever its mass.
     assert fit.dead == ("object_mass",)
     assert set(fit.live) == {"sliding_friction", "pose_bias"}
+
+
+def test_an_effect_that_cannot_be_simulated_is_not_drawn(cube, monkeypatch):
+    true = sanity.tried_episodes
+
+    def failing(scene, jobs, **options):
+        made, fails = true(scene, jobs, **options)
+        return made, np.where([j.effects[0].name == "pose_bias" for j in jobs], 0.1, fails)
+
+    monkeypatch.setattr(sanity, "tried_episodes", failing)
+    fit = check_scene(cube, seed=1, duration_s=0.4, only=("sliding_friction", "pose_bias"))
+    assert (fit.live, fit.dead) == (("sliding_friction",), ("pose_bias",))
 
 
 @pytest.mark.parametrize("seed", [96, 106])

@@ -50,6 +50,21 @@ def test_a_rival_that_fits_after_a_refit_loses_nothing(white_score, rng):
     assert losses[best] == pytest.approx(level.loss(own), rel=1e-4)
 
 
+def test_a_motion_that_cannot_be_simulated_separates_nothing(tied, monkeypatch):
+    motions = usual_motions(tied.replayer.scene, 2.0)[:1] * 2
+    true = next_motion.tried_episodes
+
+    def failing(scene, jobs, **options):
+        made, fails = true(scene, jobs, **options)
+        return made, np.where([j.id.startswith("1-") for j in jobs], 0.5, fails)
+
+    sound, _ = separations(tied, motions, 2, 3)
+    monkeypatch.setattr(next_motion, "tried_episodes", failing)
+    apart, _ = separations(tied, motions, 2, 3)
+    assert sound.min() > 0
+    assert (apart[0], apart[1]) == (sound[0], 0)
+
+
 def test_what_a_rival_cannot_explain_is_a_loss(white_score, rng):
     level = white_score(rng, episodes=4, size=400)
     cause, across = 4 * rng.standard_normal((2, *level.mask.shape)).astype(np.float32)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
 from candata.datasets import content_hash
+from candata.errors import DataError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import Job, make_episodes, tried_episodes
 
 POLICIES = ("grasp_lift_shake", "free_sweep", "push")
 EFFECTS = ((), (EffectSetting(name="pose_latency", parameters={"latency_s": 0.03}),))
@@ -64,3 +66,61 @@ def test_an_episode_says_who_and_what(hand, together):
     hidden = make_episodes(hand, [Job("w", 0, "push", 4, EFFECTS[1], hidden=True)], duration_s=0.1)[0]
     assert hidden.meta.seed is None
     assert hidden.meta.effects is None
+
+
+#: Explicit steps of 10 ms under a servo's damping that asks for a twentieth of that.
+STIFF = """<mujoco><option timestep="0.01" integrator="Euler"/><worldbody><body><joint name="j" axis="0 0 1"/>
+  <geom type="capsule" fromto="0 0 0 .25 0 0" size=".02" mass=".4"/></body></worldbody>
+  <actuator><position name="j" joint="j" kp="15" kv="KV" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+@pytest.fixture
+def stiff(tmp_path):
+    """Make a scene of one joint whose servo has a velocity gain."""
+
+    def make(kv: float):
+        (tmp_path / "scene.xml").write_text(STIFF.replace("KV", f"{kv}"))
+        (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\njoints: [j]\nactuators: [j]\n")
+        return load_scene(tmp_path / "scene.yaml")
+
+    return make
+
+
+def test_an_unstable_simulation_is_an_error_that_names_it(stiff, tmp_path, capfd, monkeypatch):
+    """What MuJoCo gives up begins anew from the model's own state: nothing that a dataset should hold."""
+    monkeypatch.chdir(tmp_path)
+    before = mujoco.MjLogConfig.get()
+    fine, wild = (
+        EffectSetting(name="servo_damping", parameters={"kv_scale": 1.0}),
+        EffectSetting(name="servo_damping", parameters={"kv_scale": 8.0}),
+    )
+    scene = stiff(1.0)
+    assert len(make_episodes(scene, [Job("a", 0, "free_sweep", 1, (fine,))], duration_s=0.5)) == 1
+    jobs = [Job("a", 0, "free_sweep", 1, (fine,)), Job("b", 1, "free_sweep", 1, (wild,))]
+    with pytest.raises(DataError, match="unstable") as caught:
+        make_episodes(scene, jobs, duration_s=0.5)
+    assert caught.value.where.episode == "b"
+    assert "with servo_damping" in caught.value.found
+    assert "10 ms" in caught.value.expected
+    made, fails = tried_episodes(scene, jobs, duration_s=0.5)
+    assert len(made) == 2
+    assert np.isnan(fails[0])
+    assert fails[1] < 0.5
+    # MuJoCo would print each warning and write it to a file where the user stands.
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+    assert "WARNING" not in "".join(capfd.readouterr())
+    after = mujoco.MjLogConfig.get()
+    assert (after.logto_console, after.logto_file) == (before.logto_console, before.logto_file)
+
+
+def test_what_is_withheld_stays_so_in_an_error(stiff):
+    wild = EffectSetting(name="servo_damping", parameters={"kv_scale": 8.0})
+    with pytest.raises(DataError, match="unstable") as caught:
+        make_episodes(stiff(1.0), [Job("b", 1, "free_sweep", 1, (wild,), hidden=True)], duration_s=0.5)
+    assert "servo_damping" not in str(caught.value)
+
+
+def test_a_simulation_that_is_unstable_without_any_effect_says_so(stiff):
+    with pytest.raises(DataError, match="unstable") as caught:
+        make_episodes(stiff(12.0), [Job("b", 1, "free_sweep", 1)], duration_s=0.5)
+    assert "without any effect" in caught.value.found

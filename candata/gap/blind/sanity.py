@@ -15,7 +15,7 @@ from candata.policies import command_limits
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import Job, make_episodes, tried_episodes
 from candata.simulate.jobs import possible_policies
 
 #: A joint is moved where its command spans more than this share of its range. Command noise alone, 0.004 of the range
@@ -44,7 +44,7 @@ class Fitness:
     worst : str
         The joint whose correlation that is; empty without any.
     moved : dict of str to float
-        Largest change of a channel that each effect makes, in the channel's unit.
+        Largest change of a channel that each effect makes, in the channel's unit; 0 where MuJoCo cannot step it.
     """
 
     moving: int
@@ -59,7 +59,7 @@ class Fitness:
 
     @property
     def dead(self) -> tuple[str, ...]:
-        """Effects that move nothing in these motions."""
+        """Effects that move nothing in these motions, or so much that they cannot be simulated."""
         return tuple(name for name in self.moved if name not in self.live)
 
 
@@ -70,16 +70,18 @@ def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[st
     ------
     SceneError
         When moving joints do not follow: accuracy proves no sane scene.
+    DataError
+        When MuJoCo cannot step the nominal scene.
     """
     names, policies = possible_effects(scene, only), possible_policies(scene)
     rng = np.random.default_rng(seed)
-    worlds = [(), *((draw_setting(scene, name, rng),) for name in names)]
-    nominal, *others = [_played(scene, policies, world, seed, duration_s) for world in worlds]
+    nominal = make_episodes(scene, _jobs(policies, (), seed), duration_s=duration_s)
     following = [pair for episode in nominal for pair in _following(scene, episode)]
     least, worst = min(following, default=(float("nan"), ""))
     found = Fitness(
         len({joint for _, joint in following}), least, worst,
-        {name: _change(nominal, other) for name, other in zip(names, others, strict=True)},
+        {name: _moved(scene, nominal, _jobs(policies, (draw_setting(scene, name, rng),), seed), duration_s)
+         for name in names},
     )  # fmt: skip
     if following and found.follows < FOLLOWS:
         raise SceneError(
@@ -91,12 +93,9 @@ def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[st
     return found
 
 
-def _played(
-    scene: Scene, policies: Sequence[str], world: tuple[EffectSetting, ...], seed: int, duration_s: float
-) -> list[Episode]:
-    """Return one episode of each policy in a world, without noise."""
-    jobs = [Job(f"check-{i}", i, name, seed, world) for i, name in enumerate(policies)]
-    return make_episodes(scene, jobs, duration_s=duration_s)
+def _jobs(policies: Sequence[str], world: tuple[EffectSetting, ...], seed: int) -> list[Job]:
+    """Return one episode of each policy in a world."""
+    return [Job(f"check-{i}", i, name, seed, world) for i, name in enumerate(policies)]
 
 
 def _following(scene: Scene, episode: Episode) -> list[tuple[float, str]]:
@@ -117,7 +116,10 @@ def _correlation(target: NDArray[np.float64], read: NDArray[np.float64], lags: r
     return max(float(np.corrcoef(target[: len(target) - k], read[k:])[0, 1]) for k in lags)
 
 
-def _change(nominal: list[Episode], other: list[Episode]) -> float:
-    """Return the largest change of a compared channel."""
+def _moved(scene: Scene, nominal: list[Episode], jobs: Sequence[Job], duration_s: float) -> float:
+    """Return the largest change of a compared channel in a world; 0 where MuJoCo gives it up."""
+    other, fails = tried_episodes(scene, jobs, duration_s=duration_s)
+    if np.isfinite(fails).any():
+        return 0.0
     pairs = [(a[c], b[c]) for a, b in zip(nominal, other, strict=True) for c in COMPARED if c in a]
     return max((float(np.abs(a - b).max()) for a, b in pairs), default=0.0)
