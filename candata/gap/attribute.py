@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from candata.gap.added import challenged, together
+from candata.gap.added import aliases, challenged, together
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
@@ -32,7 +32,8 @@ class Attribution:
     chosen : Fit or None
         The set that passes, or None.
     tied : tuple of Fit
-        Single fits that the held-out episodes cannot tell from the best; the best first.
+        Fits whose first members the held-out episodes cannot tell apart, the best first: single ones, or sets of which
+        the other members are the same.
     score : Score
         In units of the floor of the chosen world.
     remains : bool
@@ -111,4 +112,5 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         if grown.labels != better.labels:
             grown, others = challenged(problem, world, grown, rough)
         better = grown
+    tied = aliases(world, better, others) or tied
     return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,6 +151,17 @@ class Fit:
         if not isinstance(self.response, Plane):
             raise TypeError(f"{self.labels} has no plane")
         return self.response
+
+    def led_by(self, label: str) -> Fit:
+        """Return the same set with one member before the others."""
+        order = sorted(range(len(self.members)), key=lambda i: self.labels[i] != label)
+        ends = np.cumsum([0, *(c.size for c, _ in self.members)])
+        numbers = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in order])
+        plane, evidence = self.plane, self.evidence
+        moved = replace(plane, low=plane.low[numbers], high=plane.high[numbers], at=plane.at[numbers],
+                        slope=plane.slope[numbers])  # fmt: skip
+        points = evidence.points[:, numbers]
+        return Fit(tuple(self.members[i] for i in order), moved, replace(evidence, points=points))
 
     def split(self, u: Array) -> Members:
         """Return the members at stacked coordinates `u (d,)`."""

@@ -226,27 +226,53 @@ def test_an_effect_that_cannot_act_here_is_refused_before_the_search(arm, arm_ep
         judge(arm, arm_episodes(), only=("joint_dampng",))
 
 
-def test_a_rival_of_one_name_in_a_set_is_reported(arm, arm_episodes, planted, judge, monkeypatch):
-    """What makes up for one of two causes as well as that cause does is named beside it, and takes its support."""
+@pytest.fixture
+def exchanged(arm, monkeypatch):
+    """Let a search end with a rival that has damping in place of dry friction and leaves `worse (12,)` more."""
     true = attribute.challenged
 
-    def tied(problem, world, best, rough):
-        chosen, _ = true(problem, world, best, rough)
-        other = tuple(
-            (candidate("joint_damping", arm), np.full(1, 0.3)) if c.name == "joint_dry_friction" else (c, u)
-            for c, u in chosen.members
-        )
-        return chosen, [replace(chosen, members=other)]
+    def end_with(worse: np.ndarray) -> None:
+        def tied(problem, world, best, rough):
+            chosen, _ = true(problem, world, best, rough)
+            other = tuple(
+                (candidate("joint_damping", arm), np.full(1, 0.3)) if c.name == "joint_dry_friction" else (c, u)
+                for c, u in chosen.members
+            )
+            evidence = replace(chosen.evidence, loss=chosen.evidence.loss + worse)
+            return chosen, [replace(chosen, members=other, evidence=evidence)]
 
-    monkeypatch.setattr(attribute, "challenged", tied)
+        monkeypatch.setattr(attribute, "challenged", tied)
+
+    return end_with
+
+
+@pytest.fixture
+def two_causes(arm_episodes, planted):
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
-    report = judge(arm, arm_episodes(effects, count=12)).report
+    return arm_episodes(effects, count=12)
+
+
+def test_a_rival_of_one_name_in_a_set_is_reported(arm, two_causes, exchanged, judge):
+    """What makes up for one of two causes nearly as well is named beside it, and takes from its support."""
+    exchanged(3.0 + 15.0 * np.resize([1.0, -1.0], 12))
+    report = judge(arm, two_causes).report
     found = {e.name: e for e in report.effects}
     assert set(found) == {"joint_dry_friction", "actuation_delay"}
     assert found["joint_dry_friction"].rivals == ("joint_damping",)
     assert found["actuation_delay"].rivals == ()
-    assert 0.4 < found["joint_dry_friction"].support < 0.6
+    assert 0.6 < found["joint_dry_friction"].support < 0.9
     assert found["actuation_delay"].support > 0.9
+
+
+def test_an_alias_of_one_member_makes_a_set_ambiguous(arm, two_causes, exchanged, judge):
+    """What makes up for one of two causes as well, in every episode alike, is tied with it; a motion is proposed."""
+    exchanged(np.full(12, 0.001))
+    report = judge(arm, two_causes).report
+    assert report.verdict == "ambiguous"
+    assert report.effects == ()
+    assert report.ambiguous_class == ("joint_damping", "joint_dry_friction")
+    assert set(report.next_motion.separates) == {"joint_damping", "joint_dry_friction"}
+    assert report.next_motion.file
 
 
 def test_a_set_that_one_member_explains_is_reported_as_that_effect(arm, arm_episodes, planted, judge, monkeypatch):

@@ -92,6 +92,19 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
     assert sets.simplified(known, fit, True)[0] is fit
 
 
+def test_a_set_led_by_another_member_is_the_same_fit(arm, posed):
+    problem, base = posed
+    fit = joint(problem, members(arm, joint_dry_friction=0.25, actuation_delay=0.03), base)
+    led = fit.led_by("actuation_delay")
+    assert led.labels == ("actuation_delay", "joint_dry_friction")
+    assert dict(zip(led.labels, (u for _, u in led.members), strict=True)) == dict(
+        zip(fit.labels, (u for _, u in fit.members), strict=True)
+    )
+    point = np.array([0.35, 0.01])
+    assert np.allclose(led.plane.read(point[::-1]), fit.plane.read(point), atol=1e-4)
+    assert np.array_equal(led.evidence.points, fit.evidence.points[:, ::-1])
+
+
 def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, planted):
     effects = (
         *planted("joint_dry_friction", frictionloss_Nm=0.3),
