@@ -19,6 +19,11 @@ def has_driven_hinges(scene: Scene) -> bool:
     return len(scene.driven_hinges) > 0
 
 
+def has_drives(scene: Scene) -> bool:
+    """Tell whether the scene has joints with an actuator, slides too."""
+    return len(_driven(scene)) > 0
+
+
 def has_object(scene: Scene) -> bool:
     """Tell whether the scene has an object."""
     return scene.object_id is not None
@@ -92,14 +97,38 @@ def joint_places(scene: Scene) -> tuple[str, ...]:
     return _places(scene, scene.driven_hinges, scene.driven_hinges)
 
 
+def motor_places(scene: Scene) -> tuple[str, ...]:
+    """Return the names of the hinges that have a motor each, and of groups of driven hinges.
+
+    Of several joints on one tendon the first stands for their motor.
+    """
+    return _places(scene, _leading(scene, scene.driven_hinges), scene.driven_hinges)
+
+
 def servo_places(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the driven hinges and of groups of driven joints, slides too: a wrist on rails."""
-    return _places(scene, scene.driven_hinges, _driven(scene))
+    """Return the names as `motor_places` does, and of groups of driven slides: a wrist on rails.
+
+    Where no hinge is driven, as of jaws that slide, the slides stand for the hinges.
+    """
+    return _places(scene, _leading(scene, _usual(scene)), _driven(scene))
+
+
+def _leading(scene: Scene, chosen: Ids) -> Ids:
+    """Return those of the joints chosen that are the first of an actuator."""
+    order = {int(scene.joint_ids[i]): int(i) for i in chosen}
+    firsts = {min((order[j] for j in own if j in order), default=-1) for own in scene.levers.values()}
+    return np.array(sorted(firsts - {-1}), int)
+
+
+def _usual(scene: Scene) -> Ids:
+    """Return indices of the driven hinges; of all driven joints where there are none."""
+    return scene.driven_hinges if len(scene.driven_hinges) else _driven(scene)
 
 
 def _driven(scene: Scene) -> Ids:
     """Return indices into `scene.file.joints` of the driven joints, slides too."""
-    return np.flatnonzero(np.isin(scene.joint_ids, list(scene.driven_joints.values())))
+    pulled = {joint for own in scene.levers.values() for joint in own}
+    return np.flatnonzero(np.isin(scene.joint_ids, list(pulled)))
 
 
 def fingertip_names(scene: Scene) -> tuple[str, ...]:
@@ -119,13 +148,13 @@ def actuators(scene: Scene, element: str | None) -> Ids:
 
 def servos(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids as `actuators` does; a group may hold slides too, for what has the same unit there."""
-    return _drives(scene, _picked(scene, scene.driven_hinges, _driven(scene), element))
+    return _drives(scene, _picked(scene, _usual(scene), _driven(scene), element))
 
 
 def _drives(scene: Scene, chosen: Ids) -> Ids:
-    """Return the ids of the actuators of joints."""
+    """Return the ids of the actuators that pull joints."""
     ids = set(scene.joint_ids[chosen].tolist())
-    return np.array([a for a, joint in scene.driven_joints.items() if joint in ids], int)
+    return np.array([a for a in scene.actuator_ids.tolist() if ids.intersection(scene.levers.get(a, ()))], int)
 
 
 def fingertips(scene: Scene, element: str | None) -> Ids:
@@ -180,7 +209,7 @@ def _drive_limits(scene: Scene) -> NDArray[np.float64]:
     if not len(ids):
         return np.ones(1)
     limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    return np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.model.actuator_gainprm[ids, 0])
+    return np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.stiffness(ids))
 
 
 def drive_damping(scene: Scene) -> float:
@@ -191,10 +220,10 @@ def drive_damping(scene: Scene) -> float:
     ids = actuators(scene, None)
     if not len(ids):
         return 1.0
-    model = scene.model
-    dof = model.jnt_dofadr[[scene.driven_joints[a] for a in ids.tolist()]]
-    own = model.dof_damping[dof] - model.actuator_biasprm[ids, 2]
-    critical = 0.2 * np.sqrt(np.maximum(model.actuator_gainprm[ids, 0], 0) * model.dof_M0[dof])
+    model, firsts = scene.model, [next(iter(scene.levers[a].items())) for a in ids.tolist()]
+    dof, lever = model.jnt_dofadr[[joint for joint, _ in firsts]], np.array([v for _, v in firsts])
+    own = model.dof_damping[dof] - lever**2 * model.actuator_biasprm[ids, 2]
+    critical = 0.2 * np.sqrt(lever**2 * np.maximum(scene.stiffness(ids), 0) * model.dof_M0[dof])
     return float(np.median(np.maximum(own, critical)))
 
 

@@ -73,7 +73,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
+    possible=_select.has_drives,
     elements=_select.servo_places,
     command=Hook(_start, _apply),
 )

@@ -19,12 +19,20 @@ class _Gears(NamedTuple):
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> _Gears:
-    """Return gears in the middle of their gap; joints that are not driven hinges have none."""
+    """Return gears in the middle of their gap, in units of the command; what drives no hinge has none."""
     half = np.zeros((len(x), len(scene.actuator_ids)))
     ids = scene.actuator_ids.tolist()
     for row, element in enumerate(elements):
-        half[row, [ids.index(a) for a in _select.actuators(scene, element)]] = x[row, 0] / 2
+        for a in _select.actuators(scene, element).tolist():
+            half[row, ids.index(a)] = x[row, 0] / 2 * _command_per_rad(scene, a)
     return _Gears(None, half)
+
+
+def _command_per_rad(scene: Scene, actuator: int) -> float:
+    """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
+    gain, bias = scene.model.actuator_gainprm[actuator, 0], scene.model.actuator_biasprm[actuator, 1]
+    lever = sum(abs(v) for v in scene.levers[actuator].values())
+    return abs(lever * bias / gain) if gain and bias < 0 else 1.0
 
 
 def _apply(gears: _Gears, u: Array) -> tuple[_Gears, Array]:
@@ -55,6 +63,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_places,
+    elements=_select.motor_places,
     command=Hook(_start, _apply),
 )

@@ -18,10 +18,11 @@ def _of_joints(scene: Scene, x: Array, element: str | None) -> Array:
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Let the servo's law kp (u - q) see the reading: kp (u - q - offset)."""
+    """Let the servo's law kp (u - length) see the readings: of each joint it pulls, lever times offset more."""
     offsets = dict(zip(scene.joint_ids.tolist(), _of_joints(scene, x, element), strict=True))
     for a in _select.actuators(scene, element):
-        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * offsets[scene.driven_joints[int(a)]]
+        longer = sum(lever * offsets[joint] for joint, lever in scene.levers[int(a)].items() if joint in offsets)
+        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * longer
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:

@@ -15,8 +15,8 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 
 def _has_damping(scene: Scene) -> bool:
-    """Tell whether a driven hinge has a velocity gain that could be scaled."""
-    return bool(scene.model.actuator_biasprm[_select.actuators(scene, None), 2].any())
+    """Tell whether a servo has a velocity gain that could be scaled."""
+    return bool(scene.model.actuator_biasprm[_select.servos(scene, None), 2].any())
 
 
 EFFECT = Effect(

@@ -30,7 +30,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
+    possible=_select.has_drives,
     elements=_select.servo_places,
     edit=_edit,
 )

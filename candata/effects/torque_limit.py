@@ -37,6 +37,6 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_select.has_driven_hinges,
-    elements=_select.joint_places,
+    elements=_select.motor_places,
     edit=_edit,
 )

@@ -241,12 +241,13 @@ def _servo(scene: Scene, effort: Array) -> tuple[Array, Array]:
     model = scene.model
     stiff, damp = np.zeros(model.nv), np.array(model.dof_damping, float)
     limit = np.full(model.nv, np.inf)
-    for actuator, joint in scene.driven_joints.items():
-        dof, gear = int(model.jnt_dofadr[joint]), float(model.actuator_gear[actuator, 0])
-        stiff[dof] -= gear**2 * model.actuator_biasprm[actuator, 1]
-        damp[dof] -= gear**2 * model.actuator_biasprm[actuator, 2]
+    pulled = [(a, joint, lever) for a, own in scene.levers.items() for joint, lever in own.items()]
+    for actuator, joint, lever in pulled:
+        dof = int(model.jnt_dofadr[joint])
+        stiff[dof] -= lever**2 * model.actuator_biasprm[actuator, 1]
+        damp[dof] -= lever**2 * model.actuator_biasprm[actuator, 2]
         if model.actuator_forcelimited[actuator]:
-            limit[dof] = abs(gear) * model.actuator_forcerange[actuator, 1]
+            limit[dof] = abs(lever) * model.actuator_forcerange[actuator, 1]
     dofs = _dofs(scene)
     free = np.abs(effort) < 0.999 * limit[dofs]
     own = np.array(model.dof_damping, float)[dofs]

@@ -131,10 +131,11 @@ def servo_responses(scene: Scene, recs: Recordings, rng: np.random.Generator) ->
 
 
 def _pairs(scene: Scene) -> list[tuple[int, int]]:
-    """Return index into the joints and column of the commands of each driven hinge."""
+    """Return index into the joints and column of the commands of each hinge that has an actuator of its own."""
     ids = scene.actuator_ids.tolist()
     by_joint = {j: ids.index(a) for a, j in scene.driven_joints.items()}
-    return [(int(i), by_joint[int(scene.joint_ids[i])]) for i in scene.driven_hinges]
+    own = [(int(i), by_joint.get(int(scene.joint_ids[i]))) for i in scene.driven_hinges]
+    return [(i, column) for i, column in own if column is not None]
 
 
 def _motion(command: Array, lengths: NDArray[np.int64]) -> Array:

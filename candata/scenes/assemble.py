@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.util import find_spec
@@ -75,9 +76,30 @@ class Scene:
         return {a: int(model.actuator_trnid[a, 0]) for a in ids if int(model.actuator_trntype[a]) in kinds}
 
     @cached_property
+    def levers(self) -> dict[int, dict[int, float]]:
+        """Of each actuator id, the joints that it pulls with their levers: its length [1] for each unit of the joint.
+
+        An actuator of a joint pulls that, one of a fixed tendon every joint of the tendon, others none.
+        """
+        model, gear = self.model, self.model.actuator_gear[:, 0]
+        found = {a: {joint: float(gear[a])} for a, joint in self.driven_joints.items()}
+        for a in self.actuator_ids.tolist():
+            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
+                tendon = model.actuator_trnid[a, 0]
+                wraps = model.tendon_adr[tendon] + np.arange(model.tendon_num[tendon])
+                if all(model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
+                    found[a] = {int(model.wrap_objid[w]): float(gear[a] * model.wrap_prm[w]) for w in wraps}
+        return found
+
+    def stiffness(self, actuators: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the position gains `(n,)` of actuators: of a servo what holds its length, whatever its command."""
+        held = -self.model.actuator_biasprm[actuators, 1]
+        return np.where(held > 0, held, self.model.actuator_gainprm[actuators, 0])
+
+    @cached_property
     def driven_hinges(self) -> NDArray[np.int64]:
-        """Indices into `file.joints` of hinge joints that have an actuator: where drive effects act."""
-        driven = set(self.driven_joints.values())
+        """Indices into `file.joints` of hinge joints that an actuator pulls: where drive effects act."""
+        driven = {joint for own in self.levers.values() for joint in own}
         hinge = mujoco.mjtJoint.mjJNT_HINGE
         return np.array(
             [i for i, j in enumerate(self.joint_ids) if j in driven and self.model.jnt_type[j] == hinge], int

@@ -133,15 +133,14 @@ def _joint(scene: Scene, name: str) -> JointRole:
 
 
 def _servo(scene: Scene, joint: int) -> dict:
-    """Return actuator, gains and limit of a joint; nothing for one without an actuator."""
+    """Return actuator, gains and limit of a joint; nothing for one that no actuator pulls."""
     model = scene.model
-    for name, actuator in zip(scene.file.actuator_names, scene.actuator_ids, strict=True):
-        kind = model.actuator_trntype[actuator]
-        if kind == mujoco.mjtTrn.mjTRN_JOINT and model.actuator_trnid[actuator, 0] == joint:
+    for name, actuator in zip(scene.file.actuator_names, scene.actuator_ids.tolist(), strict=True):
+        if joint in scene.levers.get(actuator, ()):
             limited = model.actuator_forcelimited[actuator]
             return {
                 "actuator": name,
-                "kp": float(model.actuator_gainprm[actuator, 0]),
+                "kp": float(scene.stiffness([actuator])[0]),
                 "kv": float(0.0 - model.actuator_biasprm[actuator, 2]),
                 "limit": float(model.actuator_forcerange[actuator, 1]) if limited else None,
             }
