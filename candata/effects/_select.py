@@ -241,13 +241,14 @@ def object_size(scene: Scene) -> float:
 
 
 def contact_timeconst(scene: Scene) -> float:
-    """Return the median contact time constant of the object's geoms [s].
+    """Return the median contact time constant of the object's geoms [s], as MuJoCo takes it.
 
     Negative solref is (-stiffness, -damping): its time constant is 2 / damping (MuJoCo manual,
-    "Solver parameters", with dampratio 1).
+    "Solver parameters", with dampratio 1). A positive one counts as two physics steps at least (flag `refsafe`).
     """
     if not len(scene.object_geoms):
         return 0.02
     solref = scene.model.geom_solref[scene.object_geoms]
-    time = np.where(solref[:, 0] > 0, solref[:, 0], 2 / np.maximum(-solref[:, 1], 1e-9))
+    given = np.maximum(solref[:, 0], 2 * scene.model.opt.timestep)
+    time = np.where(solref[:, 0] > 0, given, 2 / np.maximum(-solref[:, 1], 1e-9))
     return float(np.median(time))

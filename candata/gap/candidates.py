@@ -135,7 +135,7 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
 
     A scalar is also probed at the ends of what is plausible, where those lie beyond its probes, and halfway to the
     nearest of them, where that is far: a limit acts near its neutral value at other times than farther out. A single
-    number of a vector takes both signs of its probes, where its bounds do.
+    number of a vector takes both signs of its probes, where its bounds do. What lies beyond bounds counts as on them.
     """
     numbers = [np.array(p.probes(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
     mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
@@ -145,10 +145,12 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
         mine = [np.unique(np.concatenate([mine[0], _plausible_ends(c, scene, mine[0]), _halfway(c, mine[0])]))]
     out = []
     for column, values in enumerate(mine):
-        for value in np.log(values) if c.logarithmic[column] else values:
+        inside = np.clip(np.log(values) if c.logarithmic[column] else values, c.low[column], c.high[column])
+        for value in dict.fromkeys(inside.tolist()):
             point = c.neutral.copy()
             point[column] = value
-            out.append(point)
+            if not c.is_neutral(point):
+                out.append(point)
     return out
 
 

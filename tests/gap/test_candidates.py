@@ -15,6 +15,7 @@ from candata.gap.candidates import (
     probes,
     typical_size,
 )
+from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -164,3 +165,19 @@ def test_one_number_of_a_vector_is_searched_to_both_sides(hand):
     assert {float(np.sign(u[0])) for u in probes(c, hand)} == {-1.0, 1.0}
     x = flatten(c.setting(np.array([0.02]), hand), hand)
     assert (x != 0).sum() == 1
+
+
+def test_contacts_given_stiffer_than_two_steps_are_searched_from_there_on(tmp_path):
+    """MuJoCo takes a time constant of 0.1 ms for 4 ms where it steps by 2 ms; both neutral value and probes say so."""
+    (tmp_path / "scene.xml").write_text(
+        '<mujoco><option timestep="0.002"/><default><geom solref="0.0001 1"/></default><worldbody>'
+        '<geom name="floor" type="plane" size="1 1 .1"/><body name="box" pos="0 0 .1"><freejoint/>'
+        '<geom type="box" size=".02 .02 .02"/></body></worldbody></mujoco>'
+    )
+    (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\nobject: box\nsupport: floor\n")
+    c = candidate("contact_compliance", scene := load_scene(tmp_path / "scene.yaml"))
+    assert c.values(c.neutral) == pytest.approx([0.004])
+    found = np.exp(np.concatenate(probes(c, scene)))
+    assert found.min() > 0.005
+    assert found.max() >= 0.02
+    assert len(set(found.tolist())) == len(found)
