@@ -12,7 +12,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
-from candata.gap.stage import RIVALS, SHARP, UNSURE, is_tied
+from candata.gap.stage import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, exchanged, sums
 from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, leaves, left_by, worth_adding
@@ -128,7 +128,7 @@ def aliases(problem: Problem, best: Fit, rivals: Sequence[Fit]) -> list[Fit]:
         return []
     own = float(problem.score.loss(best.plane.z).mean())
     for label, z in zip(best.labels, problem.without_each(best.members), strict=True):
-        blunt = SHARP * (float(problem.score.loss(z).mean()) - own)
+        blunt = BLUNT * (float(problem.score.loss(z).mean()) - own)
         instead = [(f, name) for f in rivals if label not in f.labels for name in f.labels if name not in best.labels]
         same = [f.led_by(name) for f, name in instead if float((f.evidence.loss - best.evidence.loss).mean()) <= blunt]
         if same:

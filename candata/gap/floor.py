@@ -36,13 +36,10 @@ class Floor:
         Spread of each residual: the 68 % quantile of its size over null replays, by episode, column and phase.
     null : (R, E, B, D) float64
         Residuals of the null replays.
-    noise : Noise
-        The noise with which they were made.
     """
 
     sigma: Array
     null: Array
-    noise: Noise
 
 
 def null_recordings(
@@ -162,7 +159,7 @@ def null_residuals(
 def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
     """Return the floor of null residuals `(R, E, B, D)`; those outside the plan's phases do not count."""
     seen = np.where((plan.phase >= 0)[..., None], null, np.nan)
-    return Floor(_sigma(plan, seen, smallest(plan, noise)), seen, noise)
+    return Floor(_sigma(plan, seen, smallest(plan, noise)), seen)
 
 
 def smallest(plan: Layout, noise: Noise) -> Array:

@@ -17,7 +17,7 @@ from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import weights
 from candata.gap.search import Fit, Problem
-from candata.gap.stage import SHARP, standard_error
+from candata.gap.stage import BLUNT, standard_error
 from candata.rotation import difference
 from candata.schema.report import Gap
 
@@ -232,7 +232,7 @@ def shares(
 
     The share is what the loss rises when the member is left out and nothing refitted, over the whole gain; support
     is how often, when episodes are resampled, that rise is positive and no one of the `rivals` without the member, sets
-    of as many effects, leaves less. How much more one leaves is known as well as fits are sharp (`SHARP` of the rise,
+    of as many effects, leaves less. How much more one leaves is known as well as fits are sharp (`BLUNT` of the rise,
     one standard deviation): an alias that loses by next to nothing, in every episode alike, takes half.
     """
     if len(fit.members) == 1:
@@ -246,7 +246,7 @@ def shares(
         holds = rise[picks].mean(1) > 0
         for rival in rivals:
             if label not in rival.labels:
-                blunt = SHARP * abs(float(rise.mean())) * rng.standard_normal(RESAMPLES)
+                blunt = BLUNT * abs(float(rise.mean())) * rng.standard_normal(RESAMPLES)
                 holds &= (rival.evidence.loss - fit.evidence.loss)[picks].mean(1) + blunt > 0
         out.append((round(float(rise.mean()) / whole, 3), float(holds.mean())))
     return out

@@ -36,7 +36,7 @@ UNSURE = 2.0
 #: Share of the best gain up to which a difference between two fits is no evidence: of aliases the one that was fitted a
 #: little sharper wins, in every episode alike. Chosen: of five blind cases between damping of servos and of joints,
 #: the wrong one came first by 0.08, 0.13 (named with support 0.88) and 0.8 %, the right one by 1.4 and 3.7 %.
-SHARP = 0.01
+BLUNT = 0.01
 #: Times what nulls gain within which it is sharpened too: of a faint effect, a fit gains as much by being sharp. (One
 #: motor's damping, worth 0.05 floors, gained 0.023 beside 0.048 of its joint's, and 0.052 beside 0.049 when sharp.)
 LUCKY = 2.0
@@ -292,7 +292,7 @@ def is_near(fit: Fit, best: Fit) -> bool:
 def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
     """Tell whether a fit is no worse than the best by more than so many standard errors, or than fits are sharp."""
     worse = fit.evidence.loss - best.evidence.loss
-    return bool(worse.mean() <= max(errors * standard_error(worse), SHARP * best.gain))
+    return bool(worse.mean() <= max(errors * standard_error(worse), BLUNT * best.gain))
 
 
 def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:

@@ -17,7 +17,6 @@ from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
-from candata.schema.scene import Noise
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import Job, add_noise, make_episodes
 
@@ -178,7 +177,7 @@ def white_score(one_phase) -> Callable[..., Score]:
         rng: np.random.Generator, episodes: int = 8, size: int = 40, replicas: int = 16, columns: int = 1
     ) -> Score:
         shape = (episodes, size // columns, columns)
-        spread = Floor(np.ones(shape), rng.standard_normal((replicas, *shape)), Noise())
+        spread = Floor(np.ones(shape), rng.standard_normal((replicas, *shape)))
         return score(np.zeros(shape), spread, one_phase(episodes, *shape[1:]))
 
     return make

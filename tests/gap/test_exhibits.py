@@ -17,7 +17,6 @@ from candata.gap.score import score
 from candata.gap.search import Fit
 from candata.gap.shrink import HeldOut
 from candata.schema.report import Estimate, NamedEffect
-from candata.schema.scene import Noise
 
 NO_EVIDENCE = CrossFit(np.zeros(4), np.zeros(4), np.zeros((4, 1)))
 
@@ -30,7 +29,7 @@ def problem(arm, one_phase, plain_recordings):
     plan = one_phase(4, 60, 2)
     before = {"joint_position": recorded - 1e-3 * np.arange(1, 5)[:, None, None] * [1.0, -2.0]}
     after = {"joint_position": before["joint_position"] / 10}
-    spread = Floor(np.full((4, 60, 2), 5e-4), np.full((6, 4, 60, 2), 3e-4), Noise())
+    spread = Floor(np.full((4, 60, 2), 5e-4), np.full((6, 4, 60, 2), 3e-4))
     world = SimpleNamespace(
         plan=plan, score=score(np.zeros((4, 60, 2)), spread, plan), begin=SimpleNamespace(rows=np.zeros(4, int)),
         replayer=SimpleNamespace(scene=arm),

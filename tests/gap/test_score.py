@@ -10,7 +10,6 @@ import pytest
 from candata.gap.floor import Floor
 from candata.gap.residuals import Layout
 from candata.gap.score import NU, score, weights
-from candata.schema.scene import Noise
 
 E, B, D, R = 3, 6, 3, 10
 
@@ -26,7 +25,7 @@ def case(rng):
     """A residual, and a floor whose spread differs by episode and by quantity."""
     sigma = np.array([1.0, 2.0, 5.0])[:, None, None] * np.array([1.0, 2.0, 0.01]) * np.ones((E, B, D))
     null = sigma * rng.standard_normal((R, E, B, D))
-    return 3 * sigma * rng.standard_normal((E, B, D)), Floor(sigma, null, Noise())
+    return 3 * sigma * rng.standard_normal((E, B, D)), Floor(sigma, null)
 
 
 def test_the_loss_is_student_s_t(case):
@@ -60,7 +59,7 @@ def test_the_discrepancy_is_linear_in_the_residual_and_the_loss_is_not(case):
 
 def test_units_drop_out(case):
     residual, floor = case
-    scaled = Floor(1e3 * floor.sigma, 1e3 * floor.null, Noise())
+    scaled = Floor(1e3 * floor.sigma, 1e3 * floor.null)
     a, b = score(residual, floor, PLAN), score(1e3 * residual, scaled, PLAN)
     np.testing.assert_allclose(a.loss(a.normal(residual)), b.loss(b.normal(1e3 * residual)), rtol=1e-5)
 
@@ -72,7 +71,7 @@ def test_what_was_not_recorded_counts_neither_for_nor_against(case):
     z = level.normal(residual)
     assert not z[~level.mask].any()
     assert (~level.mask).sum() == 3 * D
-    shorter = Floor(floor.sigma[:1, 3:], floor.null[:, :1, 3:], Noise())
+    shorter = Floor(floor.sigma[:1, 3:], floor.null[:, :1, 3:])
     short = score(residual[:1, 3:], shorter, replace(PLAN, phase=PLAN.phase[:1, 3:]))
     part = short.normal(residual[:1, 3:])
     assert level.loss(z)[0] == pytest.approx(short.loss(part)[0], rel=1e-5)

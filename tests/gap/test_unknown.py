@@ -67,7 +67,7 @@ def described(scene, recs, world=(), where=()):
     level = score(residual(recs, plan, nominal), spread, plan)
     problem = SimpleNamespace(
         replayer=replayer, recs=recs, begin=begin, plan=plan, score=level, parts=folds(recs.tasks, rng),
-        noise=spread.noise,
+        noise=scene.file.noise,
     )  # fmt: skip
     return describe(problem, world, where, None, rng)
 
