@@ -54,12 +54,13 @@ def attribute(problem: Problem) -> Attribution:
     """Return the effects that explain the gap, by forward selection on held-out episodes.
 
     What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
-    even then, and that is much, effects are looked at again, simulated on the recording: in a world far from the
-    nominal one, signatures say little of what an effect does there.
+    even then, and that is much or nothing is named, effects are looked at again, simulated on the recording: in a world
+    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there.
     """
     found = _search(problem, look(problem, problem.nominal, ()))
     share, floors = _left(problem, found)
-    if is_toss(problem.replayer.scene) or not found.remains or share <= MOST or floors < SETTLED:
+    little = share <= MOST or (floors < SETTLED and found.chosen is not None)
+    if is_toss(problem.replayer.scene) or not found.remains or little:
         return found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
     problem = replace(problem, simulated=True)

@@ -52,9 +52,15 @@ def test_effects_are_simulated_where_most_is_left(problem, poor, monkeypatch):
     assert made == [False, True]
 
 
-@pytest.mark.parametrize(("share", "floors", "again"), [(0.9, 0.6, True), (0.9, 0.4, False), (0.4, 0.6, False)])
-def test_a_search_is_made_again_only_of_half_the_gap_and_half_a_floor(problem, poor, monkeypatch, share, floors, again):
-    made = searches(monkeypatch, first=poor, second=poor)
+@pytest.mark.parametrize(
+    ("named", "share", "floors", "again"),
+    [(True, 0.9, 0.6, True), (True, 0.9, 0.4, False), (True, 0.4, 0.6, False), (False, 1.0, 0.1, True)],
+)
+def test_a_search_is_made_again_of_half_the_gap_and_half_a_floor_or_where_nothing_is_named(
+    problem, poor, monkeypatch, named, share, floors, again
+):
+    first = replace(poor, chosen=poor.first.fits[0]) if named else poor
+    made = searches(monkeypatch, first=first, second=poor)
     monkeypatch.setattr(attribution, "_left", lambda problem, found: (share, floors))
     attribute(problem)
     assert made == [False, True][: 1 + again]
