@@ -59,7 +59,7 @@ def attribute(problem: Problem) -> Attribution:
     """
     found = _search(problem, look(problem, problem.nominal, ()))
     share, floors = _left(problem, found)
-    little = share <= MOST or (floors < SETTLED and found.chosen is not None)
+    little = found.chosen is not None and (share <= MOST or floors < SETTLED)
     if is_toss(problem.replayer.scene) or not found.remains or little:
         return found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
@@ -69,7 +69,9 @@ def attribute(problem: Problem) -> Attribution:
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
     other = _search(problem, look(problem, problem.nominal, (), found.first))
-    return other if _left(problem, other)[0] < SMALLER * share else found
+    left, _ = _left(problem, other)
+    # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
+    return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
 
 
 def _left(problem: Problem, found: Attribution) -> tuple[float, float]:

@@ -17,6 +17,8 @@ from candata.gap.starts import is_toss
 Array = NDArray[np.float64]
 #: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
 LIVELY = 0.05
+#: Share of the nearest probes' distances at which a scalar is looked at nearer: a quarter of a clear effect. Chosen.
+NEARER = 0.25
 #: Width over which slopes are read off signatures: this share of the distance from neutral, within these shares of the
 #: range.
 WIDTH, NARROWEST, WIDEST = 0.1, 0.002, 0.02
@@ -36,14 +38,14 @@ def respond(
     dead = []
     toss = is_toss(problem.replayer.scene)
     own = [toss or problem.simulated or bool(held and (c.choices or _is_read(problem, c))) for c in found]
-    played = [tuple((c, u) for c, o in zip(found, own, strict=True) if o is kind for u in screening(c, problem))
+    places = [_places(c, problem, held) for c in found]
+    played = [tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
               for kind in (True, False)]  # fmt: skip
     moved = {
         True: iter(_moves(problem, here, played[0], held) if played[0] else ()),
         False: iter(problem.signatures(played[1]) if played[1] else ()),
     }
-    for c, is_own in zip(found, own, strict=True):
-        points = screening(c, problem)
+    for c, is_own, points in zip(found, own, places, strict=True):
         moves = [next(moved[is_own]) for _ in points]
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
@@ -67,6 +69,20 @@ def screening(c: Candidate, problem: Problem) -> list[Array]:
     """Return the coordinates at which a candidate's signatures are read; fewer of one element, or in brief."""
     scene = problem.replayer.scene
     return first_probes(c, scene) if c.element or problem.brief else probes(c, scene)
+
+
+def _places(c: Candidate, problem: Problem, held: Members) -> list[Array]:
+    """Return the coordinates at which a candidate is looked at.
+
+    Where all are simulated on the recording because none explains it alone, a scalar is looked at nearer, too: what a
+    faint effect does, as a support that is 2 mm too high, need not be a share of what a strong one does.
+    """
+    points = screening(c, problem)
+    if held or not problem.simulated or c.choices or c.size > 1:
+        return points
+    sides = ([p for p in points if p[0] < c.neutral[0]], [p for p in points if p[0] > c.neutral[0]])
+    nearest = [min(side, key=lambda p: float(abs(p[0] - c.neutral[0]))) for side in sides if side]
+    return [*points, *(c.neutral + NEARER * (p - c.neutral) for p in nearest)]
 
 
 def _response(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.plugins import load, names
+from candata.scenes import transmission
 from candata.scenes.contract import BuiltinScene
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
@@ -71,25 +72,12 @@ class Scene:
     @cached_property
     def driven_joints(self) -> dict[int, int]:
         """Joint id of each actuator id that drives a joint; actuators of tendons and bodies drive none."""
-        kinds = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
-        model, ids = self.model, self.actuator_ids.tolist()
-        return {a: int(model.actuator_trnid[a, 0]) for a in ids if int(model.actuator_trntype[a]) in kinds}
+        return transmission.driven_joints(self.model, self.actuator_ids.tolist())
 
     @cached_property
     def levers(self) -> dict[int, dict[int, float]]:
-        """Of each actuator id, the joints that it pulls with their levers: its length [1] for each unit of the joint.
-
-        An actuator of a joint pulls that, one of a fixed tendon every joint of the tendon, others none.
-        """
-        model, gear = self.model, self.model.actuator_gear[:, 0]
-        found = {a: {joint: float(gear[a])} for a, joint in self.driven_joints.items()}
-        for a in self.actuator_ids.tolist():
-            if model.actuator_trntype[a] == mujoco.mjtTrn.mjTRN_TENDON:
-                tendon = model.actuator_trnid[a, 0]
-                wraps = model.tendon_adr[tendon] + np.arange(model.tendon_num[tendon])
-                if all(model.wrap_type[w] == mujoco.mjtWrap.mjWRAP_JOINT for w in wraps):
-                    found[a] = {int(model.wrap_objid[w]): float(gear[a] * model.wrap_prm[w]) for w in wraps}
-        return found
+        """Joint ids that each actuator id pulls, a tendon's too, with its length for each unit of the joint."""
+        return transmission.levers(self.model, self.actuator_ids.tolist())
 
     def stiffness(self, actuators: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the position gains `(n,)` of actuators: of a servo what holds its length, whatever its command."""

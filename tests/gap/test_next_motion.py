@@ -170,7 +170,7 @@ def problem(arm, arm_episodes, planted):
     raw = residual(recs, plan, readings)
     level = score(raw, spread, plan)
     shelf = library(replayer, recs, begin, plan, None)
-    return Problem(replayer, recs, begin, plan, level, [], spread.noise, "declared", rng, shelf, readings, raw)
+    return Problem(replayer, recs, begin, plan, level, [], arm.file.noise, "declared", rng, shelf, readings, raw)
 
 
 def tie(arm, *names: str) -> SimpleNamespace:

@@ -66,6 +66,28 @@ def test_a_search_is_made_again_of_half_the_gap_and_half_a_floor_or_where_nothin
     assert made == [False, True][: 1 + again]
 
 
+def test_a_small_gap_is_given_to_what_passes_when_all_is_simulated(problem, poor, monkeypatch):
+    """Of so little no share is told; a cause that passes there is better than one that is called unknown."""
+    found = replace(poor, chosen=poor.first.fits[0])
+    monkeypatch.setattr(attribution, "_left", lambda problem, found: (0.0, 0.05))
+    searches(monkeypatch, first=poor, second=found)
+    assert attribute(problem) is found
+    searches(monkeypatch, first=poor, second=poor)
+    assert attribute(problem) is poor
+
+
+def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_too(arm, problem):
+    c = candidate("joint_dry_friction", arm)
+    usual = {float(u[0]) for u in screening(c, problem)}
+    nearest = min(usual - {0.0})
+    simulated = replace(problem, simulated=True)
+    (_, curve), *_ = respond(simulated, problem.nominal, [c])[0]
+    assert sorted(set(curve.at) - usual - {0.0}) == pytest.approx([nearest / 4])
+    held = ((candidate("actuation_delay", arm), np.full(1, 0.01)),)
+    (_, curve), *_ = respond(simulated, problem.nominal, [c], held)[0]
+    assert not set(curve.at) - usual - {0.0}
+
+
 def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     stepped = []
     watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), few={})
