@@ -233,11 +233,11 @@ def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float
     recs : Recordings
         E episodes that were played.
     failed : (E,) int64
-        Row before which it gave each of them up; the number of rows where it did not.
+        Row before which it gave each of them up; all rows where it did not.
     many : float
         Share of such episodes from which nothing is diagnosed.
     """
-    bad = np.flatnonzero(failed < recs.commands.shape[1])
+    bad = np.flatnonzero(failed < recs.lengths)
     if not len(bad):
         return []
     when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
@@ -246,7 +246,8 @@ def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float
         "the nominal simulation is unstable under the recorded commands",
         f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
         f"none in {len(bad)} of {len(recs)} episodes that were looked at, first in {when}",
-        "give the model a smaller time step, more damping or armature, until it plays these commands", "commands",
+        "give the model a smaller time step, more damping or armature, until it plays these commands; look whether "
+        "they are in its order and unit", "commands",
     )]  # fmt: skip
 
 
