@@ -19,6 +19,9 @@ from candata.gap.shortlist import brief
 from candata.gap.shrink import shares
 from candata.gap.stage import as_simulated, look
 from candata.gap.together import sums
+from candata.scenes import load_scene
+from candata.simulate.episodes import Job, make_episodes
+from tests.gap.conftest import ARM, ROLES, plant
 
 TRUE = {"joint_dry_friction", "actuation_delay"}
 
@@ -246,3 +249,29 @@ def rises(problem, fit):
     own = problem.score.loss(fit.plane.z).mean()
     without = [problem.score.loss(z).mean() - own for z in problem.without_each(fit.members)]
     return dict(zip(fit.labels, without, strict=True))
+
+
+def test_an_alias_that_is_not_yet_fitted_is_refitted_before_it_is_judged(tmp_path):
+    """Both servos have the same velocity gain and no limit: twice of it is as much damping of the joints."""
+    alike = ARM.replace('kv="1.5" forcerange="-4 4"', 'kv="1"').replace('kv=".6" forcerange="-3 3"', 'kv="1"')
+    (tmp_path / "arm.xml").write_text(alike)
+    (tmp_path / "scene.yaml").write_text(ROLES)
+    scene = load_scene(tmp_path / "scene.yaml")
+    effects = (*plant("servo_damping", kv_scale=2.0), *plant("actuation_delay", delay_s=0.03))
+    jobs = [Job(f"e{i}", i, "free_sweep", 3, effects, hidden=True) for i in range(12)]
+    recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
+    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    servo, late, damped, dry = (
+        candidate(n, scene) for n in ("servo_damping", "actuation_delay", "joint_damping", "joint_dry_friction")
+    )
+    delay, far = (late, np.full(1, 0.03)), np.full(1, 0.85)
+    held = ((servo, np.log(np.full(1, 2.0))), delay)
+    unfitted = [((damped, far), delay), ((dry, np.full(1, 0.02)), delay)]
+    here, there, without, base = (
+        added.by_loss(problem, [members])[0][0] for members in (held, unfitted[0], (delay,), ())
+    )
+    # What is not yet fitted leaves more than an alias may, and less than half of what the member is worth.
+    assert added.ALIKE * (base - here) < there - here < added.HALFWAY * (without - here)
+    (found,) = added._nearest(problem, held, unfitted)
+    assert names(found) == names(unfitted[0])
+    assert found[0][1] == pytest.approx([1.0], rel=0.05)
