@@ -25,6 +25,7 @@ from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, sta
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses
 from candata.gap.worth import (
+    EXTRA,
     FAINT,
     LARGEST,
     LEFT,
@@ -293,12 +294,13 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     """Return the set without members that the others make up for once they are refitted.
 
     What was taken early may be worth nothing beside what came later. (A support's height stayed beside a tracker's bias
-    that was worth as much in its place.) Slopes tell which to try; one that was measured without a fit stays.
+    that was worth as much in its place.) Slopes tell which to try, or how little a member is worth (a dead band that
+    closed a thousandth of the gap came by an exchange); one that was measured without a fit stays.
     """
     if len(best.members) < 2:
         return best, problem, remains
     known = {c.name for c, _ in problem.measured}
-    free = [m for m in best.members if m[0].name not in known and not m[0].choices and _makes_up(problem, best, m)]
+    free = [m for m in best.members if m[0].name not in known and not m[0].choices and _is_spare(problem, best, m)]
     base = problem.score.loss(problem.nominal)
     fits = [joint(problem, tuple(m for m in best.members if m is not left), base) for left in free]
     found = max(fits, key=lambda f: f.gain, default=None)
@@ -308,8 +310,8 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     return simplified(world, found, remains)
 
 
-def _makes_up(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> bool:
-    """Tell whether slopes promise that the others, refitted, make up for much of what leaving a member out costs."""
+def _is_spare(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> bool:
+    """Tell whether leaving a member out costs little, or slopes promise that the others, refitted, make up for it."""
     plane = best.plane
     own = np.concatenate([np.full(c.size, c is left[0]) for c, _ in best.members])
     at = plane.at.copy()
@@ -317,7 +319,7 @@ def _makes_up(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> boo
     rest = Plane(plane.low[~own], plane.high[~own], plane.at[~own], plane.read(at), plane.slope[~own])
     refitted = rest.read(rest.best(np.arange(len(rest.z))))
     left_out, promised, now = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted, plane.z))
-    return promised - now < MADE_UP * (left_out - now)
+    return left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now)
 
 
 def is_full(members: Members, measured: Members) -> bool:

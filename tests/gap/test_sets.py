@@ -80,6 +80,22 @@ def test_a_member_goes_that_the_others_make_up_for(arm, posed):
     assert losses[1] > losses[0]
 
 
+def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+        *planted("armature", armature_kgm2=3e-5),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    some = members(arm, joint_dry_friction=0.3, actuation_delay=0.03, armature=3e-5)
+    fit = joint(problem, some, problem.score.loss(problem.nominal))
+    found, _, _ = sets.simplified(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    cost = problem.score.loss(problem.without_each(fit.members)[2]).mean() - problem.score.loss(fit.plane.z).mean()
+    assert worth.FAINT < cost < worth.EXTRA * fit.gain
+
+
 def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
     problem, base = posed
     right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
