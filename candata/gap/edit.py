@@ -115,6 +115,7 @@ def _joined(blocks: Sequence[Replayed], recs: Recordings) -> Replayed:
             floor=joined(b.score.floor for b in blocks),
             null_loss=joined((b.score.null_loss for b in blocks), 1),
             group=first.score.group,
+            typical=float(np.mean([b.score.typical for b in blocks])),
         ),
         {n: joined(b.before[n] for b in blocks) for n in first.before},
         {n: joined(b.after[n] for b in blocks) for n in first.after},

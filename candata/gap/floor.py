@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 #: fresh noise. (Losses of one start spread by 0.13 to 0.15 floors with the noise, means of four over several starts by
 #: 0.08, of which the noise explains 0.07: starts matter little.)
 REPLICAS, WORLDS, NOISES = 16, 4, 4
+#: Parts of the null replays that are left out in turn, to learn what a replay loses that had no say in the spread.
+PARTS = 4
 #: Share of a column's typical spread below which no episode's own spread is believed.
 SPREAD_FLOOR = 0.3
 
@@ -36,10 +38,14 @@ class Floor:
         Spread of each residual: the 68 % quantile of its size over null replays, by episode, column and phase.
     null : (R, E, B, D) float64
         Residuals of the null replays.
+    without : (P, E, B, D) float64
+        The same spread without each part of them: part p has every P-th one, from the p-th on. Without parts (P = 0)
+        nothing is known of a replay that had no say in the spread.
     """
 
     sigma: Array
     null: Array
+    without: Array = field(default_factory=lambda: np.zeros(0))
 
 
 def null_recordings(
@@ -159,7 +165,10 @@ def null_residuals(
 def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
     """Return the floor of null residuals `(R, E, B, D)`; those outside the plan's phases do not count."""
     seen = np.where((plan.phase >= 0)[..., None], null, np.nan)
-    return Floor(_sigma(plan, seen, smallest(plan, noise)), seen)
+    least = smallest(plan, noise)
+    parts = min(PARTS, len(seen)) if len(seen) > 1 else 0
+    without = [_sigma(plan, np.delete(seen, slice(p, None, parts), 0), least) for p in range(parts)]
+    return Floor(_sigma(plan, seen, least), seen, np.array(without).reshape(parts, *seen.shape[1:]))
 
 
 def smallest(plan: Layout, noise: Noise) -> Array:

@@ -29,11 +29,13 @@ class Score:
     null : (R, E, K) float32
         Normalised null residuals.
     floor : (E,) float64
-        Mean loss of each episode's nulls.
+        Mean loss of each episode's nulls, times what nulls lose on the whole that have no say in it.
     null_loss : (R, E) float64
-        Loss of each null over its episode's floor.
+        Loss of each null over its episode's floor, by the others.
     group : (K,) int64
         Which physical quantity each of the K is.
+    typical : float
+        Mean size of a null over that of the others.
     """
 
     sigma: Compact
@@ -42,6 +44,7 @@ class Score:
     floor: Array
     null_loss: Array
     group: NDArray[np.int64]
+    typical: float = 1.0
 
     def normal(self, residual: Array | Compact) -> Compact:
         """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
@@ -60,7 +63,11 @@ class Score:
         quantities: half the error is half the discrepancy, and a phase in which the nulls hardly err cannot outweigh
         all others. What decides between effects is the robust loss.
         """
-        ratios = [self._mean(z, g) / self._mean(self.null, g).mean(0) for g in range(self.group.max() + 1)]
+        return self._ratio(z, self.null) / self.typical
+
+    def _ratio(self, z: Compact, null: Compact) -> Array:
+        """Return `(..., E)` the mean size of residuals over that of some nulls `(R, E, K)`, over quantities."""
+        ratios = [self._mean(z, g) / self._mean(null, g).mean(0) for g in range(self.group.max() + 1)]
         return np.nanmean(ratios, axis=0)
 
     def _mean(self, z: Compact, group: int) -> Array:
@@ -85,7 +92,10 @@ class Score:
 def score(residual: Array, floor: Floor, plan: Layout) -> Score:
     """Return the score for recordings whose residual under the nominal replay is `residual (E, B, D)`.
 
-    Only what both the recording and the nulls hold is compared.
+    Only what both the recording and the nulls hold is compared. One is what a recording of the nominal scene is
+    expected to be: nulls lie nearer their own spread and mean than another replay does, the nearer the fewer they are.
+    (Of sets of four nulls each, fresh ones lost 1.06 where contact is chaos, and half of them more than all but one in
+    a hundred of the four.) So each part of them is measured by the others.
     """
     count = len(residual)
     sigma = floor.sigma.reshape(count, -1)
@@ -93,9 +103,18 @@ def score(residual: Array, floor: Floor, plan: Layout) -> Score:
     mask = np.isfinite(residual.reshape(count, -1)) & (sigma > 0)
     z = np.where(mask & np.isfinite(null), np.nan_to_num(null) / sigma, 0.0).astype(np.float32)
     first = Score(sigma.astype(np.float32), mask, z, np.ones(count), np.zeros((len(null), count)), _groups(plan))
-    losses = first.loss(z)
-    level = np.maximum(losses.mean(0), 1e-9)
-    return replace(first, floor=level, null_loss=losses / level)
+    level = np.maximum(first.loss(z).mean(0), 1e-9)
+    losses, sizes = first.loss(z) / level, first._ratio(z, z)
+    for p, spread in enumerate(floor.without.reshape(-1, *sigma.shape)):
+        own = np.arange(len(null)) % len(floor.without) == p
+        other = replace(first, sigma=spread.astype(np.float32))
+        fresh = z * np.where(mask, sigma / np.maximum(spread, 1e-12), 0).astype(np.float32)
+        losses[own] = other.loss(fresh[own]) / np.maximum(other.loss(fresh[~own]).mean(0), 1e-9)
+        sizes[own] = other._ratio(fresh[own], fresh[~own])
+    # What is learnt from fewer is further off, by the ratio of their numbers.
+    kept = 1 - 1 / max(len(floor.without), 1)
+    more = [1 + kept * (float(np.nanmean(x)) - 1) for x in (losses, sizes)]
+    return replace(first, floor=level * more[0], null_loss=losses / losses.mean(), typical=more[1])
 
 
 def _groups(plan: Layout) -> NDArray[np.int64]:

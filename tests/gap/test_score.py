@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.floor import Floor
+from candata.gap.floor import Floor, spread
 from candata.gap.residuals import Layout
 from candata.gap.score import NU, score, weights
+from candata.gap.stage import null_level
+from candata.schema.scene import Noise
 
 E, B, D, R = 3, 6, 3, 10
 
@@ -44,9 +46,29 @@ def test_the_loss_is_student_s_t(case):
 
 def test_nulls_lose_one_on_average(case):
     level = score(*case, PLAN)
-    np.testing.assert_allclose(level.null_loss.mean(0), 1.0, rtol=1e-9)
+    np.testing.assert_allclose(level.null_loss.mean(0), 1.0, rtol=1e-6)
     np.testing.assert_allclose(level.loss(level.null), level.null_loss, rtol=1e-6)
     np.testing.assert_allclose(level.size(level.null).mean(0), 1.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("replicas", [4, 16])
+def test_a_recording_of_the_nominal_scene_loses_one_by_however_few_nulls(rng, replicas):
+    # Heavy tails, as where contact is chaos; the spread is the nulls' own.
+    plan = replace(PLAN, columns=PLAN.columns[:2], phase=np.zeros((20, 40), int))
+
+    def draw(n):
+        return rng.standard_t(3.0, (n, 20, 1, 1)) * rng.standard_normal((n, 20, 40, 2))
+
+    means, above, own = [], [], []
+    for _ in range(40):
+        level = score(draw(1)[0], spread(Noise(joint_position=1e-6), plan, draw(replicas)), plan)
+        fresh = np.array([level.loss(level.normal(r)).mean() for r in draw(4)])
+        means.append(fresh.mean())
+        above.append(fresh > null_level(level, rng))
+        own.append(level.loss(level.null).mean())
+    assert np.mean(means) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(above) < 0.06
+    assert np.mean(own) < 0.97, "they lie nearer what was learnt from them"
 
 
 def test_the_discrepancy_is_linear_in_the_residual_and_the_loss_is_not(case):
