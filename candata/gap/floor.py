@@ -18,10 +18,10 @@ from candata.simulate import rollout
 from candata.simulate.episodes import add_noise
 
 Array = NDArray[np.float64]
-#: Null replays of each episode; at most `WORLDS` of them differ in their true start, each measured `NOISES` times with
-#: fresh noise. (Losses of one start spread by 0.13 to 0.15 floors with the noise, means of four over several starts by
-#: 0.08, of which the noise explains 0.07: starts matter little.)
-REPLICAS, WORLDS, NOISES = 16, 4, 4
+#: Null replays of each episode; at most `WORLDS` of them differ in their true start, each measured as often with fresh
+#: noise. (By four nulls of one start, fresh nulls of a hand in chaotic contact lost 1.06 to 1.13 where their own level
+#: was 1.06; by four of as many starts 1.04 to 1.07 where it was 1.08 to 1.11.)
+REPLICAS, WORLDS = 16, 4
 #: Parts of the null replays that are left out in turn, to learn what a replay loses that had no say in the spread.
 PARTS = 4
 #: Share of a column's typical spread below which no episode's own spread is believed.
@@ -61,7 +61,7 @@ def null_recordings(
 
     The world starts where its own sensors would have read what was recorded.
     """
-    worlds = min(WORLDS, max(1, replicas // NOISES))
+    worlds = min(WORLDS, replicas)
     begin = true_start(replayer.scene, recs, begin, world)
     true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
     qpos, qvel = true.qpos0, true.qvel0
