@@ -136,7 +136,9 @@ class Effect:
         `scene -> names` of what it can act on alone (joints, fingertips, geoms); none where it has no elements.
     unread : callable, optional
         `(scene, x (d,), element, readings) -> readings` turns what was read at rest into what is true, `(..., D)` a
-        channel: where a replay of a recording starts.
+        channel: where a replay of a recording starts, and what it follows.
+    late : callable, optional
+        `(scene, x (d,)) -> {channel: steps}` by how many control steps a channel is read late.
     fitted : bool
         Whether its numbers only come from a fit to recordings: never a candidate of a search, never drawn.
     early : bool
@@ -158,6 +160,7 @@ class Effect:
     moves: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
     unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
+    late: Callable[[Scene, Array], dict[str, float]] | None = None
     pace: Callable[[Scene, Array], float] | None = None
     fitted: bool = False
     early: bool = False

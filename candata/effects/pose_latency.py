@@ -55,6 +55,11 @@ def _apply(line: _Line, readings: dict[str, Array]) -> tuple[_Line, dict[str, Ar
     return line._replace(past=track[:, 1:]), {**readings, "object_pose": late}
 
 
+def _late(scene: Scene, x: Array) -> dict[str, float]:
+    """Return by how many control steps poses are late."""
+    return {"object_pose": float(x[0]) * scene.file.rate_hz}
+
+
 EFFECT = Effect(
     about="the object's pose is reported late",
     parameters=(
@@ -72,4 +77,5 @@ EFFECT = Effect(
     possible=_select.has_object,
     reading=Hook(_start, _apply),
     moves=("object_pose",),
+    late=_late,
 )

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import SETTLED, compared, forward, jointly, simplified, with_measured
-from candata.gap.shortlist import gains_share
+from candata.gap.shortlist import gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 from candata.gap.worth import LEFT, MOST, left_by
@@ -63,9 +63,9 @@ def attribute(problem: Problem) -> Attribution:
     if is_toss(problem.replayer.scene) or not found.remains or little:
         return found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
-    problem = replace(problem, simulated=True)
     held = found.first.fits[0].members if found.chosen else ()
     here = problem.residuals([problem.setting(held)])[0]
+    problem = looked_into(problem, here)
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
     other = _search(problem, look(problem, problem.nominal, (), found.first))

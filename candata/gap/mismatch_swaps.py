@@ -80,7 +80,9 @@ def ordered(values: Array, chosen: Index) -> Array:
 
 
 def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: Array) -> Swap | None:
-    """Return the exchange where it brings the scene's joints closer to the recorded ones.
+    """Return the exchange where it brings the scene's joints closer to the recorded ones, each of them.
+
+    Beside a dead joint, a small one that is asked to go far stops at its range: both together would come closer.
 
     Parameters
     ----------
@@ -91,7 +93,8 @@ def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: A
     """
     moved = chosen != np.arange(len(chosen))
     given, commands = (distances(p.joint - v, moved) for v in (own, commanded))
-    joints = distances(ordered(p.joint, chosen) - renamed, moved)
+    exchanged = ordered(p.joint, chosen) - renamed
+    joints = distances(exchanged, moved)
     best = np.minimum(commands, joints)
     away = distances(_from_zero(p.joint - own), moved)
     asked, against = best < CLOSER * away, given < CLOSER * best
@@ -99,6 +102,8 @@ def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: A
         return None
     holds = asked if against.any() else np.ones(len(given), bool)
     if holds.sum() < min(AT_LEAST, len(given)):
+        return None
+    if not any(_each_closer(off, p.joint - own, moved, holds) for off in (p.joint - commanded, exchanged)):
         return None
     as_commands, as_joints = (float(np.median(v[holds])) for v in (commands, joints))
     channels = [("action", as_joints), ("joint_position", as_commands)]
@@ -140,6 +145,13 @@ def distances(off: Array, some: NDArray[np.bool_]) -> Array:
     part = off[..., some]
     seen = np.isfinite(part)
     return np.sqrt((np.where(seen, part, 0.0) ** 2).sum((1, 2)) / np.maximum(seen.sum((1, 2)), 1))
+
+
+def _each_closer(off: Array, given: Array, some: NDArray[np.bool_], episodes: NDArray[np.bool_]) -> bool:
+    """Tell whether each of some joints is off by less than it is as given, in the median of some episodes."""
+    alone = [np.arange(off.shape[2]) == j for j in np.flatnonzero(some)]
+    each = [(distances(off[episodes], one), distances(_from_zero(given[episodes]), one)) for one in alone]
+    return all(bool(np.median(now) < np.median(before)) for now, before in each)
 
 
 def _from_zero(off: Array) -> Array:

@@ -14,7 +14,7 @@ from candata.gap.starts import Starts, is_toss, starts
 from candata.rotation import normalise
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate import Observer, rollout, unread
+from candata.simulate import Observer, followed, rollout, unread
 
 Array = NDArray[np.float64]
 EffectSet = tuple[EffectSetting, ...]
@@ -78,8 +78,7 @@ def _batch(
 ) -> list[dict[str, Array]]:
     """Return the readings of variants that are stepped together."""
     scene, count, copies = replayer.scene, len(recs), len(variants)
-    shifted = {n: _shift(v, begin.rows) for n, v in recs.readings.items()}
-    observer = None if is_toss(scene) else Observer({n: _tile(v, copies) for n, v in shifted.items()})
+    observer = None if is_toss(scene) else Observer(_followed(scene, recs, begin, variants))
     effects = [v for v in variants for _ in range(count)]
     commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
     states = [true_start(scene, recs, begin, v) for v in variants]
@@ -99,6 +98,12 @@ def _batch(
     if keep_state:
         found["qpos"] = played.qpos
     return [{n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)]
+
+
+def _followed(scene: Scene, recs: Recordings, begin: Starts, variants: Sequence[EffectSet]) -> dict[str, Array]:
+    """Return what an observer follows in each variant, `(V x E, T, ...)` a channel, row 0 where the replay starts."""
+    true = [followed(scene, recs.readings, some) for some in variants]
+    return {n: np.concatenate([_shift(one[n], begin.rows) for one in true]) for n in recs.readings}
 
 
 def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -> Starts:

@@ -26,7 +26,7 @@ from candata.gap.replay import EffectSet, Replayer, _shift, true_start
 from candata.gap.starts import Starts
 from candata.rotation import conjugate, difference, rotate
 from candata.scenes import Scene
-from candata.simulate import Observer, rollout, unread
+from candata.simulate import Observer, followed, rollout
 
 Array = NDArray[np.float64]
 #: Bandwidth of the pull [rad/s], critically damped; well below the control rate, above hand motions.
@@ -94,7 +94,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         Effects of the simulator that is to follow: none, or the repaired one's.
     """
     scene = replayer.scene
-    true = recs.readings | unread(scene, recs.readings, world)
+    true = followed(scene, recs.readings, world)
     shifted = {name: _shift(values, begin.rows) for name, values in true.items()}
     target = _target(scene, shifted, recs)
     state = true_start(scene, recs, begin, world)

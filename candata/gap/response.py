@@ -112,9 +112,20 @@ class Curve:
         return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid()])
 
     def fitter(self, score: Score) -> Fitter:
-        """Return the function that gives the coordinate `(1,)` with the least mean loss over training episodes."""
-        table, grid = self.table(score), self.grid()
-        return lambda train: grid[[int(np.argmin(table[:, train].mean(1)))]]
+        """Return the function that gives the coordinate `(1,)` with the least mean loss over training episodes.
+
+        Between the points at which losses are read it is the vertex of the parabola through the best and its two
+        neighbours: of two aliases, the one whose points happen to lie nearer the truth would seem to explain more.
+        """
+        table, grid, own = self.table(score), self.grid(), self.who.neutral[0]
+
+        def best(train: Index) -> Array:
+            loss = table[:, train].mean(1)
+            i = int(np.argmin(loss))
+            inside = 0 < i < len(grid) - 1 and not self.who.choices and abs(grid[i] - own) > SAME
+            return np.array([_vertex(grid[i - 1 : i + 2], loss[i - 1 : i + 2]) if inside else grid[i]])
+
+        return best
 
 
 @dataclass(frozen=True)
@@ -163,6 +174,15 @@ class Plane:
             now = z + np.tensordot(step.astype(np.float32), slope, 1)
             step = _solve(slope, z, weights(now / np.float32(scale)), ridge)
         return np.clip(self.at + step, self.low, self.high)
+
+
+def _vertex(at: Array, loss: Array) -> float:
+    """Return where the parabola through three points `(3,)` is least, the middle one lying lowest."""
+    (a, m, b), (fa, fm, fb) = at, loss
+    left, right = (m - a) * (fm - fb), (m - b) * (fm - fa)
+    if left == right:
+        return float(m)
+    return float(np.clip(m - 0.5 * ((m - a) * left - (m - b) * right) / (left - right), a, b))
 
 
 def _ridge(slope: Compact, span: Array) -> Array:

@@ -35,7 +35,8 @@ class Problem:
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
     set where only a few of the episodes are looked at, and fewer signatures do; `few` keeps what was simulated there,
     as some of it is asked for again; `simulated` is set where every candidate is simulated on the recording, its
-    signature set aside; `pace` tells how far the search is.
+    signature set aside, and `telling` where other episodes are looked at first than usual; `pace` tells how far the
+    search is.
     """
 
     replayer: Replayer
@@ -54,6 +55,7 @@ class Problem:
     measured: Members = ()
     brief: bool = False
     simulated: bool = False
+    telling: Index | None = None
     few: dict[tuple[tuple[str, ...], str], Compact] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
 

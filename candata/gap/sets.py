@@ -19,7 +19,7 @@ from candata.gap.response import Plane
 from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.shortlist import brief, gains_share
+from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
@@ -157,7 +157,7 @@ def _beside(problem: Problem, members: Members, here: Compact) -> Stage:
     if problem.simulated or is_toss(problem.replayer.scene) or _is_promising(stage):
         return stage
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
-    other = look(replace(problem, simulated=True), here, members, stage)
+    other = look(looked_into(problem, here), here, members, stage)
     return other if other.best_gain > stage.best_gain else stage
 
 

@@ -25,6 +25,8 @@ Responses = list[tuple[Candidate, Curve | Plane]]
 #: Episodes that are looked at first, and how many times as many there must be for it to be worth while. On six, true
 #: effects that stand out at all kept their rank (17 drawn cases of 20 episodes; four gave up one rank in one of them).
 FEW, WORTHWHILE = 6, 2
+#: Most episodes of one task among those that are most telling. Chosen.
+EACH = 3
 #: Share of the best gain on those from which a candidate is looked at in full: alone, and beside others, where
 #: signatures say less. (Of 52 drawn single causes that could be seen, 50 gained 0.58 of the best at least, and one so
 #: much only where it was fitted.)
@@ -180,7 +182,7 @@ def brief(problem: Problem) -> tuple[Problem, Index]:
 
     Tosses are short, and where one lands decides what it shows: all of them are looked at.
     """
-    index = few(problem.recs.tasks)
+    index = few(problem.recs.tasks) if problem.telling is None else problem.telling
     if is_toss(problem.replayer.scene) or WORTHWHILE * len(index) > len(problem.recs):
         return problem, np.arange(len(problem.recs))
     return taken(problem, index), index
@@ -196,6 +198,24 @@ def few(tasks: Sequence[str]) -> Index:
     return np.sort([i for _, i in sorted(turns)[: max(FEW, len(seen))]])
 
 
+def looked_into(problem: Problem, here: Compact) -> Problem:
+    """Return the problem in which every candidate is simulated on the recording, first on its most telling episodes.
+
+    Those are the ones of which the residuals `here (E, K)` leave most. What shows only where contact happens so, as a
+    fingertip that twists too easily, may show in none of the few that all recordings of the same commands share.
+    """
+    left = problem.score.loss(here)
+    each: Counter[str] = Counter()
+    found: list[int] = []
+    for i in np.argsort(-left):
+        if len(found) < FEW and each[problem.recs.tasks[i]] < EACH:
+            each[problem.recs.tasks[i]] += 1
+            found.append(int(i))
+    # Of one task alone there are no others to take.
+    found += [int(i) for i in np.argsort(-left) if int(i) not in found][: FEW - len(found)]
+    return replace(problem, simulated=True, telling=np.sort(found))
+
+
 def taken(problem: Problem, index: Index) -> Problem:
     """Return the problem that some of the episodes pose."""
     return replace(
@@ -209,4 +229,5 @@ def taken(problem: Problem, index: Index) -> Problem:
         before={name: values[index] for name, values in problem.before.items()},
         raw=problem.raw[index],
         brief=True,
+        telling=None,
     )

@@ -1,4 +1,4 @@
-"""Sweep all joints through the air, slowly and fast, away from the object."""
+"""Sweep all joints through the air, slowly and fast, then jump: away from the object."""
 
 from __future__ import annotations
 
@@ -10,16 +10,28 @@ from candata.scenes import Scene
 
 #: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
 AWAY_M = 0.14
+#: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the range;
+#: how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos leaves
+#: nothing on a sweep alone, and with the jumps 0.6 to 2.2 floors of that motion, on four hands.)
+SWEPT, STROKE, END_S = 0.7, 0.8, 0.25
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
-    """Return the plan: sines whose rate rises from slow reversals (friction) to fast ones (delay, inertia)."""
+    """Return the plan: sines whose rate rises from slow reversals (friction) to fast ones (delay, inertia), then jumps.
+
+    A motor that must jump is at its limit until the joint arrives: only there do a servo's own terms differ from the
+    joint's, and which motor is weak shows.
+    """
     hand, t = p.postures(scene), p.times(scene, duration_s)
     commands = np.repeat(hand.open[None], len(t), axis=0)
-    travel = 0.9 * hand.sweep
+    travel, until = 0.9 * hand.sweep, SWEPT * duration_s
     slow, fast = rng.uniform(0.3, 0.6, len(travel)), rng.uniform(1.5, 3.0, len(travel))
-    phase = 2 * np.pi * (slow * t[:, None] + (fast - slow) * t[:, None] ** 2 / (2 * duration_s))
-    commands += p.blend(t, 0, 0.3)[:, None] * 0.5 * (1 - np.cos(phase)) * travel
+    phase = 2 * np.pi * (slow * t[:, None] + (fast - slow) * t[:, None] ** 2 / (2 * until))
+    swept = p.blend(t, 0, 0.3) - p.blend(t, until - END_S, END_S)
+    commands += swept[:, None] * 0.5 * (1 - np.cos(phase)) * travel
+    # Each joint at its own time: of commands that are all alike, which joint follows which could not be told.
+    out = until + (duration_s - until) * (rng.uniform(0.0, 0.3, len(travel)) + np.array([[0.0], [0.45]]))
+    commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * STROKE * p.far(scene, hand.open)
     aside = _apart(scene, hand, commands)
     if hand.rails.away is not None:
         rails = hand.rails.columns
@@ -65,9 +77,6 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) 
 
 def _jumps(share: float, rate_hz: float | None) -> Planner:
     """Return a planner of jumps from the open hand towards the far end of each joint's range and back.
-
-    A motor that must jump is at its limit until the joint arrives: only there do a servo's own terms differ from the
-    joint's, and which motor is weak shows.
 
     Parameters
     ----------

@@ -3,6 +3,6 @@
 from candata.simulate.loop import Trajectory, at_rest, rollout
 from candata.simulate.observer import Observer
 from candata.simulate.seal import open_seal
-from candata.simulate.world import unread
+from candata.simulate.world import followed, unread
 
-__all__ = ["Observer", "Trajectory", "at_rest", "open_seal", "rollout", "unread"]
+__all__ = ["Observer", "Trajectory", "at_rest", "followed", "open_seal", "rollout", "unread"]

@@ -158,7 +158,8 @@ class _Run:
         touches, sizes, states = [], [], []
         failed = np.full(self.n, count)
         for k in range(count):
-            readings = self._filter("reading", self._readings(force))
+            state = self._readings(force)
+            readings = self._filter("reading", dict(state))
             for name, value in readings.items():
                 rows.setdefault(name, []).append(value)
             touches.append(touch)
@@ -166,7 +167,7 @@ class _Run:
             if keep:
                 states.append((self.qpos.copy(), self.qvel.copy()))
             if observer is not None:
-                correct(scene, observer, k, readings, touch, self.qpos)
+                correct(scene, observer, k, state, touch, self.qpos)
             if k + 1 < count:
                 held = np.repeat(commands[:, k][:, None], scene.substeps, axis=1)
                 held[drifting] = own_time[:, k]

@@ -21,8 +21,8 @@ class Observer:
     Attributes
     ----------
     recorded : mapping of str to ndarray
-        `joint_position (n, T, J)`, `object_pose (n, T, 7)`; channels that are missing are not followed. Rows that
-        are not finite are skipped.
+        `joint_position (n, T, J)`, `object_pose (n, T, 7)` as the recording says that they truly were, see `followed`;
+        channels that are missing are not followed. Rows that are not finite are skipped.
     joint_gain, pose_gain : float
         Share of the error removed each control step.
     free_gain : float
@@ -43,17 +43,17 @@ def correct(
     scene: Scene,
     observer: Observer,
     row: int,
-    readings: Mapping[str, Array],
+    state: Mapping[str, Array],
     touch: NDArray[np.bool_],
     qpos: Array,
 ) -> None:
-    """Pull `qpos (n, nq)` in place towards the recording at `row`, by what the sensors read."""
-    if "joint_position" in observer.recorded and "joint_position" in readings:
-        error = observer.recorded["joint_position"][:, row] - readings["joint_position"]
+    """Pull `qpos (n, nq)` in place towards the recording at `row`; `state` is what perfect sensors read of it."""
+    if "joint_position" in observer.recorded and "joint_position" in state:
+        error = observer.recorded["joint_position"][:, row] - state["joint_position"]
         qpos[:, scene.joint_qpos] += observer.joint_gain * np.nan_to_num(error)
-    if "object_pose" not in observer.recorded or "object_pose" not in readings:
+    if "object_pose" not in observer.recorded or "object_pose" not in state:
         return
-    target, now = observer.recorded["object_pose"][:, row], readings["object_pose"]
+    target, now = observer.recorded["object_pose"][:, row], state["object_pose"]
     seen = np.asarray(np.isfinite(target).all(1))
     target = np.where(seen[:, None], target, now)
     shift, turn = target[:, :3] - now[:, :3], difference(target[:, 3:], now[:, 3:])

@@ -94,6 +94,37 @@ def unread(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dic
     return out
 
 
+def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dict[str, Array]:
+    """Return what an observer follows where `readings` was read in a world with some effects: what is true, on time.
+
+    Pulled by what comes late, a state swings about its recording, and an object that lies still would seem to speak
+    against a latency. Taken off are whole control steps: in between, two readings had less noise than one.
+
+    Parameters
+    ----------
+    scene : Scene
+    readings : mapping of str to ndarray
+        `object_pose (E, T, 7)`, `joint_position (E, T, J)`; others pass through.
+    some : sequence of EffectSetting
+        Effects of the world.
+
+    Returns
+    -------
+    dict of str to ndarray
+        NaN in the last rows of a channel that is late.
+    """
+    out = unread(scene, readings, some)
+    for s in some:
+        hook = effect(s.name).late
+        for channel, steps in hook(scene, flatten(s, scene)).items() if hook is not None else ():
+            whole = int(steps)
+            if whole and channel in out:
+                ahead = np.full_like(out[channel], np.nan)
+                ahead[:, :-whole] = out[channel][:, whole:]
+                out[channel] = ahead
+    return out
+
+
 def _filters(scene: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
     """Return the filters of one effect: several where a simulation has it on several elements."""
     layers = max(sum(s.name == name for s in some) for some in effects)

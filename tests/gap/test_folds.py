@@ -88,8 +88,8 @@ def test_a_planted_scalar_is_found_by_every_fold(white_score, rng):
     # The recording holds the effect at 1: the residual is the null at 1, and grows away from it.
     moved = replace(clean, z=np.roll(clean.z, 1, axis=0)[1:], at=clean.at[1:])
     found = cross_fit(moved, level, folds(("",) * E, rng), level.loss(moved.read(np.zeros(1))))
-    # 540 training values of slope 2 know the point to 0.02; it is read off every sixth of a spacing.
-    np.testing.assert_allclose(found.points, 1.0, atol=1e-9)
+    # 540 training values of slope 2 know the point to 0.02.
+    np.testing.assert_allclose(found.points, 1.0, atol=0.06)
     assert found.gain.mean() > 0.5
 
 

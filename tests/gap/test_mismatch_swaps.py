@@ -37,3 +37,14 @@ def test_joints_that_move_as_the_others_command_are_exchanged_whatever_their_off
     some = own.copy()
     some[:2] = ordered(own, EXCHANGE)[:2]
     assert judged(some, own).episodes == (True, True, False, False)
+
+
+def test_a_dead_joint_is_not_exchanged_with_a_small_one():
+    """The small one, asked to go as far as the other, stops at its range: nearer to it than the dead one to its own."""
+    far, small = 0.5 + 0.5 * np.sin(4 * TIME), 0.05 * np.sin(3 * TIME)
+    own = np.repeat(np.stack([far, small], 1)[None], 4, axis=0)
+    dead = np.stack([np.zeros_like(own[..., 0]), own[..., 1]], 2)
+    commanded = np.stack([own[..., 1], np.minimum(own[..., 0], 0.1)], 2)
+    away, closer = (distances(dead - v, np.ones(2, bool)) for v in (own, commanded))
+    assert (closer < 0.5 * away).all()
+    assert confirmed(SimpleNamespace(joint=dead), EXCHANGE, own, commanded, own) is None

@@ -62,6 +62,7 @@ def test_a_search_is_made_again_of_half_the_gap_and_half_a_floor_or_where_nothin
     first = replace(poor, chosen=poor.first.fits[0]) if named else poor
     made = searches(monkeypatch, first=first, second=poor)
     monkeypatch.setattr(attribution, "_left", lambda problem, found: (share, floors))
+    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
     attribute(problem)
     assert made == [False, True][: 1 + again]
 

@@ -7,6 +7,7 @@ import pytest
 
 from candata.policies import policy, policy_names
 from candata.policies._drive import command_range
+from candata.policies.free_sweep import SWEPT
 from candata.scenes import load_scene
 from candata.simulate.episodes import Job, make_episodes
 
@@ -93,11 +94,21 @@ def test_every_policy_can_act_somewhere():
 def test_joints_follow_their_targets_in_the_free_sweep(episodes, hand):
     for e in episodes["free_sweep"]:
         error = e["joint_position"] - e["action"]
-        assert np.sqrt((error[:, 3:] ** 2).mean()) < 0.1, "hinges [rad]"
+        swept = round(SWEPT * len(error))
+        assert np.sqrt((error[:swept, 3:] ** 2).mean()) < 0.1, "hinges [rad]"
         assert np.abs(error[:, :3]).max() < 0.02, "wrist [m]"
-        moving = e["action"].std(0) > 0.02
+        moving = e["action"][:swept].std(0) > 0.02
         for j in np.flatnonzero(moving & np.isin(np.arange(15), hand.driven_hinges)):
-            assert np.corrcoef(e["joint_position"][:, j], e["action"][:, j])[0, 1] > 0.9
+            assert np.corrcoef(e["joint_position"][:swept, j], e["action"][:swept, j])[0, 1] > 0.9
+
+
+def test_the_jumps_at_the_end_of_the_sweep_drive_every_motor_to_its_limit(episodes, hand):
+    model, ids = hand.model, hand.actuator_ids
+    for e in episodes["free_sweep"]:
+        error = (e["action"] - e["joint_position"])[round(SWEPT * len(e)) :]
+        asked = np.abs(error * model.actuator_gainprm[ids, 0]).max(0)
+        hinges = np.isin(np.arange(len(ids)), hand.driven_hinges)
+        assert (asked > model.actuator_forcerange[ids, 1])[hinges].all()
 
 
 def test_the_free_sweep_touches_nothing(episodes):
