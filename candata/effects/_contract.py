@@ -137,8 +137,9 @@ class Effect:
     unread : callable, optional
         `(scene, x (d,), element, readings) -> readings` turns what was read at rest into what is true, `(..., D)` a
         channel: where a replay of a recording starts, and what it follows.
-    late : callable, optional
-        `(scene, x (d,)) -> {channel: steps}` by how many control steps a channel is read late.
+    on_time : callable, optional
+        `(scene, x (d,), element, readings) -> readings` takes a delay off readings `(E, T, D)` a channel; NaN in the
+        last rows, whose readings had not come yet.
     fitted : bool
         Whether its numbers only come from a fit to recordings: never a candidate of a search, never drawn.
     early : bool
@@ -160,7 +161,7 @@ class Effect:
     moves: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
     unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
-    late: Callable[[Scene, Array], dict[str, float]] | None = None
+    on_time: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
     pace: Callable[[Scene, Array], float] | None = None
     fitted: bool = False
     early: bool = False

@@ -13,6 +13,7 @@ from candata.effects._contract import (
     Elements,
     Hook,
     Parameter,
+    Readings,
     always,
     fixed,
     spans,
@@ -47,17 +48,29 @@ def _apply(line: _Line, readings: dict[str, Array]) -> tuple[_Line, dict[str, Ar
     share = (line.steps - whole)[:, None]
     rows = np.arange(len(pose))
     new, old = track[rows, line.history - whole], track[rows, line.history - whole - 1]
-    sign = np.where((new[:, 3:] * old[:, 3:]).sum(1, keepdims=True) < 0, -1.0, 1.0)
-    position = (1 - share) * new[:, :3] + share * old[:, :3]
-    turn = normalise((1 - share) * new[:, 3:] + share * sign * old[:, 3:])
     # A world without latency keeps its bits whoever is simulated beside it.
-    late = np.where((line.steps == 0)[:, None], pose, np.concatenate([position, turn], axis=1))
+    late = np.where((line.steps == 0)[:, None], pose, _between(new, old, share))
     return line._replace(past=track[:, 1:]), {**readings, "object_pose": late}
 
 
-def _late(scene: Scene, x: Array) -> dict[str, float]:
-    """Return by how many control steps poses are late."""
-    return {"object_pose": float(x[0]) * scene.file.rate_hz}
+def _between(one: Array, other: Array, share: Array | float) -> Array:
+    """Return poses `(..., 7)` at a share of the way from one to the other."""
+    sign = np.where((one[..., 3:] * other[..., 3:]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    position = (1 - share) * one[..., :3] + share * other[..., :3]
+    turn = normalise((1 - share) * one[..., 3:] + share * sign * other[..., 3:])
+    return np.concatenate([position, turn], axis=-1)
+
+
+def _on_time(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
+    """Return the readings `(E, T, D)` with poses as long before as they were late; NaN where they had not come yet."""
+    steps = float(x[0]) * scene.file.rate_hz
+    if "object_pose" not in readings or steps == 0:
+        return readings
+    pose, whole = readings["object_pose"], int(steps)
+    ahead, rows = np.full_like(pose, np.nan), pose.shape[1] - whole - 1
+    if rows > 0:
+        ahead[:, :rows] = _between(pose[:, whole : whole + rows], pose[:, whole + 1 :], steps - whole)
+    return {**readings, "object_pose": ahead}
 
 
 EFFECT = Effect(
@@ -77,5 +90,5 @@ EFFECT = Effect(
     possible=_select.has_object,
     reading=Hook(_start, _apply),
     moves=("object_pose",),
-    late=_late,
+    on_time=_on_time,
 )

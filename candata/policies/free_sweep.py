@@ -10,9 +10,9 @@ from candata.scenes import Scene
 
 #: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
 AWAY_M = 0.14
-#: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the range;
-#: how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos leaves
-#: nothing on a sweep alone, and with the jumps 0.6 to 2.2 floors of that motion, on four hands.)
+#: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the
+#: range; how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos
+#: leaves nothing on a sweep alone, and with the jumps 0.3 to 1.2 floors of that motion, on four hands.)
 SWEPT, STROKE, END_S = 0.7, 0.8, 0.25
 
 

@@ -98,7 +98,7 @@ def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> d
     """Return what an observer follows where `readings` was read in a world with some effects: what is true, on time.
 
     Pulled by what comes late, a state swings about its recording, and an object that lies still would seem to speak
-    against a latency. Taken off are whole control steps: in between, two readings had less noise than one.
+    against a latency.
 
     Parameters
     ----------
@@ -115,13 +115,9 @@ def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> d
     """
     out = unread(scene, readings, some)
     for s in some:
-        hook = effect(s.name).late
-        for channel, steps in hook(scene, flatten(s, scene)).items() if hook is not None else ():
-            whole = int(steps)
-            if whole and channel in out:
-                ahead = np.full_like(out[channel], np.nan)
-                ahead[:, :-whole] = out[channel][:, whole:]
-                out[channel] = ahead
+        hook = effect(s.name).on_time
+        if hook is not None:
+            out = hook(scene, flatten(s, scene), s.element, out)
     return out
 
 

@@ -78,6 +78,25 @@ def test_the_observer_pulls_a_wrong_start_back_at_its_gain(hand, plain_recording
     np.testing.assert_allclose(error, off * (1 - gain) ** np.arange(rows), atol=0.01 * off)
 
 
+@pytest.mark.parametrize("steps", [3.0, 5.6])
+def test_a_latency_leaves_as_much_noise_in_the_replay_of_a_resting_object(hand, plain_recordings, planted, steps):
+    """Pulled by readings that are late, it would swing about its recording: 1.3 times as far at 3 rows, 1.5 at 6."""
+    rows, count, sd = 200, 16, 0.001
+    qpos, qvel = at_rest(hand, 1)
+    joints = np.repeat(np.repeat(qpos[:, None, hand.joint_qpos], rows, axis=1), count, axis=0)
+    still = rollout(hand, joints[:1], qpos, qvel, [()]).readings
+    noisy = {n: np.repeat(v, count, axis=0) for n, v in still.items()}
+    noisy["object_pose"][..., :2] += sd * np.random.default_rng(1).standard_normal((count, rows, 2))
+    recs = plain_recordings(commands=joints, **noisy)
+    begin = Starts(*(np.repeat(v, count, axis=0) for v in (np.zeros(1, int), qpos, qvel, qpos, qvel)))
+    world = planted("pose_latency", latency_s=steps / hand.file.rate_hz)
+    found = [replay(Replayer(hand), recs, begin, [some])[0]["object_pose"] for some in ((), world)]
+    off = [np.std((p - noisy["object_pose"])[:, 20:180, :2].reshape(count, -1, 4, 2).mean(2)) for p in found]
+    # The first rows of the replay come before what is late: what is left out at both ends is the same. Block means of
+    # 640 values know their spread to 3 %.
+    assert off[1] == pytest.approx(off[0], rel=0.03)
+
+
 def test_a_gap_in_the_recording_pulls_nothing(hand, plain_recordings):
     rows = 20
     qpos, qvel = at_rest(hand, 1)

@@ -17,7 +17,18 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.search import Fit
-from candata.gap.shortlist import FEW, FITTED, MOST, _fitted_gain, _gains, brief, few, reconsidered, screened
+from candata.gap.shortlist import (
+    FEW,
+    FITTED,
+    MOST,
+    _fitted_gain,
+    _gains,
+    brief,
+    few,
+    looked_into,
+    reconsidered,
+    screened,
+)
 from candata.gap.stage import typical
 
 
@@ -43,6 +54,18 @@ def test_the_few_are_the_problem_of_those_episodes(posed):
     assert len(index) == FEW
     assert np.array_equal(part.nominal, posed.nominal[index])
     assert part.recs.ids == tuple(posed.recs.ids[i] for i in index)
+    assert brief(part)[0] is part
+
+
+def test_where_all_is_simulated_the_episodes_that_leave_most_come_first(posed):
+    left = np.arange(len(posed.recs), dtype=float)
+    here = np.sqrt(left).astype(np.float32)[:, None] * np.ones_like(posed.nominal)
+    alike = looked_into(replace(posed, recs=replace(posed.recs, tasks=("a",) * len(left))), here)
+    assert alike.simulated
+    assert brief(alike)[1].tolist() == [6, 7, 8, 9, 10, 11]
+    mixed = looked_into(replace(posed, recs=replace(posed.recs, tasks=tuple("abcabcabcccc"))), here)
+    part, index = brief(mixed)
+    assert index.tolist() == [4, 6, 7, 9, 10, 11], "at most three of a task"
     assert brief(part)[0] is part
 
 
