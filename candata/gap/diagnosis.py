@@ -184,7 +184,7 @@ def _problem(
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
-    shelf = library(replayer, recs, begin, plan, cache, progress)
+    shelf = library(replayer, recs, begin, plan, raw, cache, progress)
     kind, noise, notes = sensor_noise(replayer.scene.file.noise, recs, readings)
     recs = replace(recs, notes=(*recs.notes, *notes))
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan)

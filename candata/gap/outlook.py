@@ -14,10 +14,11 @@ LATER = 80
 def say_outlook(problem: Problem) -> None:
     """Tell that the search begins and what it takes, with signatures that are not kept yet, one cause and more."""
     lacking = [part for part, some in wanted(problem, "first") if part.library.lacks(some)]
-    looks = SIGNATURE * sum(len(part.recs) for part in lacking) / len(problem.recs)
+    each = SIGNATURE if problem.library.folder else 1.0
+    looks = each * sum(len(part.recs) for part in lacking) / len(problem.recs)
     further = problem.pace.range_of(ANOTHER)
     more = f"; each further cause {further} more" if further else ""
     if lacking:
         more += f"; {len(lacking)} effects to simulate first"
-    later = SIGNATURE * LATER if lacking else 0.0
+    later = each * LATER if lacking else 0.0
     problem.pace.say("searching effects", Span(ONE.least + looks, ONE.most + looks + later), more)

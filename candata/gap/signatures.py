@@ -4,6 +4,9 @@ A signature is the residual that a recording made in a world with the effect wou
 what a recording of the nominal scene shows: world, readings, start and observer are those of a diagnosis. It depends
 on commands and starts, the scene and the effect, not on what was recorded, so that diagnoses of the same commands
 share it.
+
+Where none are kept for others, what an effect does is read off the recording itself: by how much its residual falls
+when it is replayed with the effect. That is half of the simulations, and exact where it was simulated.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from numpy.typing import NDArray
 from candata.effects import effect
 from candata.gap.floor import null_residuals
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, replay_all, true_start
+from candata.gap.replay import BATCH, EffectSet, Replayer, replay_all, true_start
 from candata.gap.residuals import Layout, residual
 from candata.gap.starts import Starts, starts
 from candata.scenes import Scene
@@ -66,10 +69,10 @@ class Library:
         Where the worlds start: as recorded, or as in an earlier set of the same commands.
     plan : Layout
         Blocks of the residuals, without phases.
-    nominal : (E, B, D) float32
-        Residual of a recording of the nominal scene.
+    raw : (E, B, D) float64
+        Residual of the recordings under the nominal replay.
     folder : Path, optional
-        Where signatures are kept; None keeps none.
+        Where signatures are kept; None keeps none, and reads what effects do off the recordings.
     memo : dict
         What this diagnosis has simulated or read so far.
     parts : dict
@@ -85,7 +88,7 @@ class Library:
     recs: Recordings
     begin: Starts
     plan: Layout
-    nominal: Compact
+    raw: Array
     folder: Path | None
     memo: dict[str, Compact] = field(default_factory=dict)
     parts: dict[tuple[int, ...], Library] = field(default_factory=dict)
@@ -98,22 +101,36 @@ class Library:
         if key not in self.parts:
             root = self.folder.parents[2] if self.folder else None
             begin, plan = self.begin.take(index), self.plan.take(index)
-            part = library(self.replayer, self.recs.take(index), begin, plan, root, self.told)
+            part = library(self.replayer, self.recs.take(index), begin, plan, self.raw[index], root, self.told)
             self.parts[key] = replace(part, own=self.own)
         return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
+        # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
+        order = np.random.default_rng(os.getpid()).permutation(len(settings)) if self.folder else range(len(settings))
+        each = 1 if self.folder else max(1, BATCH // len(self.recs))
         found: dict[int, Compact] = {}
         begun = told_s = time.monotonic()
-        # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
-        for i in np.random.default_rng(os.getpid()).permutation(len(settings)):
-            found[int(i)] = self._signature(settings[i])
+        for first in range(0, len(settings), each):
+            some = [int(i) for i in order[first : first + each]]
+            made = (
+                [self._signature(settings[i]) for i in some] if self.folder else self._seen([settings[i] for i in some])
+            )
+            found.update(zip(some, made, strict=True))
             now = time.monotonic()
             if now - told_s > TOLD_S and len(found) < len(settings):
                 told_s, left = now, (now - begun) / len(found) * (len(settings) - len(found))
                 self.told(f"simulating effects: {len(found)} of {len(settings)}, about {left:.0f} s left of these")
         return [found[i] for i in range(len(settings))]
+
+    def _seen(self, settings: Sequence[EffectSet]) -> list[Compact]:
+        """Return by how much the residuals of the recordings fall with each effect set, replayed or from memory."""
+        new = {self._name(some): some for some in settings if self._name(some) not in self.memo}
+        played = replay_all(self.replayer, self.recs, self.begin, list(new.values()))
+        for name, readings in zip(new, played, strict=True):
+            self.memo[name] = (self.raw - residual(self.recs, self.plan, readings)).astype(np.float32)
+        return [self.memo[self._name(some)] for some in settings]
 
     def lacks(self, some: EffectSet) -> bool:
         """Tell whether the cache has no file for a signature."""
@@ -123,11 +140,15 @@ class Library:
     def keep(self, some: EffectSet) -> None:
         """Simulate a signature into the cache, unless it is there; nothing of it stays in memory."""
         if _read(self._file(self._name(some))) is None:
-            _keep(self._file(self._name(some)), residual=self._residual(some) - self.nominal)
+            _keep(self._file(self._name(some)), residual=self._residual(some) - self._nominal())
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
-        return self._kept(self._name(some), lambda: self._residual(some) - self.nominal)
+        return self._kept(self._name(some), lambda: self._residual(some) - self._nominal())
+
+    def _nominal(self) -> Compact:
+        """Return the residual of a recording of the nominal scene."""
+        return self._kept("nominal", lambda: self._residual(()))
 
     def _name(self, some: EffectSet) -> str:
         """Return what names a signature: the effects, and whether the start is what they read."""
@@ -172,17 +193,17 @@ def library(
     recs: Recordings,
     begin: Starts,
     plan: Layout,
+    raw: Array,
     root: Path | None,
     told: Callable[[str], None] = lambda stage: None,
 ) -> Library:
-    """Return the library of a set of recordings; `root` is the cache's folder, None keeps nothing."""
+    """Return the library of recordings whose nominal residual is `raw`; `root` is the cache's folder, None has none."""
     flat = replace(plan, phase=np.zeros_like(plan.phase))
     folder, shared = None, begin
     if root is not None:
         folder, shared = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)
-    blank = Library(replayer, recs, shared, flat, np.zeros(1, np.float32), folder, told=told, own=own)
-    return replace(blank, nominal=blank._kept("nominal", lambda: blank._residual(())))
+    return Library(replayer, recs, shared, flat, raw, folder, told=told, own=own)
 
 
 def alike(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:

@@ -169,7 +169,7 @@ def problem(arm, arm_episodes, planted):
     spread = floor(replayer, recs, begin, plan, arm.file.noise, rng, 4)
     raw = residual(recs, plan, readings)
     level = score(raw, spread, plan)
-    shelf = library(replayer, recs, begin, plan, None)
+    shelf = library(replayer, recs, begin, plan, raw, None)
     return Problem(replayer, recs, begin, plan, level, [], arm.file.noise, "declared", rng, shelf, readings, raw)
 
 
