@@ -41,7 +41,7 @@ def respond(
     places = [_places(c, problem, held) for c in found]
     played = [tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
               for kind in (True, False)]  # fmt: skip
-    seen = problem.library.folder is None and not held
+    seen = not held and problem.library.folder is None
     moved = {
         True: iter(_moves(problem, here, played[0], held) if played[0] else ()),
         False: iter(problem.signatures(played[1]) if played[1] else ()),

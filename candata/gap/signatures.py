@@ -203,7 +203,10 @@ def library(
     if root is not None:
         folder, shared = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)
-    return Library(replayer, recs, shared, flat, raw, folder, told=told, own=own)
+    made = Library(replayer, recs, shared, flat, raw, folder, told=told, own=own)
+    if folder is not None:
+        made._nominal()  # which all signatures need
+    return made
 
 
 def alike(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:

@@ -19,10 +19,16 @@ from candata.gap.search import Problem, fit_one
 
 
 @pytest.fixture(scope="module")
-def problem(arm, arm_episodes, planted):
+def problem(arm, arm_episodes, planted, tmp_path_factory):
     """The problem that an arm with dry joints poses."""
     episodes = arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)
-    return _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    return _problem(
+        Replayer(arm),
+        recordings(arm, episodes),
+        np.random.default_rng(0),
+        tmp_path_factory.mktemp("kept"),
+        lambda stage: None,
+    )
 
 
 @pytest.fixture

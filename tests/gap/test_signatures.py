@@ -23,25 +23,40 @@ def still(arm, arm_episodes):
 
 
 def shelf(problem, root, begin=None):
-    return library(problem.replayer, problem.recs, begin or problem.begin, problem.plan, root)
+    return library(problem.replayer, problem.recs, begin or problem.begin, problem.plan, problem.raw, root)
 
 
-def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_episodes, still, planted):
+def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_episodes, still, planted, tmp_path):
     some = planted("joint_damping", damping_Nms_rad=0.4)
     recs = recordings(arm, arm_episodes(some, noise=False))
     seen = residual(recs, still.plan, replay_all(still.replayer, recs, still.begin, [()])[0])
-    (found,) = still.library.signatures([some])
+    (found,) = shelf(still, tmp_path).signatures([some])
     inside = np.isfinite(seen)
     # The recorded world began at the same place: only float32 lies between the two.
     assert found[inside] == pytest.approx(seen[inside], abs=1e-6)
     assert np.abs(seen[inside]).max() > 1e-3
 
 
-def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_episodes, planted):
+def test_where_none_are_kept_a_signature_is_what_the_effect_takes_off_the_recording(arm, arm_episodes, planted):
+    some = planted("joint_damping", damping_Nms_rad=0.4)
+    posed = _problem(
+        Replayer(arm), recordings(arm, arm_episodes(some)), np.random.default_rng(0), None, lambda stage: None
+    )
+    left = posed.raw - residual(posed.recs, posed.plan, replay_all(posed.replayer, posed.recs, posed.begin, [some])[0])
+    steps = []
+    counted = replace(posed.library, replayer=replace(posed.replayer, count=steps.append), memo={})
+    (found,) = counted.signatures([some])
+    inside = np.isfinite(left)
+    assert found[inside] == pytest.approx(left[inside], abs=1e-6)
+    # One replay of each episode, where a signature that is kept takes a recording beside it.
+    assert sum(steps) == posed.recs.commands.shape[0] * posed.recs.commands.shape[1] * arm.substeps
+
+
+def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_episodes, planted, tmp_path):
     """Of its own recording a library knows what was read; of another recording, shared, only the place."""
     some = planted("joint_offset", offset_rad=(0.08, -0.06))
     recs = recordings(arm, arm_episodes(some, noise=False))
-    own = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    own = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None)
     inside = np.isfinite(own.raw)
     (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))
     error, wrong = (np.abs(one[inside] - own.raw[inside]).max() for one in (found, other))
@@ -62,7 +77,7 @@ def test_only_the_recording_whose_start_it_is_owns_a_library(still, planted, tmp
 
 def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, tmp_path):
     some = planted("armature", armature_kgm2=0.01)
-    (fresh,) = shelf(still, None).signatures([some])
+    (fresh,) = shelf(still, tmp_path / "other").signatures([some])
     (made,) = shelf(still, tmp_path).signatures([some])
     steps = []
     counted = replace(still, replayer=replace(still.replayer, count=steps.append))
@@ -72,11 +87,14 @@ def test_the_cache_gives_what_was_simulated_without_simulating(still, planted, t
     assert steps == []
 
 
-def test_long_simulations_say_how_far_they_are(still, planted, monkeypatch):
+@pytest.mark.parametrize("kept", [True, False])
+def test_long_simulations_say_how_far_they_are(still, planted, monkeypatch, tmp_path, kept):
+    monkeypatch.setattr(signatures, "BATCH", len(still.recs))
     monkeypatch.setattr(signatures, "TOLD_S", 0.0)
     told = []
     some = [planted("armature", armature_kgm2=x) for x in (0.001, 0.002, 0.003)]
-    library(still.replayer, still.recs, still.begin, still.plan, None, told.append).signatures(some)
+    root = tmp_path if kept else None
+    library(still.replayer, still.recs, still.begin, still.plan, still.raw, root, told.append).signatures(some)
     assert [t.partition(",")[0] for t in told] == ["simulating effects: 1 of 3", "simulating effects: 2 of 3"]
     assert all(t.endswith(" s left of these") for t in told)
 
@@ -104,7 +122,7 @@ def test_starts_that_a_biased_sensor_could_have_read_share_signatures(still, tmp
 
 def test_other_commands_have_other_signatures(still, tmp_path):
     recs = replace(still.recs, commands=still.recs.commands + 1e-6)
-    other = library(still.replayer, recs, still.begin, still.plan, tmp_path)
+    other = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path)
     assert other.folder.parent != shelf(still, tmp_path).folder.parent
 
 
@@ -112,7 +130,7 @@ def test_a_slower_sensor_has_other_signatures(still, tmp_path):
     """Of the same commands: what is held between readings moves by other residuals, and so do its nulls."""
     rows = np.broadcast_to(np.arange(still.recs.commands.shape[1]) // 3 * 3, still.recs.commands.shape[:2])
     recs = [replace(still.recs, sources={"joint_position": some}) for some in (rows, np.maximum(rows - 1, 0))]
-    parts = [library(still.replayer, one, still.begin, still.plan, tmp_path) for one in (still.recs, *recs)]
+    parts = [library(still.replayer, one, still.begin, still.plan, still.raw, tmp_path) for one in (still.recs, *recs)]
     assert len({part.folder.parent for part in parts}) == 3
 
 
@@ -133,7 +151,7 @@ def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, tmp_path, 
     first = shelf(still, tmp_path)
     monkeypatch.setattr(signatures, "LIMIT_BYTES", 10)
     recs = replace(still.recs, commands=still.recs.commands + 1e-6)
-    second = library(still.replayer, recs, still.begin, still.plan, tmp_path)
+    second = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path)
     assert not first.folder.exists()
     assert second.folder.exists()
 
