@@ -149,8 +149,12 @@ def posed(
     only: tuple[str, ...] = (),
     progress: Progress = lambda stage: None,
     limit: Budget | None = None,
+    share: bool | None = None,
 ) -> Posed:
-    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose`."""
+    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose`.
+
+    `share` makes signatures for other recordings of the same commands, which by default are only taken, see `library`.
+    """
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng, scene = np.random.default_rng(seed), replayer.scene
@@ -162,7 +166,7 @@ def posed(
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
-    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit)
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit, share)
     return Posed(everything, untouched, replace(problem, ruled_out=problem.ruled_out | left_out))
 
 
@@ -173,6 +177,7 @@ def _problem(
     cache: Path | None,
     progress: Progress,
     limit: Budget | None = None,
+    share: bool | None = None,
 ) -> Problem:
     """Return the search problem."""
     progress("replaying the nominal scene")
@@ -184,7 +189,7 @@ def _problem(
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
-    shelf = library(replayer, recs, begin, plan, raw, cache, progress)
+    shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
     kind, noise, notes = sensor_noise(replayer.scene.file.noise, recs, readings)
     recs = replace(recs, notes=(*recs.notes, *notes))
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan)

@@ -14,7 +14,7 @@ LATER = 80
 def say_outlook(problem: Problem) -> None:
     """Tell that the search begins and what it takes, with signatures that are not kept yet, one cause and more."""
     lacking = [part for part, some in wanted(problem, "first") if part.library.lacks(some)]
-    each = SIGNATURE if problem.library.folder else 1.0
+    each = 1.0 if problem.library.seen else SIGNATURE
     looks = each * sum(len(part.recs) for part in lacking) / len(problem.recs)
     further = problem.pace.range_of(ANOTHER)
     more = f"; each further cause {further} more" if further else ""

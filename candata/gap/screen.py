@@ -32,7 +32,7 @@ def respond(
     Tosses are simulated on the recording itself, beside the effects `held`: where a toss lands decides how it goes on,
     so that a signature of another landing says little, and a toss is short. So are choices beside effects: what a
     solver setting does in one world it does not do in another, and there is nothing in between to mend it by; and all
-    candidates where the problem says so. Where no signatures are kept, all that is tried alone was simulated there.
+    candidates where the problem says so. Where no signatures are shared, all that is tried alone was simulated there.
     """
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
@@ -41,7 +41,7 @@ def respond(
     places = [_places(c, problem, held) for c in found]
     played = [tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
               for kind in (True, False)]  # fmt: skip
-    seen = not held and problem.library.folder is None
+    seen = not held and problem.library.seen
     moved = {
         True: iter(_moves(problem, here, played[0], held) if played[0] else ()),
         False: iter(problem.signatures(played[1]) if played[1] else ()),

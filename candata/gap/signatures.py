@@ -5,8 +5,9 @@ what a recording of the nominal scene shows: world, readings, start and observer
 on commands and starts, the scene and the effect, not on what was recorded, so that diagnoses of the same commands
 share it.
 
-Where none are kept for others, what an effect does is read off the recording itself: by how much its residual falls
-when it is replayed with the effect. That is half of the simulations, and exact where it was simulated.
+Where nobody has filled a library for the commands, what an effect does is seen on the recording itself: by how much
+its residual falls when it is replayed with the effect. That is half of the simulations, exact where it was simulated,
+and kept for the next diagnosis of the same recordings.
 """
 
 from __future__ import annotations
@@ -72,7 +73,9 @@ class Library:
     raw : (E, B, D) float64
         Residual of the recordings under the nominal replay.
     folder : Path, optional
-        Where signatures are kept; None keeps none, and reads what effects do off the recordings.
+        Where they are kept; None keeps none.
+    seen : bool
+        Whether what effects do is seen on the recordings themselves, not in signatures that others share.
     memo : dict
         What this diagnosis has simulated or read so far.
     parts : dict
@@ -90,6 +93,7 @@ class Library:
     plan: Layout
     raw: Array
     folder: Path | None
+    seen: bool
     memo: dict[str, Compact] = field(default_factory=dict)
     parts: dict[tuple[int, ...], Library] = field(default_factory=dict)
     told: Callable[[str], None] = lambda stage: None
@@ -101,22 +105,22 @@ class Library:
         if key not in self.parts:
             root = self.folder.parents[2] if self.folder else None
             begin, plan = self.begin.take(index), self.plan.take(index)
-            part = library(self.replayer, self.recs.take(index), begin, plan, self.raw[index], root, self.told)
+            recs, raw = self.recs.take(index), self.raw[index]
+            part = library(self.replayer, recs, begin, plan, raw, root, self.told, share=not self.seen)
             self.parts[key] = replace(part, own=self.own)
         return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
         """Return `(E, B, D) float32` of each effect set, from the cache or by simulation; NaN where not compared."""
         # Workers that share a cache begin at different ends, so that they do not simulate the same ones.
-        order = np.random.default_rng(os.getpid()).permutation(len(settings)) if self.folder else range(len(settings))
-        each = 1 if self.folder else max(1, BATCH // len(self.recs))
+        order = range(len(settings)) if self.seen else np.random.default_rng(os.getpid()).permutation(len(settings))
+        each = max(1, BATCH // len(self.recs)) if self.seen else 1
         found: dict[int, Compact] = {}
         begun = told_s = time.monotonic()
         for first in range(0, len(settings), each):
             some = [int(i) for i in order[first : first + each]]
-            made = (
-                [self._signature(settings[i]) for i in some] if self.folder else self._seen([settings[i] for i in some])
-            )
+            asked = [settings[i] for i in some]
+            made = self._on_recording(asked) if self.seen else [self._signature(one) for one in asked]
             found.update(zip(some, made, strict=True))
             now = time.monotonic()
             if now - told_s > TOLD_S and len(found) < len(settings):
@@ -124,13 +128,18 @@ class Library:
                 self.told(f"simulating effects: {len(found)} of {len(settings)}, about {left:.0f} s left of these")
         return [found[i] for i in range(len(settings))]
 
-    def _seen(self, settings: Sequence[EffectSet]) -> list[Compact]:
-        """Return by how much the residuals of the recordings fall with each effect set, replayed or from memory."""
-        new = {self._name(some): some for some in settings if self._name(some) not in self.memo}
-        played = replay_all(self.replayer, self.recs, self.begin, list(new.values()))
+    def _on_recording(self, settings: Sequence[EffectSet]) -> list[Compact]:
+        """Return by how much the residuals of the recordings fall with each effect set, replayed together."""
+        names = [_text(some) for some in settings]
+        for name in names:
+            if name not in self.memo and (kept := _read(self._file(name))) is not None:
+                self.memo[name] = kept["residual"]
+        new = {name: some for name, some in zip(names, settings, strict=True) if name not in self.memo}
+        played = replay_all(self.replayer, self.recs, self.begin, list(new.values())) if new else []
         for name, readings in zip(new, played, strict=True):
             self.memo[name] = (self.raw - residual(self.recs, self.plan, readings)).astype(np.float32)
-        return [self.memo[self._name(some)] for some in settings]
+            _keep(self._file(name), residual=self.memo[name])
+        return [self.memo[name] for name in names]
 
     def lacks(self, some: EffectSet) -> bool:
         """Tell whether the cache has no file for a signature."""
@@ -196,16 +205,35 @@ def library(
     raw: Array,
     root: Path | None,
     told: Callable[[str], None] = lambda stage: None,
+    share: bool | None = None,
 ) -> Library:
-    """Return the library of recordings whose nominal residual is `raw`; `root` is the cache's folder, None has none."""
+    """Return the library of a set of recordings.
+
+    Parameters
+    ----------
+    replayer, recs, begin, plan
+        As in `Library`.
+    raw : (E, B, D) float64
+        Residual of the recordings under the nominal replay.
+    root : Path, optional
+        The cache's folder; None keeps nothing.
+    told : callable
+        Hears how far simulations are.
+    share : bool, optional
+        Whether to take, and make, signatures that recordings of the same commands share; by default where somebody has
+        begun to fill such a library. Without a folder there is none.
+    """
     flat = replace(plan, phase=np.zeros_like(plan.phase))
-    folder, shared = None, begin
-    if root is not None:
-        folder, shared = _shared_start(root / "signatures" / _key(replayer, recs, begin), begin, replayer.scene)
+    if root is None:
+        return Library(replayer, recs, begin, flat, raw, None, True, told=told)
+    place = root / "signatures" / _key(replayer, recs, begin)
+    known = _known_start(place, begin, replayer.scene) if share is not False else None
+    if known is None and not share:
+        return Library(replayer, recs, begin, flat, raw, place / f"seen-{_content(recs, begin)}", True, told=told)
+    folder, shared = known or _new_start(place, begin)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)
-    made = Library(replayer, recs, shared, flat, raw, folder, told=told, own=own)
-    if folder is not None:
-        made._nominal()  # which all signatures need
+    made = Library(replayer, recs, shared, flat, raw, folder, False, told=told, own=own)
+    made._nominal()  # which all signatures need
     return made
 
 
@@ -257,13 +285,24 @@ def _code() -> str:
     return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
 
 
-def _shared_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts]:
-    """Return the folder of signatures from (nearly) the same start, and that start; a new one where there is none."""
+def _content(recs: Recordings, begin: Starts) -> str:
+    """Return what names recordings of given commands: what was read, and where their replay starts."""
+    arrays = [*recs.readings.values(), begin.qpos, begin.qvel, begin.qpos0, begin.qvel0]
+    return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
+
+
+def _known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Starts] | None:
+    """Return the folder of signatures from (nearly) the same start, and that start; None where there is none."""
     for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
         found = _start_in(known)
         if found is not None and _is_same(scene, found, begin):
             known.parent.touch()
             return known.parent, found
+    return None
+
+
+def _new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:
+    """Return a new folder for signatures from a start, and that start."""
     arrays = {name: getattr(begin, name) for name in ("rows", "qpos", "qvel", "qpos0", "qvel0")}
     own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
     _prune(folder.parent)

@@ -80,6 +80,7 @@ def test_what_a_diagnosis_keeps_a_filling_has_kept_bit_for_bit_and_a_diagnosis_a
     damped, arm, filled, simulated, tmp_path
 ):
     data = open_dataset(damped)
+    planned(of(damped, arm, tmp_path))  # a library that is begun is shared
     cold = diagnose(data, arm, cache=tmp_path, only=ONLY)
     asked = len(simulated)
     ours, theirs = kept(tmp_path), kept(filled)
@@ -89,6 +90,19 @@ def test_what_a_diagnosis_keeps_a_filling_has_kept_bit_for_bit_and_a_diagnosis_a
     warm = diagnose(data, arm, cache=filled, only=ONLY)
     assert len(simulated) == asked
     assert warm.report == cold.report
+
+
+def test_a_diagnosis_of_its_own_sees_effects_on_the_recording_and_keeps_that(damped, arm, simulated, tmp_path):
+    data = open_dataset(damped)
+    fresh = diagnose(data, arm, only=ONLY)
+    cold = diagnose(data, arm, cache=tmp_path, only=ONLY)
+    made = {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")}
+    warm = diagnose(data, arm, cache=tmp_path, only=ONLY)
+    assert simulated == []
+    assert warm.report == cold.report == fresh.report
+    assert fresh.report.effects[0].name == "joint_damping"
+    assert len(made) > 20
+    assert made == {file: file.stat().st_mtime_ns for file in tmp_path.rglob("*.npz")}
 
 
 def test_the_least_filling_is_the_first_look(damped, arm, simulated, tmp_path):

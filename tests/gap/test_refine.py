@@ -28,6 +28,7 @@ def problem(arm, arm_episodes, planted, tmp_path_factory):
         np.random.default_rng(0),
         tmp_path_factory.mktemp("kept"),
         lambda stage: None,
+        share=True,
     )
 
 

@@ -23,7 +23,7 @@ def still(arm, arm_episodes):
 
 
 def shelf(problem, root, begin=None):
-    return library(problem.replayer, problem.recs, begin or problem.begin, problem.plan, problem.raw, root)
+    return library(problem.replayer, problem.recs, begin or problem.begin, problem.plan, problem.raw, root, share=True)
 
 
 def test_a_signature_is_the_residual_of_a_recording_with_the_effect(arm, arm_episodes, still, planted, tmp_path):
@@ -56,7 +56,7 @@ def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_e
     """Of its own recording a library knows what was read; of another recording, shared, only the place."""
     some = planted("joint_offset", offset_rad=(0.08, -0.06))
     recs = recordings(arm, arm_episodes(some, noise=False))
-    own = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None)
+    own = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None, share=True)
     inside = np.isfinite(own.raw)
     (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))
     error, wrong = (np.abs(one[inside] - own.raw[inside]).max() for one in (found, other))
@@ -94,7 +94,9 @@ def test_long_simulations_say_how_far_they_are(still, planted, monkeypatch, tmp_
     told = []
     some = [planted("armature", armature_kgm2=x) for x in (0.001, 0.002, 0.003)]
     root = tmp_path if kept else None
-    library(still.replayer, still.recs, still.begin, still.plan, still.raw, root, told.append).signatures(some)
+    library(still.replayer, still.recs, still.begin, still.plan, still.raw, root, told.append, share=kept).signatures(
+        some
+    )
     assert [t.partition(",")[0] for t in told] == ["simulating effects: 1 of 3", "simulating effects: 2 of 3"]
     assert all(t.endswith(" s left of these") for t in told)
 
@@ -122,7 +124,7 @@ def test_starts_that_a_biased_sensor_could_have_read_share_signatures(still, tmp
 
 def test_other_commands_have_other_signatures(still, tmp_path):
     recs = replace(still.recs, commands=still.recs.commands + 1e-6)
-    other = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path)
+    other = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=True)
     assert other.folder.parent != shelf(still, tmp_path).folder.parent
 
 
@@ -130,7 +132,10 @@ def test_a_slower_sensor_has_other_signatures(still, tmp_path):
     """Of the same commands: what is held between readings moves by other residuals, and so do its nulls."""
     rows = np.broadcast_to(np.arange(still.recs.commands.shape[1]) // 3 * 3, still.recs.commands.shape[:2])
     recs = [replace(still.recs, sources={"joint_position": some}) for some in (rows, np.maximum(rows - 1, 0))]
-    parts = [library(still.replayer, one, still.begin, still.plan, still.raw, tmp_path) for one in (still.recs, *recs)]
+    parts = [
+        library(still.replayer, one, still.begin, still.plan, still.raw, tmp_path, share=True)
+        for one in (still.recs, *recs)
+    ]
     assert len({part.folder.parent for part in parts}) == 3
 
 
@@ -151,7 +156,7 @@ def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, tmp_path, 
     first = shelf(still, tmp_path)
     monkeypatch.setattr(signatures, "LIMIT_BYTES", 10)
     recs = replace(still.recs, commands=still.recs.commands + 1e-6)
-    second = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path)
+    second = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=True)
     assert not first.folder.exists()
     assert second.folder.exists()
 

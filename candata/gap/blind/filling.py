@@ -143,7 +143,7 @@ def _begun(place: Place) -> _Begun | None:
 def _posed(some: Source, depth: Depth) -> list[tuple[Problem, EffectSet]]:
     """Return the wanted signatures of a source, posed once a process as a diagnosis poses its problem."""
     replayer, data = Replayer(load_scene(some.scene)), open_dataset(some.dataset, some.version)
-    found = posed(data, replayer, some.seed, Path(some.cache), some.only)
+    found = posed(data, replayer, some.seed, Path(some.cache), some.only, share=True)
     if found.problem is None:
         raise DataError(
             "there is nothing to diagnose in these recordings", expected=f"{FEWEST} episodes or more that move",
