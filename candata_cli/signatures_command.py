@@ -46,7 +46,7 @@ def signatures(
 
     Another recording shares them when its commands are the same and it starts within 2 cm and 0.1 rad; not
     those of tracker biases and joint offsets, which follow from where each recording starts. An interrupted run goes on
-    where it was; a later diagnosis says what it would have said.
+    where it was. Without it a diagnosis simulates effects on its own recording; the last digits, and ties, may differ.
     """
     from candata.datasets.durable import user_cache
     from candata.gap.blind.cluster import crew_of

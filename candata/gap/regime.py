@@ -9,6 +9,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from candata.gap.lagged import drives
 from candata.gap.locate import LEVEL, max_test
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import Layout
@@ -23,6 +24,9 @@ Flags = NDArray[np.bool_]
 #: A block counts as moving above this share of its joint's fast speed (the 90 % quantile), and above this many
 #: standard deviations of what noise alone makes of a speed.
 MOVING, SURELY = 0.15, 4.0
+#: A joint that carries no fingertip is loaded where its servo is off by more than this share of what it is off at most
+#: (the 90 % quantile), and by more than noise: there its motor pulls.
+PULLS = 0.5
 #: Blocks before and after a joint sets out the other way that count as near the reversal.
 NEAR = 1
 #: Pairs of a block inside and one outside that give an episode a say (half their harmonic mean), and such episodes.
@@ -43,11 +47,14 @@ class Regimes:
         Whether a fingertip read a contact in most of a block's rows; no columns where forces were not recorded.
     carried : (J, F) bool
         Fingertips that a joint carries.
+    pulled : (E, B, J) bool
+        Where the joint's position servo pulls hard; nowhere without one.
     """
 
     motion: dict[str, Flags]
     tips: Flags
     carried: Flags
+    pulled: Flags
 
 
 def regimes(scene: Scene, recs: Recordings, plan: Layout) -> Regimes:
@@ -57,7 +64,31 @@ def regimes(scene: Scene, recs: Recordings, plan: Layout) -> Regimes:
     force = recs.readings.get("fingertip_force", np.zeros((len(recs), count * plan.rows, 0, 3)))
     touch = np.stack([fingertip_contact(f) for f in force])[:, : count * plan.rows]
     tips = touch.reshape(len(recs), count, plan.rows, -1).mean(2) > 0.5
-    return Regimes(motion(joint, count, plan.rows), tips, _carried(scene, tips.shape[2]))
+    return Regimes(
+        motion(joint, count, plan.rows), tips, _carried(scene, tips.shape[2]), _pulled(scene, recs, count, plan.rows)
+    )
+
+
+def _pulled(scene: Scene, recs: Recordings, count: int, rows: int) -> Flags:
+    """Return `(E, B, J)` where a servo's joint is far from where it would rest without a load."""
+    out, servos = np.zeros((len(recs), count, len(scene.joint_ids)), bool), drives(scene)
+    if "joint_position" not in recs.readings or recs.commands.shape[2] != len(scene.actuator_ids):
+        return out
+    off = servos.targets(recs.commands) - recs.readings["joint_position"][..., servos.joints]
+    size = np.abs(off[:, : count * rows].reshape(len(recs), count, rows, -1).mean(2))
+    for column, j in enumerate(servos.joints):
+        own = size[..., column]
+        if np.isfinite(own).any():
+            noise = _noise(recs.readings["joint_position"][..., j], rows)
+            out[..., j] = np.nan_to_num(own) > max(PULLS * np.nanquantile(own, 0.9), SURELY * noise)
+    return out
+
+
+def _noise(joint: Array, rows: int) -> float:
+    """Return the standard deviation that noise of a joint `(E, T)` has in a block's mean; 0 where nothing was seen."""
+    bend = np.abs(np.diff(joint, 2, axis=1))
+    # White noise of sd s: second differences of sd s sqrt(6), means of n rows of sd s / sqrt(n).
+    return float(np.nanmedian(bend)) / 0.6745 / np.sqrt(6 * rows) if np.isfinite(bend).any() else 0.0
 
 
 def motion(joint: Array, count: int, rows: int) -> dict[str, Flags]:
@@ -92,10 +123,10 @@ def _least(joint: Array, speed: Array, rows: int) -> Array:
     """Return `(J,)` the change from block to block above which a joint moves."""
     out = np.zeros(joint.shape[2])
     for j in range(len(out)):
-        size, bend = np.abs(speed[..., j]), np.abs(np.diff(joint[..., j], 2, axis=1))
-        if np.isfinite(size).any() and np.isfinite(bend).any():
-            # White noise of sd s: second differences of sd s sqrt(6), means of n rows of sd s / sqrt(n).
-            noise = np.nanmedian(bend) / 0.6745 / np.sqrt(6 * rows) / np.sqrt(2)
+        size = np.abs(speed[..., j])
+        if np.isfinite(size).any():
+            # Half the difference of two means.
+            noise = _noise(joint[..., j], rows) / np.sqrt(2)
             out[j] = max(MOVING * np.nanquantile(size, 0.9), SURELY * noise)
     return out
 
@@ -129,14 +160,17 @@ def _carried(scene: Scene, tips: int) -> Flags:
 def splits(scene: Scene, regime: Regimes, channel: str, element: str | None) -> dict[str, tuple[Flags, Flags]]:
     """Return the regimes that make sense for one column, each beside the strata within which it is compared.
 
-    Motion and load of a joint, contact of a fingertip or the object. Fingers that press hardly move: motion is compared
+    Motion and load of a joint, contact of a fingertip or the object; of a joint that carries no fingertip, whether its
+    motor pulls. Fingers that press hardly move: motion is compared
     among blocks of the same load, load among blocks of the same motion. Flags and strata are `(E, B)` and `(S, E, B)`.
     """
     touched: Flags = np.asarray(regime.tips.any(2))
     out: dict[str, tuple[Flags, Flags]] = {}
     if channel == "joint_position" and element in scene.file.joints:
         j = scene.file.joints.index(element)
-        touched = np.asarray(regime.tips[..., regime.carried[j]].any(2))
+        touched = (
+            np.asarray(regime.tips[..., regime.carried[j]].any(2)) if regime.carried[j].any() else regime.pulled[..., j]
+        )
         moved = {name: flags[..., j] for name, flags in regime.motion.items()}
         strata = np.stack([moved[name] for name in ("moving +", "moving -", "reversal", "still")])
         alike = np.stack([touched, ~touched]) & strata.any(0)
