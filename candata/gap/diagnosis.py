@@ -36,6 +36,7 @@ from candata.gap.replay import EffectSet, Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
+from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out, intervals, measures, shares, support, trust
 from candata.gap.signatures import library
 from candata.gap.starts import is_toss, starts
@@ -151,10 +152,7 @@ def posed(
     limit: Budget | None = None,
     share: bool | None = None,
 ) -> Posed:
-    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose`.
-
-    `share` makes signatures for other recordings of the same commands, which by default are only taken, see `library`.
-    """
+    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose` and `library`."""
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng, scene = np.random.default_rng(seed), replayer.scene
@@ -195,7 +193,7 @@ def _problem(
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
-    return with_lengths(problem) if is_toss(replayer.scene) else problem
+    return with_lengths(problem) if is_toss(replayer.scene) else with_telling(problem)
 
 
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:

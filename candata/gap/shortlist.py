@@ -188,14 +188,17 @@ def brief(problem: Problem) -> tuple[Problem, Index]:
     return taken(problem, index), index
 
 
-def few(tasks: Sequence[str]) -> Index:
-    """Return a few episodes, each task among them: the same ones for the same tasks, so that signatures are shared."""
+def few(tasks: Sequence[str], left: Array | None = None) -> Index:
+    """Return a few episodes, each task among them: the same ones for the same tasks, so that signatures are shared.
+
+    Where none are, those of each task that leave most, by what each leaves: `left (E,)`.
+    """
     seen: Counter[str] = Counter()
     turns = []
-    for i, task in enumerate(tasks):
-        turns.append((seen[task], i))
-        seen[task] += 1
-    return np.sort([i for _, i in sorted(turns)[: max(FEW, len(seen))]])
+    for rank, i in enumerate(range(len(tasks)) if left is None else np.argsort(-left, kind="stable")):
+        turns.append((seen[tasks[i]], rank, int(i)))
+        seen[tasks[i]] += 1
+    return np.sort([i for _, _, i in sorted(turns)[: max(FEW, len(seen))]])
 
 
 def looked_into(problem: Problem, here: Compact) -> Problem:
@@ -214,6 +217,13 @@ def looked_into(problem: Problem, here: Compact) -> Problem:
     # Of one task alone there are no others to take.
     found += [int(i) for i in np.argsort(-left) if int(i) not in found][: FEW - len(found)]
     return replace(problem, simulated=True, telling=np.sort(found))
+
+
+def with_telling(problem: Problem) -> Problem:
+    """Return the problem with each task's most telling episodes looked at first, where no signatures are shared."""
+    if not problem.library.seen:
+        return problem
+    return replace(problem, telling=few(problem.recs.tasks, problem.score.loss(problem.nominal)))
 
 
 def taken(problem: Problem, index: Index) -> Problem:

@@ -40,6 +40,8 @@ def test_every_task_is_among_the_few():
     many = [f"task {i}" for i in range(FEW + 3)] * 2
     assert len({many[i] for i in few(many)}) == FEW + 3
     assert np.array_equal(few(many), few(many))
+    # Where nothing is shared, those of each task that leave most, turn by turn.
+    assert few(tasks, np.arange(19.0)).tolist() == [7, 8, 15, 16, 17, 18]
 
 
 @pytest.fixture(scope="module")
