@@ -51,6 +51,7 @@ def closing(share: float, before: float = 11.0) -> Gap:
         (found(True), closing(0.63, before=1.77), "unknown_effect"),
         (found(True), closing(0.5, before=1.28), "unknown_effect"),
         (found(True), closing(0.5, before=1.18), "explained"),
+        (found(True), closing(0.49, before=1.18), "unknown_effect"),
         (found(True), closing(0.73, before=1.33), "explained"),
         (found(True), closing(0.8, before=1.28), "explained"),
         (found(True), closing(0.8, before=2.4), "explained"),
