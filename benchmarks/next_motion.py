@@ -78,7 +78,7 @@ def record(scene: Scene, motion: Motion, world: EffectSet, count: int, seed: int
     spread = floor(replayer, recs, begin, plan, noise, rng, NULLS, world)
     raw = residual(recs, plan, nominal)
     level = score(raw, spread, plan)
-    shelf = library(replayer, recs, begin, plan, None)
+    shelf = library(replayer, recs, begin, plan, raw, None)
     return Problem(replayer, recs, begin, plan, level, [], noise, kind, rng, shelf, nominal, raw)
 
 

@@ -12,6 +12,7 @@ from candata.gap.replay import needs_simulation
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.search import Members, Problem
+from candata.gap.signatures import is_read_at_start
 from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
@@ -51,7 +52,8 @@ def respond(
         if max(float(np.sqrt((move[problem.score.mask] ** 2).mean())) for move in moves) < LIVELY:
             dead.append(c.label)
         else:
-            out.append((c, _response(c, here, points, moves, is_own or seen)))
+            sure = is_own or (seen and not is_read_at_start(problem.setting([(c, c.neutral)])))
+            out.append((c, _response(c, here, points, moves, sure)))
     return out, dead
 
 

@@ -129,10 +129,16 @@ class Library:
         return [found[i] for i in range(len(settings))]
 
     def _on_recording(self, settings: Sequence[EffectSet]) -> list[Compact]:
-        """Return by how much the residuals of the recordings fall with each effect set, replayed together."""
-        names = [_text(some) for some in settings]
-        for name in names:
-            if name not in self.memo and (kept := _read(self._file(name))) is not None:
+        """Return by how much the residuals of the recordings fall with each effect set, replayed together.
+
+        Not of a sensor at fault that read the start: a replay from a start that is a little less wrong goes on in as
+        wrong a contact. (Of a tracker turned about three axes, no turn about one of them took anything off.)
+        """
+        names = [self._name(some) for some in settings]
+        for name, some in zip(names, settings, strict=True):
+            if name not in self.memo and is_read_at_start(some):
+                self._signature(some)
+            elif name not in self.memo and (kept := _read(self._file(name))) is not None:
                 self.memo[name] = kept["residual"]
         new = {name: some for name, some in zip(names, settings, strict=True) if name not in self.memo}
         played = replay_all(self.replayer, self.recs, self.begin, list(new.values())) if new else []
@@ -165,7 +171,7 @@ class Library:
 
     def _is_read(self, some: EffectSet) -> bool:
         """Tell whether the start is what a sensor at fault read."""
-        return self.own and any(effect(s.name).unread is not None for s in some)
+        return self.own and is_read_at_start(some)
 
     def _residual(self, some: EffectSet) -> Compact:
         """Return the residual of noise-free recordings of a world under the nominal replay."""
@@ -235,6 +241,11 @@ def library(
     made = Library(replayer, recs, shared, flat, raw, folder, False, told=told, own=own)
     made._nominal()  # which all signatures need
     return made
+
+
+def is_read_at_start(some: EffectSet) -> bool:
+    """Tell whether some effects are of a sensor that read where a replay starts."""
+    return any(effect(s.name).unread is not None for s in some)
 
 
 def alike(replayer: Replayer, one: tuple[Recordings, Starts], other: tuple[Recordings, Starts]) -> bool:

@@ -64,6 +64,15 @@ def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_e
     assert error < 0.2 * wrong
 
 
+def test_a_sensor_that_read_the_start_has_a_signature_where_none_are_shared_too(still, planted, tmp_path):
+    """A replay of the recording from another start would be off by the contact that it begins in."""
+    sensor, joint = planted("joint_offset", offset_rad=(0.08, -0.06)), planted("armature", armature_kgm2=0.01)
+    shared, own = shelf(still, tmp_path), replace(still.library, memo={})
+    assert (shared.seen, own.seen, shared.own) == (False, True, True)
+    assert np.array_equal(*(part.signatures([sensor])[0] for part in (shared, own)), equal_nan=True)
+    assert not np.array_equal(*(part.signatures([joint])[0] for part in (shared, own)), equal_nan=True)
+
+
 def test_only_the_recording_whose_start_it_is_owns_a_library(still, planted, tmp_path):
     some = planted("joint_offset", offset_rad=(0.08, -0.06))
     moved = replace(still.begin, qpos=still.begin.qpos + 0.01, qpos0=still.begin.qpos0 + 0.01)
