@@ -45,7 +45,7 @@ def diagnose(
     ] = None,
     keep: Annotated[
         bool,
-        typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of the same recordings."),
+        typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of these recordings."),
     ] = True,
     cache_dir: Annotated[
         Path | None,

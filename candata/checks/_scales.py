@@ -15,8 +15,9 @@ COMPARED = ("object_pose", "object_velocity", "joint_position", "joint_velocity"
 def scales(view: View) -> dict[str, float]:
     """Return the size of what moves in each channel: `channel/element` to a positive number.
 
-    A spread (between the 5 and 95 % quantiles) where it is clear of noise: constants say nothing of units. Forces by
-    their median in contact; places also by their distance from the origin.
+    A spread (between the 5 and 95 % quantiles) where it is clear of noise: constants say nothing of units, nor does a
+    command under which its joint does not move. Forces by their median in contact; places also by their distance from
+    the origin.
     """
     out: dict[str, float] = {}
     for channel in COMPARED:
@@ -33,6 +34,9 @@ def scales(view: View) -> dict[str, float]:
         for name, size, still in zip(names, high - low, quiet, strict=True):
             if size > 10 * still and size > 0:
                 out[f"{channel}/{name}"] = float(size)
+    joints = view.elements("joint_position") if view.whole("joint_position") is not None else ()
+    still_joints = {name for name in joints if f"joint_position/{name}" not in out}
+    out = {key: size for key, size in out.items() if not (key.startswith("action/") and key[7:] in still_joints)}
     force = forces(view)
     if force is not None and (force.touch & force.seen).any():
         size = np.sqrt((force.xyz**2).sum(axis=2))

@@ -31,7 +31,8 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     commands += swept[:, None] * 0.5 * (1 - np.cos(phase)) * travel
     # Each joint at its own time: of commands that are all alike, which joint follows which could not be told.
     out = until + (duration_s - until) * (rng.uniform(0.0, 0.3, len(travel)) + np.array([[0.0], [0.45]]))
-    commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * STROKE * p.far(scene, hand.open)
+    stroke = np.where(hand.sweep != 0, STROKE * p.far(scene, hand.open), 0.0)
+    commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * stroke
     aside = _apart(scene, hand, commands)
     if hand.rails.away is not None:
         rails = hand.rails.columns

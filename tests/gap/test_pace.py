@@ -38,7 +38,7 @@ def test_a_step_is_told_with_the_time_it_takes_in_replays(replay_s, span, text):
 @pytest.fixture
 def posed(arm, arm_episodes, tmp_path):
     recs = recordings(arm, arm_episodes(count=12, rows=80))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None)
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None, share=True)
     others = {s.name for _, some in wanted(problem, "first") for s in some} - {"joint_damping", "servo_gain"}
     return replace(problem, ruled_out=frozenset(others))
 

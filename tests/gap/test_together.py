@@ -35,7 +35,7 @@ def posed(arm, arm_episodes, planted, tmp_path_factory):
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(
-        Replayer(arm), recs, np.random.default_rng(0), tmp_path_factory.mktemp("kept"), lambda stage: None
+        Replayer(arm), recs, np.random.default_rng(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True
     )
     return problem, look(problem, problem.nominal, ())
 

@@ -106,9 +106,10 @@ def test_the_jumps_at_the_end_of_the_sweep_drive_every_motor_to_its_limit(episod
     model, ids = hand.model, hand.actuator_ids
     for e in episodes["free_sweep"]:
         error = (e["action"] - e["joint_position"])[round(SWEPT * len(e)) :]
+        moving = e["action"][: len(e) // 2].std(0) > 0.02
         asked = np.abs(error * model.actuator_gainprm[ids, 0]).max(0)
         hinges = np.isin(np.arange(len(ids)), hand.driven_hinges)
-        assert (asked > model.actuator_forcerange[ids, 1])[hinges].all()
+        assert (asked > model.actuator_forcerange[ids, 1])[hinges & moving].all()
 
 
 def test_the_free_sweep_touches_nothing(episodes):
