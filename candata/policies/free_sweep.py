@@ -6,6 +6,7 @@ import numpy as np
 
 from candata.policies import _postures as p
 from candata.policies._contract import Array, Plan, Planner, Policy, Variant
+from candata.policies._drive import servos
 from candata.scenes import Scene
 
 #: How far the wrist backs off, or the object is put away, to keep the sweep free [m].
@@ -14,6 +15,8 @@ AWAY_M = 0.14
 #: range; how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos
 #: leaves nothing on a sweep alone, and with the jumps 0.3 to 1.2 floors of that motion, on four hands.)
 SWEPT, STROKE, END_S = 0.7, 0.8, 0.25
+#: When joints jump out, at random within the first share of what is left, and how much later each comes back. Chosen.
+WITHIN, AWAY = 0.3, 0.45
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -30,8 +33,9 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     swept = p.blend(t, 0, 0.3) - p.blend(t, until - END_S, END_S)
     commands += swept[:, None] * 0.5 * (1 - np.cos(phase)) * travel
     # Each joint at its own time: of commands that are all alike, which joint follows which could not be told.
-    out = until + (duration_s - until) * (rng.uniform(0.0, 0.3, len(travel)) + np.array([[0.0], [0.45]]))
-    stroke = np.where(hand.sweep != 0, STROKE * p.far(scene, hand.open), 0.0)
+    out = until + (duration_s - until) * (rng.uniform(0.0, WITHIN, len(travel)) + np.array([[0.0], [AWAY]]))
+    # A motor without a servo has nothing that would stop it at the far end, nor damping to be told from its joint's.
+    stroke = np.where(servos(scene) & (hand.sweep != 0), STROKE * p.far(scene, hand.open), 0.0)
     commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * stroke
     aside = _apart(scene, hand, commands)
     if hand.rails.away is not None:

@@ -26,6 +26,7 @@ from candata.gap.blind.cases import (
 from candata.gap.blind.running import CACHE, COLD_EACH, RESULTS, Place, finished, run_cases
 from candata.gap.blind.sanity import check_scene
 from candata.gap.blind.shares import measure_shares, true_shares
+from candata.policies import policy
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
@@ -260,8 +261,12 @@ def test_motors_have_no_target_to_follow(tmp_path):
         r"<position (.*?) kp=.*?forcerange", r"<motor \1 ctrllimited='true' ctrlrange='-1 1' forcerange", ARM
     )
     assert motors.count("<motor") == 2
-    fit = check_scene(written(tmp_path, motors), seed=1, duration_s=3.2, only=("joint_damping",))
+    scene = written(tmp_path, motors)
+    fit = check_scene(scene, seed=1, duration_s=3.2, only=("joint_damping",))
     assert (fit.moving, fit.worst) == (0, "")
+    # Nor do they jump: nothing would hold them back. A fifth of the range is what a motor is driven by, and noise.
+    plan = policy("free_sweep").plan(scene, np.random.default_rng(1), 3.2)
+    assert 0.1 < np.abs(plan.commands).max() < 0.25
 
 
 def written(folder: Path, model: str) -> Scene:
