@@ -11,7 +11,7 @@ import yaml
 
 import candata.gap
 from candata.datasets import open_dataset
-from candata.gap.diagnosis import Diagnosis
+from candata.gap.conclusion import Diagnosis
 from candata.gap.evidence import Evidence
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile

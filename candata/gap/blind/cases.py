@@ -24,7 +24,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
-from candata.gap.diagnosis import lasting
+from candata.gap.conclusion import lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode

@@ -16,7 +16,8 @@ from typing import NamedTuple
 from candata.datasets import open_dataset
 from candata.errors import CandataError, DataError, Where
 from candata.gap.blind.running import Place
-from candata.gap.diagnosis import lasting, posed
+from candata.gap.conclusion import lasting
+from candata.gap.diagnosis import posed
 from candata.gap.recordings import Recordings, read
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.search import Problem

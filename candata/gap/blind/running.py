@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, TypeVar
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
 from candata.gap.blind.crew import Crew, alone
-from candata.gap.diagnosis import diagnose, lasting
+from candata.gap.conclusion import lasting
+from candata.gap.diagnosis import diagnose
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult
 from candata.schema.record import Record

@@ -1,0 +1,249 @@
+"""What a diagnosis says in the end: the report, its figures and the repaired simulator, from all that was found."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import Dataset
+from candata.gap.attribute import Attribution
+from candata.gap.evidence import EpisodeLosses, Evidence
+from candata.gap.example import example
+from candata.gap.exhibits import collinearity, elements, ranges
+from candata.gap.locate import acts_on, locate, slides, symptoms
+from candata.gap.origin import data_used, provenance, title
+from candata.gap.proposal import more, separating
+from candata.gap.recordings import Recordings
+from candata.gap.regime import with_regimes
+from candata.gap.replay import EffectSet
+from candata.gap.residuals import residual
+from candata.gap.search import Fit, Problem
+from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
+from candata.gap.unknown import Described, describe, unseating
+from candata.gap.verdict import FEWEST, class_of, unknown, verdict
+from candata.policies import Motion
+from candata.scenes import Scene
+from candata.schema.effect import EffectsFile, Value
+from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Ranked, Report, Symptom, Verdict
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The report, what its figures show, and the repaired simulator.
+
+    Attributes
+    ----------
+    report : Report
+    evidence : Evidence
+    effects : EffectsFile
+        Ready to be written as `effects.yaml`; empty where nothing is named.
+    motion : tuple of Motion
+        What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
+    stopgap : EffectsFile or None
+        The same with a force fitted to what remains, for `learned_residual.yaml`; None where there is none.
+    """
+
+    report: Report
+    evidence: Evidence
+    effects: EffectsFile
+    motion: tuple[Motion, ...] = ()
+    stopgap: EffectsFile | None = None
+
+
+@dataclass(frozen=True)
+class Findings:
+    """All that a conclusion is drawn from; `world` is where `held` was measured, `problem` where it was searched."""
+
+    dataset: Dataset
+    scene: Scene
+    problem: Problem
+    found: Attribution
+    world: Problem
+    held: HeldOut
+    episodes: int
+
+
+def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
+    """Return the diagnosis drawn from all findings."""
+    chosen = f.found.chosen
+    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=chosen is not None or f.found.remains)
+    word = verdict(f.found, size)
+    heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
+    where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
+    # A stream of its own: what is drawn here changes nothing that comes after.
+    where = with_regimes(where, f.problem, rng.spawn(1)[0])
+    better = None
+    if word in ("explained", "partly_explained"):
+        world = replace(f.problem, score=f.found.score)
+        better = unseating(world, size, where, f.found.first.fits[0].labels[0], rng.spawn(1)[0])
+    word = "unknown_effect" if better else word
+    left = where
+    if word == "partly_explained":
+        after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
+        left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
+    typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
+    proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
+    named = _named(f, trust(size), rng) if word in ("explained", "partly_explained") else ()
+    repaired = f.problem.setting(chosen.members) if chosen and named else ()
+    rest = better or _rest(f, word, repaired, left, rng)
+    report = Report(
+        verdict=word,
+        effects=named,
+        ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
+        unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
+        ranking=_ranking(f, rng),
+        gap=size,
+        where=where,
+        next_motion=proposed,
+        data=data_used(f.dataset, f.problem, f.episodes, len(f.held.recs)),
+        measures=measures(f.held, np.isin(f.scene.file.joints, slides(f.scene))),
+        provenance=provenance(f.scene),
+    )
+    losses = EpisodeLosses(
+        f.held.recs.ids,
+        f.held.size_before,
+        f.held.size_after,
+        *(np.quantile(f.world.score.size(f.world.score.null), q, axis=0) for q in (0.05, 0.95)),
+    )
+    shown = example(f.world, f.held, chosen if named else None)
+    evidence = Evidence(
+        heat,
+        shown,
+        losses,
+        elements(f.world, f.held, bool(named)),
+        collinearity(f.found.first.fits),
+        ranges(named, f.scene),
+    )
+    stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
+    files = [EffectsFile(scene=lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
+    return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
+
+
+def _rest(
+    f: Findings, word: Verdict, repaired: EffectSet, left: Sequence[Symptom], rng: np.random.Generator
+) -> Described | None:
+    """Return what remains unexplained as a force; None where nothing remains, or none stands out."""
+    if word not in ("unknown_effect", "partly_explained"):
+        return None
+    fits = f.found.first.fits
+    nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
+    problem = replace(f.problem, score=f.found.score) if repaired else f.problem
+    return describe(problem, repaired, left, nearest, rng)
+
+
+def lasting(name: str) -> str:
+    """Return a scene's name so that it can be read from anywhere: a file by its whole path."""
+    return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
+
+
+def _typical(f: Findings, channel: str, element: str | None) -> tuple[float, str]:
+    """Return the 68 % quantile of the remaining residual's size in one column, and its unit."""
+    readings = f.held.after if f.found.chosen else f.held.before
+    column = [(c, e) for c, e, _ in f.world.plan.columns].index((channel, element or ""))
+    size = np.abs(residual(f.held.recs, f.world.plan, readings)[..., column])
+    return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
+
+
+def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
+    """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
+    fit = f.found.chosen
+    if fit is None:
+        return ()
+    world = replace(f.problem, score=f.found.score)
+    low, high = intervals(world, fit)
+    alone = support(f.found.first.fits, f.found.first.base, rng)[0]
+    out = []
+    pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng, f.found.rivals), strict=True)
+    for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
+        at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
+        settings = [c.setting(point, f.scene).parameters for point in (u, lower, upper)]
+        estimates = {name: _estimate(*(at[name] for at in settings)) for name in settings[0]}
+        out.append(
+            NamedEffect(
+                name=c.name,
+                element=c.element,
+                share=share,
+                at_bound=at_bound and not _one_sided(c.neutral, u),
+                support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
+                parameters=estimates,
+                rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
+            )
+        )
+    return tuple(sorted(out, key=lambda e: -e.share))
+
+
+def _instead(fit: Fit, other: Fit) -> str:
+    """Return what another set has in place of a member of this one."""
+    return next(name for name in other.labels if name not in fit.labels)
+
+
+def _estimate(value: Value, low: Value, high: Value) -> Estimate:
+    """Return a parameter with its interval; a choice has none."""
+    if isinstance(low, str) or isinstance(high, str):
+        return Estimate(value=value)
+    return Estimate(value=value, low=low, high=high)
+
+
+def _one_sided(neutral: Array, u: Array) -> bool:
+    """Tell whether the bound that is touched is the effect's own absence."""
+    return bool(np.allclose(neutral, u))
+
+
+def _ranking(f: Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
+    """Return every candidate alone with its held-out gain and a 90 % interval, best first; dead ones last."""
+    fits = f.found.first.fits
+    backing = support(fits, f.found.first.base, rng)
+    out = []
+    for fit, s in zip(fits, backing, strict=True):
+        gain = fit.evidence.gain
+        picks = rng.integers(len(gain), size=(500, len(gain)))
+        low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
+        c, u = fit.members[0]
+        out.append(
+            Ranked(
+                name=c.name,
+                element=c.element,
+                support=round(float(s), 3),
+                held_out_gain=round(fit.gain, 4),
+                gain_low=round(float(low), 4),
+                gain_high=round(float(high), 4),
+                parameters=c.setting(u, f.scene).parameters,
+            )
+        )
+    first = f.found.first
+    reasons = [
+        *((d, "gains little on the episodes looked at first") for d in first.faint),
+        *((d, "best left out") for d in first.idle),
+        *((d, "moves nothing in these motions") for d in first.dead),
+    ]
+    dead = [Ranked(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
+    return (*out, *dead)
+
+
+def _judged(f: Findings) -> Problem:
+    """Return the problem in units of the floor by which the candidates were judged."""
+    return replace(f.problem, score=f.found.score)
+
+
+def too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
+    """Return the verdict that there are too few episodes, or none that moves."""
+    few = [f"{len(recs)} episodes; at least {FEWEST} are needed to hold any out"] * (len(recs) < FEWEST)
+    proposed, motion = more(scene, recs, FEWEST)
+    report = Report(
+        verdict="too_little_data",
+        data=DataUsed(
+            dataset=title(dataset),
+            episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
+            channels=tuple(recs.readings),
+            notes=(*few, *recs.notes),
+        ),
+        next_motion=proposed,
+        provenance=provenance(scene),
+    )
+    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name), motion)
