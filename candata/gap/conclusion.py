@@ -72,7 +72,8 @@ class Findings:
 def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     """Return the diagnosis drawn from all findings."""
     chosen = f.found.chosen
-    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=chosen is not None or f.found.remains)
+    is_left = chosen is not None or f.found.remains
+    size = gap(f.held.size_before, f.held.size_after, rng, gap_left=is_left, ids=f.held.recs.ids if chosen else ())
     word = verdict(f.found, size)
     heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()

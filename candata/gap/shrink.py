@@ -47,6 +47,11 @@ FINEST = 0.01
 DOUBTFUL = 0.1
 #: Ends of a 90 % interval.
 ENDS = (0.05, 0.95)
+#: Floors of what remains up to which a gap counts as closed where a set is trusted.
+REMAINING = 0.30
+#: One in so many episodes may hold most of what remains and be told apart. Chosen.
+FEW = 8
+NONE = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True)
@@ -90,24 +95,36 @@ def held_out(problem: Problem, fit: Fit | None) -> HeldOut:
     return HeldOut(problem.recs, before, after, size_before, size_after, points)
 
 
-def gap(before: Array, after: Array, rng: np.random.Generator, gap_left: bool) -> Gap:
+def gap(before: Array, after: Array, rng: np.random.Generator, gap_left: bool, ids: Sequence[str] = ()) -> Gap:
     """Return the gap in floors and the share of it that closes, with a 90 % bootstrap interval over episodes.
 
     1 - (after - floor) / (before - floor), floor 1; a share above 1 is the floor's own luck and is printed as 1.
-    Where there is no gap (`gap_left` false), there is no share.
+    Where there is no gap (`gap_left` false), there is no share. Of episodes with `ids`, few that hold most of what
+    remains are told apart: a contact that begins too deep throws an object farther than any replay of it, true or not.
     """
     if not gap_left:
         return Gap(before=round(float(before.mean()), 4), after=round(float(before.mean()), 4))
     picks = rng.integers(len(before), size=(RESAMPLES, len(before)))
     many = _closed(before[picks].mean(1), after[picks].mean(1))
     low, high = np.quantile(many, ENDS)
+    odd, rest = _outlying(before, after) if len(ids) else (NONE, NONE)
     return Gap(
         before=round(float(before.mean()), 4),
         after=round(float(after.mean()), 4),
         closed=round(float(_closed(before.mean(), after.mean())), 4),
         low=round(float(low), 4),
         high=round(float(high), 4),
+        outlying=tuple(ids[e] for e in odd),
+        closed_elsewhere=round(float(_closed(before[rest].mean(), after[rest].mean())), 4) if len(odd) else None,
     )
+
+
+def _outlying(before: Array, after: Array) -> tuple[Index, Index]:
+    """Return the few episodes that hold more than half of what remains, where all had much to explain, and the rest."""
+    order = np.argsort(-after, kind="stable")
+    few, rest = np.sort(order[: len(order) // FEW]), np.sort(order[len(order) // FEW :])
+    much = min(after.mean(), before[rest].mean()) - 1 > REMAINING
+    return (few, rest) if much and (after[few] - 1).sum() > (after - 1).sum() / 2 else (NONE, rest)
 
 
 def _closed(before: Array, after: Array) -> Array:
@@ -118,7 +135,8 @@ def _closed(before: Array, after: Array) -> Array:
 def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     """Return 90 % ends `(d,)` of the coordinates; the fitted values always lie inside.
 
-    One number is refitted on resampled episodes; a grid's interval is no finer than the grid. Refits of several only
+    One number is refitted on resampled episodes; a grid's interval is no finer than the grid, and reaches as far as the
+    loss cannot be told from the fit's. Refits of several only
     follow the slopes of one place, and there contacts that come and go look like knowledge: their losses are simulated
     around the fit instead.
     """
@@ -134,7 +152,32 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     grid = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
     wider = WIDER if isinstance(fit.response, Curve) else LOOSE
     slack = np.maximum(grid, slack)
-    return own - wider * np.maximum(own - low, 0) - slack, own + wider * np.maximum(high - own, 0) + slack
+    low = own - wider * np.maximum(own - low, 0) - slack
+    high = own + wider * np.maximum(high - own, 0) + slack
+    if not isinstance(fit.response, Curve) or fit.response.who.choices:
+        return low, high
+    least, most = _alike(problem, fit.response, own)
+    return np.minimum(low, least), np.maximum(high, most)
+
+
+def _alike(problem: Problem, curve: Curve, own: Array) -> tuple[float, float]:
+    """Return how far to both sides of the fit `own (1,)` the loss rises by no more than its standard error.
+
+    Around a parabola's least that is two standard errors of the coordinate, less than refits say. But some effects
+    have an end: play of which a joint never crosses the half acts as any larger play does, and refits all lie where the
+    plain begins.
+    """
+    grid, rise = curve.grid(), curve.table(problem.score) - problem.score.loss(curve.read(own))
+    ends = []
+    for side, bound in ((-1, curve.who.low), (1, curve.who.high)):
+        end = float(own[0])
+        beyond = [i for i in np.argsort(side * grid) if side * (grid[i] - own[0]) > 0]
+        for i in beyond:
+            if rise[i].mean() > standard_error(rise[i]):
+                break
+            end = float(bound[0]) if i == beyond[-1] else float(grid[i])
+        ends.append(end)
+    return ends[0], ends[1]
 
 
 def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:

@@ -6,19 +6,18 @@ from collections.abc import Sequence
 
 from candata.gap.attribute import Attribution
 from candata.gap.search import Fit
-from candata.gap.shrink import trust
+from candata.gap.shrink import REMAINING, trust
 from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
 EXPLAINED, PARTLY = 0.8, 0.3
-#: Floors that may remain for `explained` whatever the share, where a set is trusted.
-REMAINING = 0.30
 #: Trust below which a set passes no more for the little that it leaves: it is wrong more often than right. (A magnet
 #: that was half explained by the object's mass left 0.29 floors of 0.77; of true causes, none that left 0.30 floors or
 #: less and a fifth of the gap left more than 0.10.)
 DOUBTED = 0.5
 #: Share of a small gap below which nothing is explained, however little remains: the remainder is the larger part.
 #: Chosen: of 40 right names the least closed 0.69; a fingertip that repeats old readings, named as a lag, 0.37 to 0.43.
+#: Nor is it explained, whatever its size, where few episodes hold most of what remains and less closes on the others.
 LARGER_PART = 0.5
 #: Fewest episodes on which anything is decided.
 FEWEST = 8
@@ -30,7 +29,8 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
         return "unknown_effect" if found.remains else "no_gap"
     closed = size.closed or 0.0
     little = size.after - size.floor <= REMAINING
-    if closed < PARTLY or (little and closed < EXPLAINED and (trust(size) < DOUBTED or closed < LARGER_PART)):
+    faint = little and closed < EXPLAINED and (trust(size) < DOUBTED or closed < LARGER_PART)
+    if faint or (closed < PARTLY and (size.closed_elsewhere or 0.0) < LARGER_PART):
         return "unknown_effect"
     if len(found.tied) > 1:
         return "ambiguous"

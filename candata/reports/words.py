@@ -132,8 +132,17 @@ def how_far(report: Report) -> str:
     verb = "would close" if not report.effects else "closes"
     return (
         f"{doer} {verb} {percent(gap.closed)} of the gap on held-out episodes{span}: "
-        f"the mismatch goes from {before} to {after} times the floor."
+        f"the mismatch goes from {before} to {after} times the floor.{_outlying(report)}"
     )
+
+
+def _outlying(report: Report) -> str:
+    """Return the sentence about few episodes that hold most of what remains; empty where no few do."""
+    gap = report.gap
+    if gap is None or not gap.outlying or gap.closed_elsewhere is None:
+        return ""
+    few = f"Episode {gap.outlying[0]} holds" if len(gap.outlying) == 1 else f"Episodes {listed(gap.outlying)} hold"
+    return f" {few} most of what remains; of the gap of the others {percent(gap.closed_elsewhere)} closes."
 
 
 def was_tried(report: Report) -> bool:

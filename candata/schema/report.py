@@ -65,7 +65,11 @@ class Ranked(Record):
 
 
 class Gap(Record):
-    """How far: mean size of held-out residuals over that of the nulls; closed is null for no_gap."""
+    """How far: mean size of held-out residuals over that of the nulls; closed is null for no_gap.
+
+    `outlying` are few episodes, an eighth at most, that hold more than half of what remains; `closed_elsewhere` is the
+    share that closes on the others. None and null where no few do.
+    """
 
     before: float
     after: float
@@ -73,6 +77,8 @@ class Gap(Record):
     closed: float | None = None
     low: float | None = None
     high: float | None = None
+    outlying: tuple[str, ...] = ()
+    closed_elsewhere: float | None = None
 
 
 class EditTest(Record):

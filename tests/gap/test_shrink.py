@@ -83,3 +83,31 @@ def test_a_set_that_leaves_much_is_trusted_less(after, closed, least, most):
     """By the smaller of floors and share that are left: neither a faint nor a large gap is held against it."""
     found = trust(Gap(before=5.0, after=after, closed=closed))
     assert least - 1e-9 <= found <= most + 1e-9
+
+
+def thrown(left: float, before: float = 3.0, episodes: int = 20) -> Gap:
+    """Of episodes that come down to `left`, two are thrown by a contact that no replay repeats."""
+    was, now = np.full(episodes, before), np.full(episodes, left)
+    was[[2, 12]] = now[[2, 12]] = 25.0
+    ids = [f"e{i}" for i in range(episodes)]
+    return gap(was, now, np.random.default_rng(0), gap_left=True, ids=ids)
+
+
+def test_few_episodes_that_hold_most_of_what_remains_are_told_apart():
+    found = thrown(1.1)
+    assert found.closed == pytest.approx(1 - (0.9 * 0.1 + 2.4) / (0.9 * 2 + 2.4), abs=1e-4)
+    assert (found.outlying, found.closed_elsewhere) == (("e2", "e12"), pytest.approx(0.95))
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        thrown(4.0, before=5.0),  # the others hold more
+        thrown(1.0, before=1.2),  # the others had next to nothing to explain
+        gap(np.full(8, 3.0), np.array([*np.ones(7), 3.0]), np.random.default_rng(0), True, list("abcdefgh")),
+        gap(np.full(4, 3.0), np.array([1.0, 1.0, 1.0, 9.0]), np.random.default_rng(0), True, list("abcd")),
+    ],
+    ids=["others hold more", "little elsewhere", "little remains", "too few"],
+)  # fmt: skip
+def test_otherwise_none_are(found):
+    assert (found.outlying, found.closed_elsewhere) == ((), None)

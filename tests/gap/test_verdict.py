@@ -28,8 +28,10 @@ def found(chosen=None, tied: int = 1, remains: bool = False):
     )
 
 
-def closing(share: float, before: float = 11.0) -> Gap:
-    return Gap(before=before, after=1 + (1 - share) * (before - 1), closed=share)
+def closing(share: float, before: float = 11.0, elsewhere: float | None = None) -> Gap:
+    few = () if elsewhere is None else ("e2",)
+    after = 1 + (1 - share) * (before - 1)
+    return Gap(before=before, after=after, closed=share, outlying=few, closed_elsewhere=elsewhere)
 
 
 @pytest.mark.parametrize(
@@ -58,6 +60,10 @@ def closing(share: float, before: float = 11.0) -> Gap:
         (found(True, tied=2), closing(1.0), "ambiguous"),
         (found(True, tied=2), closing(0.5), "ambiguous"),
         (found(True, tied=2), closing(0.1), "unknown_effect"),
+        # Few episodes that hold most of what remains do not outvote all others.
+        (found(True), closing(0.14, elsewhere=0.5), "partly_explained"),
+        (found(True), closing(0.14, elsewhere=0.49), "unknown_effect"),
+        (found(True, tied=2), closing(0.14, elsewhere=0.9), "ambiguous"),
     ],
 )
 def test_the_table_of_verdicts(attribution, size, word):

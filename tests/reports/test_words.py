@@ -95,6 +95,15 @@ def test_where_no_candidate_passes_none_is_said_to_close_anything(make_report):
     )
 
 
+def test_few_episodes_that_hold_most_of_what_remains_are_named(make_report):
+    report = make_report("partly_explained")
+    few = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
+    told = words.how_far(report.model_copy(update={"gap": few}))
+    assert told.endswith("Episodes e2 and e12 hold most of what remains; of the gap of the others 56 % closes.")
+    one = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e2",)})})
+    assert "Episode e2 holds most of what remains" in words.how_far(one)
+
+
 def test_a_column_of_the_pose_is_said_as_what_it_is():
     symptom = Symptom(channel="object_pose", element="rotation x", phase="rest", ratio=30.0, p=0.001)
     assert words.place(symptom) == "the object's rotation x during rest"
