@@ -57,6 +57,7 @@ def build() -> typer.Typer:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit with its code; `arguments` default to the process's own."""
+    _draw_in_children()
     try:
         app = build()
         _leave_unread(app, sys.argv[1:] if arguments is None else arguments)
@@ -73,6 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         code = error.code
     _flush()
     sys.exit(code)
+
+
+def _draw_in_children() -> None:
+    """Keep the user's GL library for the processes that draw: importing MuJoCo fails where the library is not there."""
+    if os.environ.get("MUJOCO_GL"):
+        os.environ.setdefault("CANDATA_GL", os.environ["MUJOCO_GL"])
+        os.environ["MUJOCO_GL"] = "off"
 
 
 def _leave_unread(app: typer.Typer, words: Sequence[str]) -> None:

@@ -103,8 +103,8 @@ def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int
 
 
 def _libraries() -> tuple[str, ...]:
-    """Return the GL libraries to try: the user's MUJOCO_GL first, none when it says so."""
-    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    """Return the GL libraries to try: the user's first (MUJOCO_GL; the command line keeps it as CANDATA_GL) or none."""
+    wanted = os.environ.get("CANDATA_GL", os.environ.get("MUJOCO_GL", "")).strip().lower()
     if wanted in ("disable", "disabled", "off", "false", "0"):
         return ()
     asked = (wanted,) if wanted and wanted not in LIBRARIES else ()

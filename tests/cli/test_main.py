@@ -175,3 +175,16 @@ def test_help_loads_no_heavy_package():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == "[]\n"
+
+
+def test_a_gl_library_that_is_not_there_stops_no_command():
+    """Importing MuJoCo fails then; only the processes that draw need it, and are told which was asked for."""
+    code = (
+        "import os, sys\nfrom candata_cli.main import main\n"
+        "try: main(['doctor', '--json'])\n"
+        "except SystemExit: import mujoco\n"
+        "from candata.reports import render\nprint(render._libraries()[0], file=sys.stderr)"
+    )
+    env = {**os.environ, "MUJOCO_GL": "no-such-library"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
+    assert done.stderr == "no-such-library\n"
