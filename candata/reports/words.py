@@ -25,7 +25,7 @@ _MEANINGS: dict[Verdict, str] = {
     "explained": "The named effects pass the held-out test and close at least 80 % of the gap, "
     "or leave 0.30 floors of it or less, and less than half.",
     "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, "
-    "but something else remains.",
+    "of all episodes or of all but a few, but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
