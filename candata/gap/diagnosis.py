@@ -44,6 +44,8 @@ Progress = Callable[[str], None]
 #: end. A toss is short, and chance decides how it lands. (In one of five splits of real ones 64 could not tell the
 #: cube's inertia from luck, 0.14 +- 0.21 floors beside the others; 128 could.)
 SEARCHED, TOSSES = 64, 128
+#: Fewest episodes left untouched; where fewer would be, all are searched. Chosen: an interval over few tells little.
+UNTOUCHED = 16
 
 
 def diagnose(
@@ -70,7 +72,8 @@ def diagnose(
     seed : int
         Seed of folds, null replays and resamples.
     cache : Path, optional
-        Folder in which signatures are kept for the next diagnosis of the same commands; none are kept by default.
+        Folder in which what effects do is kept for the next diagnosis of the same recordings, or of others of the
+        same commands where their signatures are kept there; nothing is kept by default.
     only : tuple of str
         Effects to search among; all that can act and show by default.
     budget : float, optional
@@ -127,6 +130,7 @@ def posed(
     everything = checked(replayer, read(scene, dataset))
     order = rng.permutation(len(everything))
     most = TOSSES if is_toss(scene) else SEARCHED
+    most = most if len(everything) - most >= UNTOUCHED else len(everything)
     searched, untouched = np.sort(order[:most]), np.sort(order[most:])
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)

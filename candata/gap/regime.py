@@ -24,8 +24,8 @@ Flags = NDArray[np.bool_]
 #: A block counts as moving above this share of its joint's fast speed (the 90 % quantile), and above this many
 #: standard deviations of what noise alone makes of a speed.
 MOVING, SURELY = 0.15, 4.0
-#: A joint that carries no fingertip is loaded where its servo is off by more than this share of what it is off at most
-#: (the 90 % quantile), and by more than noise: there its motor pulls.
+#: A motor pulls where its joint is off its target by more than this share of what it is off at most (the 90 %
+#: quantile), and by more than noise.
 PULLS = 0.5
 #: Blocks before and after a joint sets out the other way that count as near the reversal.
 NEAR = 1
@@ -160,17 +160,19 @@ def _carried(scene: Scene, tips: int) -> Flags:
 def splits(scene: Scene, regime: Regimes, channel: str, element: str | None) -> dict[str, tuple[Flags, Flags]]:
     """Return the regimes that make sense for one column, each beside the strata within which it is compared.
 
-    Motion and load of a joint, contact of a fingertip or the object; of a joint that carries no fingertip, whether its
-    motor pulls. Fingers that press hardly move: motion is compared
-    among blocks of the same load, load among blocks of the same motion. Flags and strata are `(E, B)` and `(S, E, B)`.
+    Motion of a joint and contact of what it carries, contact of a fingertip or the object; of a joint whose fingertips'
+    forces are not known, whether its motor pulls. Fingers that press hardly move: motion is compared among blocks of
+    the same load, load among blocks of the same motion. Flags and strata are `(E, B)` and `(S, E, B)`.
     """
     touched: Flags = np.asarray(regime.tips.any(2))
+    load = ("loaded", "free")
     out: dict[str, tuple[Flags, Flags]] = {}
     if channel == "joint_position" and element in scene.file.joints:
         j = scene.file.joints.index(element)
-        touched = (
-            np.asarray(regime.tips[..., regime.carried[j]].any(2)) if regime.carried[j].any() else regime.pulled[..., j]
-        )
+        if regime.carried[j].any():
+            touched = np.asarray(regime.tips[..., regime.carried[j]].any(2))
+        else:
+            touched, load = regime.pulled[..., j], ("pulling", "idle")
         moved = {name: flags[..., j] for name, flags in regime.motion.items()}
         strata = np.stack([moved[name] for name in ("moving +", "moving -", "reversal", "still")])
         alike = np.stack([touched, ~touched]) & strata.any(0)
@@ -179,7 +181,7 @@ def splits(scene: Scene, regime: Regimes, channel: str, element: str | None) -> 
         strata = np.ones((1, *touched.shape), bool)
     if channel == "fingertip_force" and element is not None:
         touched = regime.tips[..., scene.file.fingertips.index(element.rsplit(" ", 1)[0])]
-    return out | ({"loaded": (touched, strata), "free": (~touched, strata)} if touched.any() else {})
+    return out | (dict(zip(load, ((touched, strata), (~touched, strata)), strict=True)) if touched.any() else {})
 
 
 def with_regimes(found: Sequence[Symptom], problem: Problem, rng: np.random.Generator) -> tuple[Symptom, ...]:

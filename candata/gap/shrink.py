@@ -49,7 +49,7 @@ DOUBTFUL = 0.1
 ENDS = (0.05, 0.95)
 #: Floors of what remains up to which a gap counts as closed where a set is trusted.
 REMAINING = 0.30
-#: One in so many episodes may hold most of what remains and be told apart. Chosen.
+#: One in so many episodes at most may hold most of what remains and be told apart. Chosen.
 FEW = 8
 NONE = np.zeros(0, np.int64)
 
@@ -120,11 +120,12 @@ def gap(before: Array, after: Array, rng: np.random.Generator, gap_left: bool, i
 
 
 def _outlying(before: Array, after: Array) -> tuple[Index, Index]:
-    """Return the few episodes that hold more than half of what remains, where all had much to explain, and the rest."""
-    order = np.argsort(-after, kind="stable")
-    few, rest = np.sort(order[: len(order) // FEW]), np.sort(order[len(order) // FEW :])
-    much = min(after.mean(), before[rest].mean()) - 1 > REMAINING
-    return (few, rest) if much and (after[few] - 1).sum() > (after - 1).sum() / 2 else (NONE, rest)
+    """Return the fewest episodes that hold more than half of what remains, where all had much to explain; the rest."""
+    order, left = np.argsort(-after, kind="stable"), after - 1
+    count = 1 + int(np.argmax(np.cumsum(left[order]) > left.sum() / 2))
+    few, rest = np.sort(order[:count]), np.sort(order[count:])
+    is_few = count <= len(order) // FEW and min(left.mean(), before[rest].mean() - 1) > REMAINING
+    return (few, rest) if is_few else (NONE, rest)
 
 
 def _closed(before: Array, after: Array) -> Array:

@@ -12,14 +12,10 @@ and kept for the next diagnosis of the same recordings.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 import os
-import shutil
 import time
-import uuid
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -30,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effect
+from candata.gap import kept
 from candata.gap.floor import null_residuals
 from candata.gap.recordings import Recordings
 from candata.gap.replay import BATCH, EffectSet, Replayer, replay_all, true_start
@@ -44,7 +41,7 @@ Compact = NDArray[np.float32]
 #: Rooms whose code decides a signature.
 CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
-OWN_CODE = ("floor", "held", "replay", "residuals", "starts")
+OWN_CODE = ("floor", "held", "replay", "residuals", "signatures", "starts")
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
 #: decides when contact begins, hardly what an effect does but for a sensor at fault that read it.
@@ -53,8 +50,6 @@ SAME_PLACE, SAME_TURN = 0.02, 0.1
 NULL_SEED = 0
 #: Seconds between two words on how far simulations are.
 TOLD_S = 10.0
-#: Size of the cache from which the sets used longest ago are removed [bytes].
-LIMIT_BYTES = 4_000_000_000
 
 
 @dataclass(frozen=True)
@@ -107,7 +102,7 @@ class Library:
             begin, plan = self.begin.take(index), self.plan.take(index)
             recs, raw = self.recs.take(index), self.raw[index]
             part = library(self.replayer, recs, begin, plan, raw, root, self.told, share=not self.seen)
-            self.parts[key] = replace(part, own=self.own)
+            self.parts[key] = replace(part, own=self.own and part.own)
         return self.parts[key]
 
     def signatures(self, settings: Sequence[EffectSet]) -> list[Compact]:
@@ -138,13 +133,13 @@ class Library:
         for name, some in zip(names, settings, strict=True):
             if name not in self.memo and is_read_at_start(some):
                 self._signature(some)
-            elif name not in self.memo and (kept := _read(self._file(name))) is not None:
-                self.memo[name] = kept["residual"]
+            elif name not in self.memo and (found := kept.read(self._file(name))) is not None:
+                self.memo[name] = found["residual"]
         new = {name: some for name, some in zip(names, settings, strict=True) if name not in self.memo}
         played = replay_all(self.replayer, self.recs, self.begin, list(new.values())) if new else []
         for name, readings in zip(new, played, strict=True):
             self.memo[name] = (self.raw - residual(self.recs, self.plan, readings)).astype(np.float32)
-            _keep(self._file(name), residual=self.memo[name])
+            kept.keep(self._file(name), residual=self.memo[name])
         return [self.memo[name] for name in names]
 
     def lacks(self, some: EffectSet) -> bool:
@@ -154,8 +149,8 @@ class Library:
 
     def keep(self, some: EffectSet) -> None:
         """Simulate a signature into the cache, unless it is there; nothing of it stays in memory."""
-        if _read(self._file(self._name(some))) is None:
-            _keep(self._file(self._name(some)), residual=self._residual(some) - self._nominal())
+        if kept.read(self._file(self._name(some))) is None:
+            kept.keep(self._file(self._name(some)), residual=self._residual(some) - self._nominal())
 
     def _signature(self, some: EffectSet) -> Compact:
         """Return one signature."""
@@ -192,10 +187,10 @@ class Library:
         """Return what `text` names: from memory, from the cache, or made and kept in both."""
         if text not in self.memo:
             file = self._file(text)
-            kept = _read(file)
-            self.memo[text] = make() if kept is None else kept["residual"]
-            if kept is None:
-                _keep(file, residual=self.memo[text])
+            found = kept.read(file)
+            self.memo[text] = make() if found is None else found["residual"]
+            if found is None:
+                kept.keep(file, residual=self.memo[text])
         return self.memo[text]
 
     def _file(self, text: str) -> Path | None:
@@ -235,7 +230,9 @@ def library(
     place = root / "signatures" / _key(replayer, recs, begin)
     known = _known_start(place, begin, replayer.scene) if share is not False else None
     if known is None and not share:
-        return Library(replayer, recs, begin, flat, raw, place / f"seen-{_content(recs, begin)}", True, told=told)
+        own_place = place / f"seen-{_content(recs, begin)}"
+        kept.used(own_place)
+        return Library(replayer, recs, begin, flat, raw, own_place, True, told=told)
     folder, shared = known or _new_start(place, begin)
     own = np.array_equal(shared.qpos, begin.qpos) and np.array_equal(shared.qvel, begin.qvel)
     made = Library(replayer, recs, shared, flat, raw, folder, False, told=told, own=own)
@@ -307,7 +304,7 @@ def _known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Start
     for known in sorted(folder.glob("*/starts.npz")) if folder.is_dir() else ():
         found = _start_in(known)
         if found is not None and _is_same(scene, found, begin):
-            known.parent.touch()
+            kept.used(known.parent)
             return known.parent, found
     return None
 
@@ -316,15 +313,15 @@ def _new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:
     """Return a new folder for signatures from a start, and that start."""
     arrays = {name: getattr(begin, name) for name in ("rows", "qpos", "qvel", "qpos0", "qvel0")}
     own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
-    _prune(folder.parent)
-    _keep(own / "starts.npz", **arrays)
+    kept.used(own)
+    kept.keep(own / "starts.npz", **arrays)
     return own, begin
 
 
 def _start_in(file: Path) -> Starts | None:
     """Return the start kept in a file; None where it cannot be read."""
-    kept = _read(file)
-    return Starts(**kept) if kept else None
+    found = kept.read(file)
+    return Starts(**found) if found else None
 
 
 def _is_same(scene: Scene, one: Starts, other: Starts) -> bool:
@@ -338,41 +335,3 @@ def _is_same(scene: Scene, one: Starts, other: Starts) -> bool:
     return bool(
         (np.abs(one.qpos - other.qpos) <= allowed).all() and (np.abs(one.qvel - other.qvel) <= allowed_speed).all()
     )
-
-
-def _keep(file: Path | None, **arrays: NDArray) -> None:
-    """Write arrays to a file, whole or not at all; a cache that cannot be written is no harm."""
-    if file is None:
-        return
-    draft = file.with_name(f".{file.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with draft.open("wb") as out:
-            np.savez(out, allow_pickle=False, **arrays)
-        draft.replace(file)
-    except OSError:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
-
-
-def _read(file: Path | None) -> dict[str, NDArray] | None:
-    """Return the arrays of a file; None where it is missing or damaged (the archive checks its sums)."""
-    if file is None:
-        return None
-    try:
-        with np.load(file) as kept:
-            return {name: kept[name] for name in kept.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
-
-
-def _prune(root: Path) -> None:
-    """Remove the sets used longest ago until the cache is below its limit."""
-    sets = sorted((d for d in root.glob("*/*") if d.is_dir()), key=lambda d: d.stat().st_mtime)
-    size = {d: sum(f.stat().st_size for f in d.iterdir()) for d in sets}
-    total = sum(size.values())
-    for folder in sets:
-        if total <= LIMIT_BYTES:
-            break
-        shutil.rmtree(folder, ignore_errors=True)
-        total -= size[folder]

@@ -17,7 +17,7 @@ EXPLAINED, PARTLY = 0.8, 0.3
 DOUBTED = 0.5
 #: Share of a small gap below which nothing is explained, however little remains: the remainder is the larger part.
 #: Chosen: of 40 right names the least closed 0.69; a fingertip that repeats old readings, named as a lag, 0.37 to 0.43.
-#: Nor is it explained, whatever its size, where few episodes hold most of what remains and less closes on the others.
+#: So much must close on the other episodes, and anything on all, where less than `PARTLY` does for the sake of a few.
 LARGER_PART = 0.5
 #: Fewest episodes on which anything is decided.
 FEWEST = 8
@@ -30,7 +30,8 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
     closed = size.closed or 0.0
     little = size.after - size.floor <= REMAINING
     faint = little and closed < EXPLAINED and (trust(size) < DOUBTED or closed < LARGER_PART)
-    if faint or (closed < PARTLY and (size.closed_elsewhere or 0.0) < LARGER_PART):
+    few = closed > 0 and (size.closed_elsewhere or 0.0) >= LARGER_PART
+    if faint or (closed < PARTLY and not few):
         return "unknown_effect"
     if len(found.tied) > 1:
         return "ambiguous"

@@ -23,7 +23,7 @@ HEADLINES: dict[Verdict, str] = {
 _MEANINGS: dict[Verdict, str] = {
     "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
     "explained": "The named effects pass the held-out test and close at least 80 % of the gap, "
-    "or leave 0.30 floors of it or less, and less than half.",
+    "or leave 0.30 floors of it or less, and less than half, with a support of at least one half.",
     "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, "
     "of all episodes or of all but a few, but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
@@ -64,6 +64,8 @@ _REGIMES = {
     "still": "while it stands still",
     "loaded": "under contact",
     "free": "out of contact",
+    "pulling": "where its motor pulls",
+    "idle": "where its motor hardly pulls",
 }
 
 

@@ -67,8 +67,8 @@ class Ranked(Record):
 class Gap(Record):
     """How far: mean size of held-out residuals over that of the nulls; closed is null for no_gap.
 
-    `outlying` are few episodes, an eighth at most, that hold more than half of what remains; `closed_elsewhere` is the
-    share that closes on the others. None and null where no few do.
+    `outlying` are the fewest episodes that hold more than half of what remains, where they are an eighth at most;
+    `closed_elsewhere` is the share that closes on the others. None and null where they are more.
     """
 
     before: float
@@ -104,7 +104,8 @@ class Symptom(Record):
     """Where: a channel, element and phase in which the recording leaves the nulls.
 
     `regime` is where the excess of this element lies, over all phases: "moving", "moving +", "moving -", "reversal",
-    "still", "loaded" or "free"; null where it lies in all of them alike.
+    "still", "loaded" or "free" of contact, or "pulling" or "idle" of a motor whose joint is not known to carry a
+    contact; null where it lies in all of them alike.
     """
 
     channel: str

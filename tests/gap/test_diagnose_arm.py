@@ -181,11 +181,20 @@ def test_gaps_and_unequal_lengths_are_no_obstacle(arm, arm_episodes, planted, ju
 
 def test_episodes_beyond_those_searched_are_measured_untouched(arm, arm_episodes, planted, judge, monkeypatch):
     monkeypatch.setattr(diagnosis, "SEARCHED", 8)
+    monkeypatch.setattr(diagnosis, "UNTOUCHED", 4)
     report = judge(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=12)).report
     assert [e.name for e in report.effects] == ["joint_damping"]
     assert (report.data.episodes.total, report.data.episodes.held_out) == (12, 4)
     assert report.data.notes == ("effects searched on 8 episodes, measured on the other 4",)
     assert report.gap.closed >= 0.8
+
+
+def test_too_few_untouched_episodes_to_measure_on_are_searched_too(arm, arm_episodes, planted, judge, monkeypatch):
+    """Measured on one episode, a gap had an interval of no width, and that one could decide the verdict."""
+    monkeypatch.setattr(diagnosis, "SEARCHED", 8)
+    report = judge(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=1.0), count=9)).report
+    assert (report.data.episodes.total, report.data.episodes.held_out, report.data.notes) == (9, 9, ())
+    assert report.verdict == "explained"
 
 
 def test_progress_tells_every_stage(arm, arm_episodes, judge):

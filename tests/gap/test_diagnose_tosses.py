@@ -47,6 +47,7 @@ def test_more_tosses_are_searched_than_episodes_of_a_hand(cube, played, judge, m
     assert diagnosis.TOSSES > diagnosis.SEARCHED
     monkeypatch.setattr(diagnosis, "SEARCHED", 2)
     monkeypatch.setattr(diagnosis, "TOSSES", 8)
+    monkeypatch.setattr(diagnosis, "UNTOUCHED", 4)
     report = judge(cube, played(cube, count=COUNT, duration_s=0.4, seed=5)).report
     assert report.data.notes == ("effects searched on 8 episodes, measured on the other 4",)
 

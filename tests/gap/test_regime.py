@@ -106,13 +106,13 @@ def test_an_excess_that_lies_everywhere_has_no_regime(world, shift):
     assert sum(any(f) for f in found) <= 8
 
 
-def test_a_joint_without_a_fingertip_is_loaded_where_its_motor_pulls(arm, plain_recordings, one_phase):
+def test_of_a_joint_without_a_fingertip_it_is_known_where_its_motor_pulls(arm, plain_recordings, one_phase):
     rng = np.random.default_rng(2)
     joint = 0.002 * rng.standard_normal((2, 40, 2))
     commands = np.zeros((2, 40, 2))
     commands[:, 20:, 0] = 0.1
     known = regimes(arm, plain_recordings(commands=commands, joint_position=joint), one_phase(2, 8, 2))
-    flags = {j: splits(arm, known, "joint_position", j).get("loaded") for j in arm.file.joints}
+    flags = {j: splits(arm, known, "joint_position", j).get("pulling") for j in arm.file.joints}
     assert flags["shoulder"][0].tolist() == [[False] * 4 + [True] * 4] * 2
     assert flags["elbow"] is None, "noise is no load"
     # A regime is compared among blocks of the same motion.

@@ -85,10 +85,10 @@ def test_a_set_that_leaves_much_is_trusted_less(after, closed, least, most):
     assert least - 1e-9 <= found <= most + 1e-9
 
 
-def thrown(left: float, before: float = 3.0, episodes: int = 20) -> Gap:
+def thrown(left: float, before: float = 3.0, episodes: int = 20, odd: tuple[int, ...] = (2, 12)) -> Gap:
     """Of episodes that come down to `left`, two are thrown by a contact that no replay repeats."""
     was, now = np.full(episodes, before), np.full(episodes, left)
-    was[[2, 12]] = now[[2, 12]] = 25.0
+    was[list(odd)] = now[list(odd)] = 25.0
     ids = [f"e{i}" for i in range(episodes)]
     return gap(was, now, np.random.default_rng(0), gap_left=True, ids=ids)
 
@@ -97,6 +97,8 @@ def test_few_episodes_that_hold_most_of_what_remains_are_told_apart():
     found = thrown(1.1)
     assert found.closed == pytest.approx(1 - (0.9 * 0.1 + 2.4) / (0.9 * 2 + 2.4), abs=1e-4)
     assert (found.outlying, found.closed_elsewhere) == (("e2", "e12"), pytest.approx(0.95))
+    # No more than it takes.
+    assert thrown(1.1, episodes=64, odd=(7,)).outlying == ("e7",)
 
 
 @pytest.mark.parametrize(

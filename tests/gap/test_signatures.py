@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from candata.gap import signatures
+from candata.gap import kept, signatures
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
@@ -161,13 +162,41 @@ def test_a_cache_that_cannot_be_written_is_no_harm(still, planted, tmp_path):
     assert np.isfinite(found).any()
 
 
-def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, tmp_path, monkeypatch):
+@pytest.mark.parametrize("share", [True, None], ids=["signatures", "what was seen"])
+def test_what_was_used_longest_ago_goes_when_the_cache_is_full(still, planted, tmp_path, monkeypatch, share):
+    some = planted("armature", armature_kgm2=0.01)
+
+    def begun(more: float):
+        recs = replace(still.recs, commands=still.recs.commands + more)
+        return library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=share)
+
+    first = begun(0.0)
+    first.signatures([some])
+    monkeypatch.setattr(kept, "LIMIT_BYTES", 10)
+    second = begun(1e-6)
+    second.signatures([some])
+    assert (first.folder.exists(), second.folder.exists()) == (True, True)  # somebody may be at work with it
+    monkeypatch.setattr(kept, "IN_USE_S", -1.0)
+    begun(2e-6).signatures([some])
+    assert (first.folder.exists(), second.folder.exists()) == (False, False)
+
+
+def test_a_set_that_is_used_again_stays_longest(still, planted, tmp_path):
+    first = library(still.replayer, still.recs, still.begin, still.plan, still.raw, tmp_path)
+    first.signatures([planted("armature", armature_kgm2=0.01)])
+    os.utime(first.folder, (1, 1))
+    library(still.replayer, still.recs, still.begin, still.plan, still.raw, tmp_path)
+    assert first.folder.stat().st_mtime > 1
+
+
+def test_a_library_that_may_only_be_read_serves(still, tmp_path, monkeypatch):
     first = shelf(still, tmp_path)
-    monkeypatch.setattr(signatures, "LIMIT_BYTES", 10)
-    recs = replace(still.recs, commands=still.recs.commands + 1e-6)
-    second = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=True)
-    assert not first.folder.exists()
-    assert second.folder.exists()
+
+    def refused(*_):
+        raise PermissionError(1, "not yours")
+
+    monkeypatch.setattr(os, "utime", refused)
+    assert shelf(still, tmp_path).folder == first.folder
 
 
 def test_without_a_cache_nothing_is_simulated_twice(still, planted):

@@ -63,6 +63,7 @@ def closing(share: float, before: float = 11.0, elsewhere: float | None = None) 
         # Few episodes that hold most of what remains do not outvote all others.
         (found(True), closing(0.14, elsewhere=0.5), "partly_explained"),
         (found(True), closing(0.14, elsewhere=0.49), "unknown_effect"),
+        (found(True), closing(-0.14, elsewhere=0.9), "unknown_effect"),
         (found(True, tied=2), closing(0.14, elsewhere=0.9), "ambiguous"),
     ],
 )

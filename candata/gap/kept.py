@@ -1,0 +1,73 @@
+"""What was simulated, in files: whole or not at all, and those used longest ago go when they are too many."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import time
+import uuid
+import zipfile
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: Size of the cache from which the sets used longest ago are removed [bytes].
+LIMIT_BYTES = 4_000_000_000
+#: Seconds for which a set stays after a diagnosis began with it or wrote to it.
+IN_USE_S = 6 * 3600.0
+
+
+def keep(file: Path | None, **arrays: NDArray) -> None:
+    """Write arrays to a file, whole or not at all; a cache that cannot be written is no harm."""
+    if file is None:
+        return
+    draft = file.with_name(f".{file.name}.{uuid.uuid4().hex[:8]}")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with draft.open("wb") as out:
+            np.savez(out, allow_pickle=False, **arrays)
+        draft.replace(file)
+    except OSError:
+        with contextlib.suppress(OSError):
+            draft.unlink(missing_ok=True)
+
+
+def read(file: Path | None) -> dict[str, NDArray] | None:
+    """Return the arrays of a file; None where it is missing or damaged (the archive checks its sums)."""
+    if file is None:
+        return None
+    try:
+        with np.load(file) as kept:
+            return {name: kept[name] for name in kept.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def used(own: Path) -> None:
+    """Mark a set as used now; before a new one is begun, those used longest ago go if the cache is too large."""
+    try:
+        os.utime(own)
+    except FileNotFoundError:
+        prune(own.parents[1])
+    except OSError:
+        pass  # somebody else's, which may be read
+
+
+def prune(root: Path) -> None:
+    """Remove the sets used longest ago until the cache is below its limit, but none that may be in use."""
+    last: dict[Path, float] = {}
+    size: dict[Path, int] = {}
+    for folder in root.glob("*/*"):
+        with contextlib.suppress(OSError):  # another process may remove or rename what is listed
+            last[folder], size[folder] = folder.stat().st_mtime, 0
+            for file in folder.iterdir():
+                with contextlib.suppress(OSError):
+                    size[folder] += file.stat().st_size
+    total = sum(size.values())
+    for folder in sorted(last, key=lambda folder: last[folder]):
+        if total <= LIMIT_BYTES or time.time() - last[folder] < IN_USE_S:
+            break
+        shutil.rmtree(folder, ignore_errors=True)
+        total -= size[folder]
