@@ -80,7 +80,7 @@ def _pulled(scene: Scene, recs: Recordings, count: int, rows: int) -> Flags:
         own = size[..., column]
         if np.isfinite(own).any():
             noise = _noise(recs.readings["joint_position"][..., j], rows)
-            out[..., j] = np.nan_to_num(own) > max(PULLS * np.nanquantile(own, 0.9), SURELY * noise)
+            out[..., j] |= np.nan_to_num(own) > max(PULLS * np.nanquantile(own, 0.9), SURELY * noise)
     return out
 
 
