@@ -12,7 +12,6 @@ from candata.gap.sets import SETTLED, compared, forward, jointly, simplified, wi
 from candata.gap.shortlist import gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
-from candata.gap.together import Responses
 from candata.gap.worth import LEFT, MOST, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
@@ -106,25 +105,15 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     chosen, world, remains = with_measured(world, chosen, remains)
     if len(tied) > 1:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
-    chosen, world, remains, others = _settled(problem, world, chosen, remains, first, rough)
     if remains:
-        wider, about, open_ = jointly(world, chosen)
-        if wider.labels != chosen.labels:
-            chosen, world, remains, others = _settled(problem, about, wider, open_, first, rough)
-    tied = aliases(world, chosen, others) or tied
-    return Attribution(first, chosen, tuple(tied), world.score, remains, tuple(others))
-
-
-def _settled(
-    problem: Problem, world: Problem, chosen: Fit, remains: bool, first: Stage, rough: Responses
-) -> tuple[Fit, Problem, bool, list[Fit]]:
-    """Return a set without spare members and challenged, its world, whether a gap remains, and what it is tied with."""
+        chosen, world, remains = jointly(world, chosen)
     chosen, world, remains = simplified(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough)
-    if better.labels == chosen.labels:
-        return better, world, remains, others
-    # What the wrong member hid may be seen now.
-    grown, world, remains = forward(world, better, first.fits)
-    if grown.labels != better.labels:
-        grown, others = challenged(problem, world, grown, rough)
-    return grown, world, remains, others
+    if better.labels != chosen.labels:
+        # What the wrong member hid may be seen now.
+        grown, world, remains = forward(world, better, first.fits)
+        if grown.labels != better.labels:
+            grown, others = challenged(problem, world, grown, rough)
+        better = grown
+    tied = aliases(world, better, others) or tied
+    return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))
