@@ -81,8 +81,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     where = with_regimes(where, f.problem, rng.spawn(1)[0])
     better = None
     if word in ("explained", "partly_explained"):
-        world = replace(f.problem, score=f.found.score)
-        better = unseating(world, size, where, f.found.first.fits[0].labels[0], rng.spawn(1)[0])
+        better = unseating(_judged(f), size, where, f.found.first.fits[0].labels[0], rng.spawn(1)[0])
     word = "unknown_effect" if better else word
     left = where
     if word == "partly_explained":
@@ -134,7 +133,7 @@ def _rest(
         return None
     fits = f.found.first.fits
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
-    problem = replace(f.problem, score=f.found.score) if repaired else f.problem
+    problem = _judged(f) if repaired else f.problem
     return describe(problem, repaired, left, nearest, rng)
 
 
@@ -156,7 +155,7 @@ def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[Named
     fit = f.found.chosen
     if fit is None:
         return ()
-    world = replace(f.problem, score=f.found.score)
+    world = _judged(f)
     low, high = intervals(world, fit)
     alone = support(f.found.first.fits, f.found.first.base, rng)[0]
     out = []

@@ -137,9 +137,8 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     """Return 90 % ends `(d,)` of the coordinates; the fitted values always lie inside.
 
     One number is refitted on resampled episodes; a grid's interval is no finer than the grid, and reaches as far as the
-    loss cannot be told from the fit's. Refits of several only
-    follow the slopes of one place, and there contacts that come and go look like knowledge: their losses are simulated
-    around the fit instead.
+    loss cannot be told from the fit's. Refits of several only follow the slopes of one place, and there contacts that
+    come and go look like knowledge: their losses are simulated around the fit instead.
     """
     own = np.concatenate([u for _, u in fit.members])
     slack = FINEST * np.abs(own - np.concatenate([c.neutral for c, _ in fit.members]))
