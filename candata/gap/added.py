@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from candata.gap.pace import TOGETHER
 from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.score import Compact
-from candata.gap.screen import respond
+from candata.gap.screen import respond, slope_of
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
 from candata.gap.stage import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.starts import is_toss
-from candata.gap.together import Responses, exchanged, sums
+from candata.gap.together import WITHIN, Responses, exchanged, sums
 from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, leaves, left_by, worth_adding
 
+Index = NDArray[np.int64]
 #: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: twice the rank of
 #: true ones whose effects each take a share of the gap.
 ADDED = 4
@@ -154,3 +158,15 @@ def here_of(problem: Problem, fit: Fit) -> Compact:
 def residuals_at(problem: Problem, members: Members) -> Compact:
     """Return the residuals `(E, K)` where effects act."""
     return problem.residuals([problem.setting(members)])[0]
+
+
+def pieces_of(fit: Fit, here: Compact, index: Index) -> Responses:
+    """Return how residuals `here (E, K)` of some episodes change with each member of a fit around where it is."""
+    if isinstance(fit.response, Plane):
+        slope = fit.response.slope
+    else:
+        ((c, u),) = fit.members
+        slope = slope_of(c, fit.response, u, WITHIN)
+    ends = np.cumsum([c.size for c, _ in fit.members])[:-1]
+    own = np.split(slope[:, index], ends)
+    return [(c, Plane(c.low, c.high, u, here, each)) for (c, u), each in zip(fit.members, own, strict=True)]

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
+from candata.gap.fewer import merged, simplified
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import SETTLED, compared, forward, jointly, simplified, with_measured
+from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
 from candata.gap.shortlist import gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
@@ -108,6 +109,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     if remains:
         chosen, world, remains = jointly(world, chosen)
     chosen, world, remains = simplified(world, chosen, remains)
+    chosen, world, remains = merged(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.

@@ -9,13 +9,12 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import by_loss, here_of, residuals_at, together
+from candata.gap.added import ADDED, by_loss, here_of, pieces_of, residuals_at, together
 from candata.gap.candidates import Candidate, candidate, local_candidates
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
 from candata.gap.pace import ANOTHER, BESIDE, JOINT
 from candata.gap.refine import joint
-from candata.gap.response import Plane
 from candata.gap.score import Compact, score
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
@@ -23,9 +22,8 @@ from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
-from candata.gap.together import Responses
+from candata.gap.together import Responses, beside
 from candata.gap.worth import (
-    EXTRA,
     FAINT,
     LARGEST,
     LEFT,
@@ -40,6 +38,7 @@ from candata.gap.worth import (
 )
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
@@ -58,9 +57,6 @@ ROUGHLY = 0.7
 #: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
 #: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
-#: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
-#: that to be tried. Chosen: 0.41 where a tracker's bias made up for a support's height, 0.9 to 1 of what was true.
-MADE_UP = 0.6
 #: Share of the best gain that the next best effect must have to be tried in its place, with a third. Chosen.
 NEXT = 0.5
 #: Null replays of each episode around an accepted set.
@@ -121,10 +117,10 @@ def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> t
     pairs.sort(key=lambda pair: float(pair[1].evidence.loss.mean()))
     best = pairs[0][1]
     left = [f for f, fit in pairs if is_tied(fit, best)]
-    return left, (chosen, problem, remains) if best is chosen else _judged(problem, best)
+    return left, (chosen, problem, remains) if best is chosen else judged(problem, best)
 
 
-def _judged(problem: Problem, fit: Fit) -> Grown:
+def judged(problem: Problem, fit: Fit) -> Grown:
     """Return a fit and the problem in units of the floor of its world, and whether a gap remains."""
     world, fit = _rescored(problem, fit)
     return fit, world, leaves(world, fit)
@@ -132,7 +128,32 @@ def _judged(problem: Problem, fit: Fit) -> Grown:
 
 def _next(problem: Problem, best: Fit) -> Fit | None:
     """Return the best set with one more effect; None where nothing passes."""
-    return _grown(problem, best, _beside(problem, best.members, here_of(problem, best)))
+    stage, seen = _beside(problem, best.members, here_of(problem, best))
+    found = _grown(problem, best, stage)
+    if (found is not None and is_next(best, found)) or not has_room(best):
+        return found
+    return _along(problem, best, stage.rough, brief(seen)) or found
+
+
+def _along(problem: Problem, best: Fit, rough: Responses, some: tuple[Problem, Index]) -> Fit | None:
+    """Return the set with the one more effect that explains most once what is held moves along; None of none.
+
+    What is held makes up for what is missing: where it stands, the missing cause may gain nothing. (A tracker's bias,
+    read 4 mm off, hid a friction cone worth 2 floors.) A choice is fitted whatever is read off: nothing lies between.
+    The responses `rough` are of `some` of the episodes.
+    """
+    part, index = some
+    here = here_of(problem, best)[index]
+    held = pieces_of(best, here, index)
+    base, now = part.score.loss(part.nominal), float(part.score.loss(here).mean())
+    sums = beside(part, here, held, rough)
+    tried = [one for i, one in enumerate(sums) if (i < ADDED and one.loss < now) or one.members[-1][0].choices]
+    few = [joint(part, one.members, base, widths=()).members for one in tried]
+    base = problem.score.loss(problem.nominal)
+    sets = [members for loss, members in by_loss(part, few)[: 1 + RIVALS] if loss < now]
+    light = [joint(problem, members, base, widths=()) for members in sets]
+    found = max((f for f in light if is_next(best, f)), key=lambda f: f.gain, default=None)
+    return joint(problem, found.members, base) if found is not None else None
 
 
 def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
@@ -148,17 +169,18 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
     return found if found.gain > best.gain else None
 
 
-def _beside(problem: Problem, members: Members, here: Compact) -> Stage:
-    """Return the evidence of every candidate beside effects whose residuals are `here (E, K)`.
+def _beside(problem: Problem, members: Members, here: Compact) -> tuple[Stage, Problem]:
+    """Return the evidence of every candidate beside effects whose residuals are `here (E, K)`, and how it was seen.
 
     They are simulated there where signatures promise little, and count if they promise more.
     """
     stage = look(problem, here, members)
     if problem.simulated or is_toss(problem.replayer.scene) or _is_promising(stage):
-        return stage
+        return stage, problem
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
-    other = look(looked_into(problem, here), here, members, stage)
-    return other if other.best_gain > stage.best_gain else stage
+    simulated = looked_into(problem, here)
+    other = look(simulated, here, members, stage)
+    return (other, simulated) if other.best_gain > stage.best_gain else (stage, problem)
 
 
 def _is_promising(stage: Stage) -> bool:
@@ -290,38 +312,6 @@ def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Mem
     return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
 
 
-def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
-    """Return the set without members that the others make up for once they are refitted.
-
-    What was taken early may be worth nothing beside what came later. (A support's height stayed beside a tracker's bias
-    that was worth as much in its place.) Slopes tell which to try, or how little a member is worth (a dead band that
-    closed a thousandth of the gap came by an exchange); one that was measured without a fit stays.
-    """
-    if len(best.members) < 2:
-        return best, problem, remains
-    known = {c.name for c, _ in problem.measured}
-    free = [m for m in best.members if m[0].name not in known and not m[0].choices and _is_spare(problem, best, m)]
-    base = problem.score.loss(problem.nominal)
-    fits = [joint(problem, tuple(m for m in best.members if m is not left), base) for left in free]
-    found = max(fits, key=lambda f: f.gain, default=None)
-    if found is None or is_next(found, best):
-        return best, problem, remains
-    found, world, remains = _judged(problem, found)
-    return simplified(world, found, remains)
-
-
-def _is_spare(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> bool:
-    """Tell whether leaving a member out costs little, or slopes promise that the others, refitted, make up for it."""
-    plane = best.plane
-    own = np.concatenate([np.full(c.size, c is left[0]) for c, _ in best.members])
-    at = plane.at.copy()
-    at[own] = left[0].neutral
-    rest = Plane(plane.low[~own], plane.high[~own], plane.at[~own], plane.read(at), plane.slope[~own])
-    refitted = rest.read(rest.best(np.arange(len(rest.z))))
-    left_out, promised, now = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted, plane.z))
-    return left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now)
-
-
 def is_full(members: Members, measured: Members) -> bool:
     """Tell whether a set holds as many effects as are searched for."""
     return _searched(members, measured) >= LARGEST
@@ -338,7 +328,7 @@ def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:
     new = tuple((c, u) for c, u in problem.measured if c.name not in {m.name for m, _ in best.members})
     if not new:
         return best, problem, remains
-    return _judged(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
+    return judged(problem, joint(problem, (*best.members, *new), problem.score.loss(problem.nominal)))
 
 
 def jointly(problem: Problem, best: Fit) -> Grown:
@@ -360,7 +350,7 @@ def jointly(problem: Problem, best: Fit) -> Grown:
         return best, problem, True
     fewest = _rebuilt(problem, found, base)
     fewest = _moved(problem, fewest) or fewest
-    return (best, problem, True) if _cancels(problem, fewest) else _judged(problem, fewest)
+    return (best, problem, True) if _cancels(problem, fewest) else judged(problem, fewest)
 
 
 def _cancels(problem: Problem, fit: Fit) -> bool:

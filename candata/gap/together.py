@@ -58,12 +58,13 @@ def sums(problem: Problem, responses: Responses) -> list[list[Sum]]:
     responses : sequence of (Candidate, Curve or Plane)
         Each effect alone, beside the nominal scene. No two of one name are taken together.
     """
-    found: dict[tuple[int, ...], Sum] = {(i,): _added(problem, [response]) for i, response in enumerate(responses)}
+    here = problem.nominal
+    found: dict[tuple[int, ...], Sum] = {(i,): _added(problem, [one], here) for i, one in enumerate(responses)}
     sizes = []
     for _ in range(1, LARGEST):
         best = sorted(found, key=lambda some: found[some].loss)[:GROWN]
         larger = sorted({tuple(sorted((*some, i))) for some in best for i in _others(responses, some)})
-        found = {some: _added(problem, [responses[i] for i in some]) for some in larger}
+        found = {some: _added(problem, [responses[i] for i in some], here) for some in larger}
         sizes.append(sorted(found.values(), key=lambda one: one.loss))
     return sizes
 
@@ -81,9 +82,27 @@ def exchanged(problem: Problem, responses: Responses, members: Members) -> list[
     for left in own:
         kept = tuple(i for i in own if i != left)
         new = [i for i in _others(responses, kept) if responses[i][0].name != responses[left][0].name]
-        each = [_added(problem, [responses[i] for i in (*kept, other)]) for other in new]
+        each = [_added(problem, [responses[i] for i in (*kept, other)], problem.nominal) for other in new]
         found.append(sorted(each, key=lambda one: one.loss))
     return found
+
+
+def beside(problem: Problem, here: Compact, held: Responses, responses: Responses) -> list[Sum]:
+    """Return what is held with each other effect, its own numbers moved along; those that leave least first.
+
+    Parameters
+    ----------
+    problem : Problem
+        The episodes that the responses are of.
+    here : (E, K) float32
+        Residuals where the effects held are.
+    held, responses : sequences of (Candidate, Curve or Plane)
+        Each as it changes those residuals.
+    """
+    found = [_added(problem, [*held, one], here) for one in responses]
+    last = [one.members[-1] for one in found]
+    acting = [one for one, (c, u) in zip(found, last, strict=True) if not c.is_neutral(u)]
+    return sorted(acting, key=lambda one: one.loss)
 
 
 def _others(responses: Responses, some: tuple[int, ...]) -> list[int]:
@@ -92,17 +111,17 @@ def _others(responses: Responses, some: tuple[int, ...]) -> list[int]:
     return [i for i, (c, _) in enumerate(responses) if c.name not in names]
 
 
-def _added(problem: Problem, responses: Responses) -> Sum:
-    """Return where effects leave least together, were their signatures to add up."""
+def _added(problem: Problem, responses: Responses, here: Compact) -> Sum:
+    """Return where effects leave least together, were what each changes of `here (E, K)` to add up."""
     at = [_begin(problem, response) for _, response in responses]
-    z, loss = _read(problem, responses, at)
+    z, loss = _read(problem, responses, at, here)
     for _ in range(STEPS):
         target = _plane(responses, at, z).best(np.arange(len(z)))
         ends = np.cumsum([len(u) for u in at])[:-1]
         now = np.concatenate(at)
         for share in SHARES:
             moved = np.split(now + share * (target - now), ends)
-            there, less = _read(problem, responses, moved)
+            there, less = _read(problem, responses, moved, here)
             if less < loss:
                 break
         else:
@@ -123,12 +142,11 @@ def _begin(problem: Problem, response: Curve | Plane) -> Array:
     return min(others, key=lambda u: float(problem.score.loss(response.read(u)).mean()))
 
 
-def _read(problem: Problem, responses: Responses, at: Sequence[Array]) -> tuple[Compact, float]:
-    """Return residuals `(E, K)` with what all effects do alone added up, and their mean loss."""
-    nominal = problem.nominal
-    z = nominal.copy()
+def _read(problem: Problem, responses: Responses, at: Sequence[Array], here: Compact) -> tuple[Compact, float]:
+    """Return residuals `(E, K)` with all that effects change of `here (E, K)` added up, and their mean loss."""
+    z = here.copy()
     for (_, response), u in zip(responses, at, strict=True):
-        z += response.read(u) - nominal
+        z += response.read(u) - here
     return z, float(problem.score.loss(z).mean())
 
 

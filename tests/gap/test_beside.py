@@ -15,8 +15,10 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer, needs_simulation
 from candata.gap.screen import respond, screening
+from candata.gap.shortlist import brief, looked_into
 from candata.gap.signatures import Library
-from candata.gap.stage import Stage
+from candata.gap.stage import Stage, look
+from candata.gap.together import Sum
 from candata.gap.wanted import wanted
 from tests.effects.gripper import ROLES, write_scene
 
@@ -60,11 +62,37 @@ def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatc
         return Stage(np.full(12, 1 + left), np.zeros((4, 12)), found, 0.0, (), (), (), 0.0)
 
     monkeypatch.setattr(sets, "look", looked)
-    stage = sets._beside(replace(problem, pace=Pace(told.append, 1.0)), fit.members, fit.plane.z)
+    stage, seen = sets._beside(replace(problem, pace=Pace(told.append, 1.0)), fit.members, fit.plane.z)
     assert len(told) == looks - 1
     assert all("about 20 to 65 s" in line for line in told)
     assert made == [False, True][:looks]
+    assert seen.simulated is (looks == 2 and simulated > (promised or 0.0))
     assert stage.best_gain == pytest.approx(max(promised or 0.0, simulated) if looks == 2 else promised)
+
+
+def test_another_effect_is_found_with_what_is_held_moved_along(late):
+    problem, delay = late
+    ((c, u),) = delay.members
+    z = problem.residuals([problem.setting([(c, u - 0.004)])])[0]
+    off = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
+    seen = looked_into(problem, z)
+    rough = look(seen, z, off.members).rough
+    found = sets._along(problem, off, rough, brief(seen))
+    assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
+    assert found.members[0][1] == pytest.approx([0.12], abs=0.001)
+    assert sets._along(problem, off, (), brief(seen)) is None
+
+
+def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
+    problem, delay = late
+    step = candidate("time_step", problem.replayer.scene)
+    sums = [Sum((*delay.members, (candidate("armature", problem.replayer.scene), np.full(1, 0.0005))), np.inf),
+            Sum((*delay.members, (step, step.low)), np.inf)]  # fmt: skip
+    fitted = []
+    monkeypatch.setattr(sets, "beside", lambda *a: sums)
+    monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: fitted.append(members) or delay)
+    assert sets._along(problem, delay, [], brief(problem)) is None, "the delay alone is no more than it was"
+    assert [c.name for c, _ in fitted[0]] == ["actuation_delay", "time_step"]
 
 
 @pytest.fixture(scope="module")

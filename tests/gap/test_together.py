@@ -18,7 +18,7 @@ from candata.gap.search import Problem
 from candata.gap.shortlist import brief
 from candata.gap.shrink import shares
 from candata.gap.stage import as_simulated, look
-from candata.gap.together import sums
+from candata.gap.together import beside, sums
 from candata.scenes import load_scene
 from candata.simulate.episodes import Job, make_episodes
 from tests.gap.conftest import ARM, ROLES, plant
@@ -99,6 +99,32 @@ def test_a_choice_is_taken_at_its_best(arm, posed):
     pairs, triples = sums(part, [choice, idle])
     assert dict((c.name, u[0]) for c, u in pairs[0].members)["time_step"] == values[2]
     assert triples == []
+
+
+def test_what_is_held_moves_along_with_another_effect(arm, posed):
+    """What is held makes up for the other one, which leaves half where it stands; both moved clear all."""
+    problem, _ = posed
+    part, _ = brief(problem)
+    z = part.nominal
+    half = np.random.default_rng(1).random(z.shape) < 0.5
+    mine, others = z * half, z * ~half
+    damping, armature, delay = (candidate(n, arm) for n in ("joint_damping", "armature", "actuation_delay"))
+    at, to = (damping.low + share * (damping.high - damping.low) for share in (0.2, 0.6))
+    held = damping, Plane(damping.low, damping.high, at, z, (2 * others - 3 * mine)[None] / np.float32(to - at)[0])
+
+    def curve(c, moved):
+        grid = c.neutral + np.linspace(0, 1, 11) * (c.high - c.neutral)
+        return c, Curve(c, grid, np.stack([z + moved * u for u in np.linspace(0, 2, 11)]), np.ones(len(grid), bool))
+
+    missing, idle = curve(armature, 2 * mine - 3 * others), curve(delay, 0 * z)
+    assert missing[1].table(part.score).mean(1).min() > 0.5 * float(part.score.loss(z).mean())
+    found = beside(part, z, [held], [idle, missing])
+    (_, moved), (_, joined) = found[0].members
+    assert names(found[0].members) == {"joint_damping", "armature"}
+    assert moved == pytest.approx(to, rel=0.05)
+    assert joined == pytest.approx((armature.neutral + armature.high) / 2, rel=0.05)
+    assert found[0].loss < 0.02
+    assert all("actuation_delay" not in names(one.members) for one in found), "one at its neutral value is no other"
 
 
 def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
