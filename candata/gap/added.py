@@ -83,6 +83,7 @@ def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) ->
     known = {c.name for c, _ in problem.measured} & {c.name for c, _ in best.members}
     if known or not rough or not 1 < len(best.members) <= LARGEST or problem.simulated:
         return best, []
+    world.pace.told("challenging each effect that was found by another in its place")
     base = world.score.loss(world.nominal)
     part, _ = brief(problem)
     seen = {c.label for c, _ in rough}

@@ -71,6 +71,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     few = len(best.members) < 3 or len(free) < 2
     if not remains or few or problem.simulated or is_toss(problem.replayer.scene):
         return best, problem, remains
+    problem.pace.told("trying one effect in place of two")
     part, _ = brief(problem)
     found = [members for pair in combinations(_least(part, best, free), 2) for members in _instead(part, best, pair)]
     base = part.score.loss(part.nominal)

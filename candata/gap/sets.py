@@ -95,6 +95,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
         if grown is None or not is_next(best, grown):
             if not has_room(best):
                 return best, world, remains
+            world.pace.told("trying other effects in place of what was found early")
             grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
             grown = grown or _retraced(world, best)
         if grown is None:

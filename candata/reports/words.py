@@ -10,6 +10,8 @@ from candata.schema.report import EditTest, NamedEffect, Report, Symptom, Verdic
 
 #: A space at which no line ends.
 TIE = "\N{NO-BREAK SPACE}"
+#: Most episodes that a sentence names.
+NAMED_EPISODES = 3
 #: The verdict as a headline.
 HEADLINES: dict[Verdict, str] = {
     "no_gap": "No gap found",
@@ -143,8 +145,10 @@ def _outlying(report: Report) -> str:
     gap = report.gap
     if gap is None or not gap.outlying or gap.closed_elsewhere is None:
         return ""
-    few = f"Episode {gap.outlying[0]} holds" if len(gap.outlying) == 1 else f"Episodes {listed(gap.outlying)} hold"
-    return f" {few} most of what remains; of the gap of the others {percent(gap.closed_elsewhere)} closes."
+    few, most = gap.outlying[:NAMED_EPISODES], len(gap.outlying)
+    who = f"Episode {few[0]} holds" if most == 1 else f"Episodes {listed(few)} hold"
+    who = who if most == len(few) else f"{most} episodes ({', '.join(few)} and others) hold"
+    return f" {who} most of what remains; of the gap of the others {percent(gap.closed_elsewhere)} closes."
 
 
 def was_tried(report: Report) -> bool:

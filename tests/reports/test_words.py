@@ -100,6 +100,8 @@ def test_few_episodes_that_hold_most_of_what_remains_are_named(make_report):
     few = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
     told = words.how_far(report.model_copy(update={"gap": few}))
     assert told.endswith("Episodes e2 and e12 hold most of what remains; of the gap of the others 56 % closes.")
+    many = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e1", "e2", "e3", "e4")})})
+    assert "4 episodes (e1, e2, e3 and others) hold most of what remains" in words.how_far(many)
     one = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e2",)})})
     assert "Episode e2 holds most of what remains" in words.how_far(one)
 
