@@ -131,7 +131,7 @@ def _next(problem: Problem, best: Fit) -> Fit | None:
     """Return the best set with one more effect; None where nothing passes."""
     stage, seen = _beside(problem, best.members, here_of(problem, best))
     found = _grown(problem, best, stage)
-    if (found is not None and is_next(best, found)) or not has_room(best):
+    if (found is not None and is_next(best, found)) or not has_room(best) or is_toss(problem.replayer.scene):
         return found
     return _along(problem, best, stage.rough, brief(seen)) or found
 
