@@ -153,8 +153,7 @@ def _along(problem: Problem, best: Fit, rough: Responses, some: tuple[Problem, I
     base = problem.score.loss(problem.nominal)
     sets = [members for loss, members in by_loss(part, few)[: 1 + RIVALS] if loss < now]
     light = [joint(problem, members, base, widths=()) for members in sets]
-    found = max((f for f in light if is_next(best, f)), key=lambda f: f.gain, default=None)
-    return joint(problem, found.members, base) if found is not None else None
+    return _sharpest(problem, [f for f in light if is_next(best, f)])
 
 
 def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
@@ -221,11 +220,18 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
 def _sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
     """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none."""
     base = problem.score.loss(problem.nominal)
-    if len(sets) > 1:
-        light = sorted((joint(problem, members, base, widths=()) for members in sets), key=lambda f: -f.gain)
-        many = max(len(f.plane.at) for f in light) > MANY
-        sets = [f.members for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
-    return max((joint(problem, members, base) for members in sets), key=lambda f: f.gain, default=None)
+    if len(sets) == 1:
+        return joint(problem, sets[0], base)
+    return _sharpest(problem, [joint(problem, members, base, widths=()) for members in sets])
+
+
+def _sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
+    """Return the best of lightly fitted sets, sharply fitted those that cannot be told from the best; None of none."""
+    base = problem.score.loss(problem.nominal)
+    light = sorted(light, key=lambda f: -f.gain)
+    many = max((len(f.plane.at) for f in light), default=0) > MANY
+    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
+    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain, default=None)
 
 
 def _moved(problem: Problem, best: Fit) -> Fit | None:

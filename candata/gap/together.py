@@ -9,7 +9,7 @@ simulation decides among the first of them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,10 +99,21 @@ def beside(problem: Problem, here: Compact, held: Responses, responses: Response
     held, responses : sequences of (Candidate, Curve or Plane)
         Each as it changes those residuals.
     """
-    found = [_added(problem, [*held, one], here) for one in responses]
+    found = [_added(problem, [*held, one], here) for response in responses for one in _values(response)]
     last = [one.members[-1] for one in found]
     acting = [one for one, (c, u) in zip(found, last, strict=True) if not c.is_neutral(u)]
-    return sorted(acting, key=lambda one: one.loss)
+    best = {one.members[-1][0].label: one for one in sorted(acting, key=lambda one: -one.loss)}
+    return sorted(best.values(), key=lambda one: one.loss)
+
+
+def _values(response: tuple[Candidate, Curve | Plane]) -> Responses:
+    """Return a choice's response at each of its values alone: any may be best once others move. Else itself."""
+    c, curve = response
+    if isinstance(curve, Plane) or not c.choices:
+        return [response]
+    neutral = [c.is_neutral(u) for u in curve.at[:, None]]
+    pairs = [[i for i, own in enumerate(neutral) if own or i == j] for j, own in enumerate(neutral) if not own]
+    return [(c, replace(curve, at=curve.at[i], z=curve.z[i], sure=curve.sure[i])) for i in pairs]
 
 
 def _others(responses: Responses, some: tuple[int, ...]) -> list[int]:

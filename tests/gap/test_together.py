@@ -127,6 +127,27 @@ def test_what_is_held_moves_along_with_another_effect(arm, posed):
     assert all("actuation_delay" not in names(one.members) for one in found), "one at its neutral value is no other"
 
 
+def test_each_value_of_a_choice_is_tried_with_what_is_held_moved_along(arm, posed):
+    """Where the held effect stands one value clears more; moved along, only the other value clears all."""
+    problem, _ = posed
+    part, _ = brief(problem)
+    z = part.nominal
+    half = np.random.default_rng(1).random(z.shape) < 0.5
+    mine, others = z * half, z * ~half
+    damping, step = (candidate(n, arm) for n in ("joint_damping", "time_step"))
+    at, to = (damping.low + share * (damping.high - damping.low) for share in (0.2, 0.6))
+    held = damping, Plane(damping.low, damping.high, at, z, (2 * others - 3 * mine)[None] / np.float32(to - at)[0])
+    values = step.neutral[0] + np.array([-0.7, 0.0, 0.7])
+    shown = np.stack([z - 0.9 * others, z, z + 2 * mine - 3 * others])
+    choice = step, Curve(step, values, shown, np.ones(3, bool))
+    first, last = (float(part.score.loss(residuals).mean()) for residuals in shown[[0, 2]])
+    assert first < last
+    (found,) = beside(part, z, [held], [choice])
+    assert found.members[1][1] == pytest.approx([values[2]])
+    assert found.members[0][1] == pytest.approx(to, rel=0.05)
+    assert found.loss < 0.02
+
+
 def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
     problem, first = posed
     found = added.together(problem, wrong, first.rough)
