@@ -11,8 +11,10 @@ from candata.gap.stage import null_level, standard_error
 Array = NDArray[np.float64]
 #: Most effects of a set that are searched for, beside those that were measured without a fit.
 LARGEST = 3
-#: Share of the gain so far below which another effect is not worth naming, significant or not.
-EXTRA = 0.05
+#: Share of the gain so far below which another effect is not worth naming, significant or not; of more than five floors
+#: a quarter of a floor, or half of that share, is enough. Chosen: beside play worth 10 floors, RK4 took 0.35 of the 0.48
+#: left.
+EXTRA, ENOUGH = 0.05, 0.25
 #: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard
 #: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
 #: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
@@ -37,9 +39,14 @@ def left_by(best: Fit) -> float:
     return float(best.evidence.loss.mean()) - 1
 
 
+def name_worth(so_far: float) -> float:
+    """Return the floors that another effect must be worth for a name beside what gains `so_far`."""
+    return min(EXTRA * so_far, max(ENOUGH, EXTRA * so_far / 2))
+
+
 def has_room(best: Fit) -> bool:
     """Tell whether so much is left that another effect could be worth a name."""
-    return left_by(best) > EXTRA * best.gain
+    return left_by(best) > name_worth(best.gain)
 
 
 def leaves(problem: Problem, fit: Fit) -> bool:
@@ -49,8 +56,9 @@ def leaves(problem: Problem, fit: Fit) -> bool:
 
 def worth_adding(extra: Array, so_far: float) -> bool:
     """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
-    least = max(standard_error(extra), EXTRA * so_far)
-    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
+    worth = name_worth(so_far)
+    sure = extra.mean() > max(standard_error(extra), worth)
+    return bool(sure and np.delete(extra, np.argmax(extra)).mean() > worth / 2)
 
 
 def extra_of(best: Fit, grown: Fit) -> Array:

@@ -93,7 +93,7 @@ def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
     found, _, _ = fewer.simplified(problem, fit, True)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
     cost = problem.score.loss(problem.without_each(fit.members)[2]).mean() - problem.score.loss(fit.plane.z).mean()
-    assert worth.FAINT < cost < worth.EXTRA * fit.gain
+    assert worth.FAINT < cost < worth.name_worth(fit.gain)
 
 
 def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
@@ -375,6 +375,11 @@ def test_another_effect_is_named_that_takes_a_quarter_of_what_is_left(lone, left
     assert worth.is_next(best, grown) is taken
 
 
+@pytest.mark.parametrize(("gain", "extra", "taken"), [(10.0, 0.27, True), (10.0, 0.23, False), (3.0, 0.16, True)])
+def test_beside_a_very_large_effect_a_quarter_of_a_floor_is_worth_a_name(gain, extra, taken):
+    assert worth.worth_adding(np.full(12, extra), gain) is taken
+
+
 def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1.2), gain=np.full(12, 9.0)))
     gains = np.append(np.full(11, 0.03), 1.5)
@@ -390,5 +395,5 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     found, world, remains = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
-    assert faint < worth.EXTRA * found.gain
+    assert faint < worth.name_worth(found.gain)
     assert not remains
