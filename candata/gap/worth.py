@@ -12,8 +12,8 @@ Array = NDArray[np.float64]
 #: Most effects of a set that are searched for, beside those that were measured without a fit.
 LARGEST = 3
 #: Share of the gain so far below which another effect is not worth naming, significant or not; beside more than five
-#: floors a quarter of one, or half of that share, is enough. Chosen: beside play worth 10 floors, RK4 steps took 0.35 of
-#: the 0.48 left.
+#: floors a quarter of one, or half of that share, is enough. Chosen: beside play worth 10 floors, RK4 took 0.35 of the
+#: 0.48 left.
 EXTRA, ENOUGH = 0.05, 0.25
 #: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard
 #: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
