@@ -11,10 +11,8 @@ from candata.gap.stage import null_level, standard_error
 Array = NDArray[np.float64]
 #: Most effects of a set that are searched for, beside those that were measured without a fit.
 LARGEST = 3
-#: Share of the gain so far below which another effect is not worth naming, significant or not; beside more than five
-#: floors a quarter of one, or half of that share, is enough. Chosen: beside play worth 10 floors, RK4 took 0.35 of the
-#: 0.48 left.
-EXTRA, ENOUGH = 0.05, 0.25
+#: Share of the gain so far below which another effect is not worth naming, significant or not.
+EXTRA = 0.05
 #: An effect worth less is named too where it takes `MOST` of what is left, and gains more floors and more standard
 #: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
 #: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
@@ -42,7 +40,7 @@ def left_by(best: Fit) -> float:
 
 def name_worth(so_far: float) -> float:
     """Return the floors that another effect must be worth for a name beside what gains `so_far`."""
-    return min(EXTRA * so_far, max(ENOUGH, EXTRA * so_far / 2))
+    return EXTRA * so_far
 
 
 def has_room(best: Fit) -> bool:

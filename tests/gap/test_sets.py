@@ -375,11 +375,6 @@ def test_another_effect_is_named_that_takes_a_quarter_of_what_is_left(lone, left
     assert worth.is_next(best, grown) is taken
 
 
-@pytest.mark.parametrize(("gain", "extra", "taken"), [(10.0, 0.27, True), (10.0, 0.23, False), (3.0, 0.16, True)])
-def test_beside_a_very_large_effect_a_quarter_of_a_floor_is_worth_a_name(gain, extra, taken):
-    assert worth.worth_adding(np.full(12, extra), gain) is taken
-
-
 def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1.2), gain=np.full(12, 9.0)))
     gains = np.append(np.full(11, 0.03), 1.5)
