@@ -17,7 +17,7 @@ from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.starts import is_toss
-from candata.gap.worth import FAINT, is_next, name_worth
+from candata.gap.worth import EXTRA, FAINT, is_next
 
 Array = NDArray[np.float64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
@@ -56,7 +56,7 @@ def _is_spare(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> boo
     rest = Plane(plane.low[~own], plane.high[~own], plane.at[~own], plane.read(at), plane.slope[~own])
     refitted = rest.read(rest.best(np.arange(len(rest.z))))
     left_out, promised, now = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted, plane.z))
-    return left_out - now < max(FAINT, name_worth(best.gain)) or promised - now < MADE_UP * (left_out - now)
+    return left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now)
 
 
 def merged(problem: Problem, best: Fit, remains: bool) -> Grown:

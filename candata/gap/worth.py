@@ -24,10 +24,9 @@ LEFT = 0.2
 #: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet,
 #: contact damping took a fifth, then a mass centre a twentieth.
 TAKEN = 0.25
-#: Floors of what is left that count for that, at most: 0.15 are worth a name however much no effect explains. (Of real
-#: cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together; inertia alone, in one
-#: split, 0.195.)
-MUCH = 0.6
+#: Floors of what is left that count for that, at most: 0.2 floors are worth a name however much no effect explains. (Of
+#: real cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together.)
+MUCH = 0.8
 #: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
 #: a set to whose signatures the recording adds up.
 MOST = 0.5
@@ -38,14 +37,9 @@ def left_by(best: Fit) -> float:
     return float(best.evidence.loss.mean()) - 1
 
 
-def name_worth(so_far: float) -> float:
-    """Return the floors that another effect must be worth for a name beside what gains `so_far`."""
-    return EXTRA * so_far
-
-
 def has_room(best: Fit) -> bool:
     """Tell whether so much is left that another effect could be worth a name."""
-    return left_by(best) > name_worth(best.gain)
+    return left_by(best) > EXTRA * best.gain
 
 
 def leaves(problem: Problem, fit: Fit) -> bool:
@@ -55,9 +49,8 @@ def leaves(problem: Problem, fit: Fit) -> bool:
 
 def worth_adding(extra: Array, so_far: float) -> bool:
     """Tell whether the gain `extra (E,)` of one more effect is sure, worth a name, and not one episode's doing."""
-    worth = name_worth(so_far)
-    sure = extra.mean() > max(standard_error(extra), worth)
-    return bool(sure and np.delete(extra, np.argmax(extra)).mean() > worth / 2)
+    least = max(standard_error(extra), EXTRA * so_far)
+    return bool(extra.mean() > least and np.delete(extra, np.argmax(extra)).mean() > EXTRA * so_far / 2)
 
 
 def extra_of(best: Fit, grown: Fit) -> Array:

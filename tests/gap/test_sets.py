@@ -93,7 +93,7 @@ def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
     found, _, _ = fewer.simplified(problem, fit, True)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
     cost = problem.score.loss(problem.without_each(fit.members)[2]).mean() - problem.score.loss(fit.plane.z).mean()
-    assert worth.FAINT < cost < worth.name_worth(fit.gain)
+    assert worth.FAINT < cost < worth.EXTRA * fit.gain
 
 
 def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
@@ -362,8 +362,8 @@ def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left
         (0.5, 0.14, 0.02, True),
         (0.5, 0.10, 0.02, False),  # surely, but a fifth of what is left
         (0.5, 0.14, 0.60, False),  # not sure
-        (10.0, 0.17, 0.02, True),  # 0.15 floors are worth a name whatever stays
-        (10.0, 0.13, 0.02, False),
+        (10.0, 0.22, 0.02, True),  # 0.2 floors are worth a name whatever stays
+        (10.0, 0.18, 0.02, False),
         (0.15, 0.02, 0.01, True),  # where little is left, a part of it may be contact's
         (0.15, 0.009, 0.001, False),  # not worth a name
     ],
@@ -390,5 +390,5 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     found, world, remains = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
     assert found.labels == ("actuation_delay", "joint_dry_friction")
-    assert faint < worth.name_worth(found.gain)
+    assert faint < worth.EXTRA * found.gain
     assert not remains

@@ -101,16 +101,24 @@ def test_a_choice_is_taken_at_its_best(arm, posed):
     assert triples == []
 
 
-def test_what_is_held_moves_along_with_another_effect(arm, posed):
-    """What is held makes up for the other one, which leaves half where it stands; both moved clear all."""
-    problem, _ = posed
-    part, _ = brief(problem)
+@pytest.fixture
+def making_up(arm, posed):
+    """A few episodes, a held damping that makes up for what is missing, its true place, and residuals in halves."""
+    part, _ = brief(posed[0])
     z = part.nominal
     half = np.random.default_rng(1).random(z.shape) < 0.5
     mine, others = z * half, z * ~half
-    damping, armature, delay = (candidate(n, arm) for n in ("joint_damping", "armature", "actuation_delay"))
+    damping = candidate("joint_damping", arm)
     at, to = (damping.low + share * (damping.high - damping.low) for share in (0.2, 0.6))
-    held = damping, Plane(damping.low, damping.high, at, z, (2 * others - 3 * mine)[None] / np.float32(to - at)[0])
+    slope = (2 * others - 3 * mine)[None] / np.float32(to - at)[0]
+    return part, (damping, Plane(damping.low, damping.high, at, z, slope)), to, mine, others
+
+
+def test_what_is_held_moves_along_with_another_effect(arm, making_up):
+    """What is held makes up for the other one, which leaves half where it stands; both moved clear all."""
+    part, held, to, mine, others = making_up
+    z = part.nominal
+    armature, delay = (candidate(n, arm) for n in ("armature", "actuation_delay"))
 
     def curve(c, moved):
         grid = c.neutral + np.linspace(0, 1, 11) * (c.high - c.neutral)
@@ -127,16 +135,11 @@ def test_what_is_held_moves_along_with_another_effect(arm, posed):
     assert all("actuation_delay" not in names(one.members) for one in found), "one at its neutral value is no other"
 
 
-def test_each_value_of_a_choice_is_tried_with_what_is_held_moved_along(arm, posed):
+def test_each_value_of_a_choice_is_tried_with_what_is_held_moved_along(arm, making_up):
     """Where the held effect stands one value clears more; moved along, only the other value clears all."""
-    problem, _ = posed
-    part, _ = brief(problem)
+    part, held, to, mine, others = making_up
     z = part.nominal
-    half = np.random.default_rng(1).random(z.shape) < 0.5
-    mine, others = z * half, z * ~half
-    damping, step = (candidate(n, arm) for n in ("joint_damping", "time_step"))
-    at, to = (damping.low + share * (damping.high - damping.low) for share in (0.2, 0.6))
-    held = damping, Plane(damping.low, damping.high, at, z, (2 * others - 3 * mine)[None] / np.float32(to - at)[0])
+    step = candidate("time_step", arm)
     values = step.neutral[0] + np.array([-0.7, 0.0, 0.7])
     shown = np.stack([z - 0.9 * others, z, z + 2 * mine - 3 * others])
     choice = step, Curve(step, values, shown, np.ones(3, bool))
