@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,10 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, is_near, is_tied, look, standard_error, unheld
+from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, beside
+from candata.gap.trials import paired, shared, sharp, sharpest
 from candata.gap.worth import (
     FAINT,
     LARGEST,
@@ -30,10 +30,10 @@ from candata.gap.worth import (
     MOST,
     extra_of,
     has_room,
+    is_full,
     is_next,
     leaves,
     left_by,
-    takes,
     worth_adding,
 )
 
@@ -42,11 +42,6 @@ Index = NDArray[np.int64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
-#: Standard errors by which an effect alone must gain to be tried in a pair, and how many are. (Of one split of cube
-#: tosses, inertia and compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
-SURELY, PAIRED = 2.0, 3
-#: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
-PARTLY = (1.0, 0.6, 0.3)
 #: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
 #: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
 #: damping of contacts promised nothing and was worth all of the 3.4 floors left. Nor is a search made again for less.
@@ -54,9 +49,6 @@ BELIEVED, SETTLED = 0.5, 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
-#: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
-#: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
-MANY = 8
 #: Share of the best gain that the next best effect must have to be tried in its place, with a third. Chosen.
 NEXT = 0.5
 #: Null replays of each episode around an accepted set.
@@ -96,8 +88,8 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             if not has_room(best):
                 return best, world, remains
             world.pace.told("trying other effects in place of what was found early")
-            grown = _swapped(world, best) or _moved(world, best) or _paired(world, best, alone)
-            grown = grown or _retraced(world, best)
+            grown = _swapped(world, best) or _moved(world, best)
+            grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -153,7 +145,7 @@ def _along(problem: Problem, best: Fit, rough: Responses, some: tuple[Problem, I
     base = problem.score.loss(problem.nominal)
     sets = [members for loss, members in by_loss(part, few)[: 1 + RIVALS] if loss < now]
     light = [joint(problem, members, base, widths=()) for members in sets]
-    return _sharpest(problem, [f for f in light if is_next(best, f)])
+    return sharpest(problem, [f for f in light if is_next(best, f)])
 
 
 def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
@@ -214,24 +206,7 @@ def _grown(problem: Problem, best: Fit, stage: Stage) -> Fit | None:
     if stage.passing() is None:
         return None
     front = [f for f in stage.fits if f.gain > ROUGHLY * stage.best_gain or is_near(f, stage.fits[0])][: 1 + RIVALS]
-    return _sharp(problem, [(*best.members, f.members[0]) for f in front])
-
-
-def _sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
-    """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none."""
-    base = problem.score.loss(problem.nominal)
-    if len(sets) == 1:
-        return joint(problem, sets[0], base)
-    return _sharpest(problem, [joint(problem, members, base, widths=()) for members in sets])
-
-
-def _sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
-    """Return the best of lightly fitted sets, sharply fitted those that cannot be told from the best; None of none."""
-    base = problem.score.loss(problem.nominal)
-    light = sorted(light, key=lambda f: -f.gain)
-    many = max((len(f.plane.at) for f in light), default=0) > MANY
-    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
-    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain, default=None)
+    return sharp(problem, [(*best.members, f.members[0]) for f in front])
 
 
 def _moved(problem: Problem, best: Fit) -> Fit | None:
@@ -273,28 +248,6 @@ def _neighbour(problem: Problem, others: Members, c: Candidate) -> Members:
     return best.members if best is not None and best.gain > 0 else ()
 
 
-def _paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
-    """Return the set with two more effects that are worth a name together though neither is beside `best`.
-
-    Tried are those that gained surely alone: beside a cause that took their share, each may need the other. A pair that
-    gains nothing at any share of what each is alone is not fitted.
-    """
-    taken = {c.name for c, _ in best.members}
-    too_many = _searched(best.members, problem.measured) + 2 > LARGEST
-    if too_many or left_by(best) < LEFT:
-        return None
-    sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
-    free = [f.members[0] for f in sure if f.members[0][0].name not in taken][:PAIRED]
-    pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
-    part, index = brief(problem)
-    now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
-    sets = [_nearest(part, best.members, pair) for pair in pairs]
-    found = _sharp(problem, [members for loss, members in sets if loss < now])
-    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
-        return None
-    return found
-
-
 def _retraced(problem: Problem, best: Fit) -> Fit | None:
     """Return the set with the next best effect in place of its last one and one more; None where that is no better.
 
@@ -311,23 +264,6 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
     return grown if grown is not None and is_next(best, grown) else None
-
-
-def _nearest(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:
-    """Return the set with two effects at the shares of their distances that leave the least loss, after that loss."""
-    shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
-    return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
-
-
-def is_full(members: Members, measured: Members) -> bool:
-    """Tell whether a set holds as many effects as are searched for."""
-    return _searched(members, measured) >= LARGEST
-
-
-def _searched(members: Members, measured: Members) -> int:
-    """Return how many members of a set were searched for; one that was measured directly takes no place."""
-    known = {c.name for c, _ in measured}
-    return sum(c.name not in known for c, _ in members)
 
 
 def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.search import Fit, Problem
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.stage import null_level, standard_error
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ LEFT = 0.2
 TAKEN = 0.25
 #: Floors of what is left that count for that, at most: 0.2 floors are worth a name however much no effect explains. (Of
 #: real cube tosses ten floors stay; inertia and contact, true of the cube, take 0.4 of them together.)
-MUCH = 0.8
+MUCH = 0.6
 #: Share of the loss above the floor that a joint fit of many effects must take off, and, of what a first cause leaves,
 #: a set to whose signatures the recording adds up.
 MOST = 0.5
@@ -76,3 +76,14 @@ def settles(best: Fit, grown: Fit) -> bool:
     least = max(FAINT, MOST * left_by(best))
     sure = float(extra.mean()) > max(least, SURER * standard_error(extra))
     return sure and bool(np.delete(extra, np.argmax(extra)).mean() > least / 2)
+
+
+def is_full(members: Members, measured: Members) -> bool:
+    """Tell whether a set holds as many effects as are searched for."""
+    return searched(members, measured) >= LARGEST
+
+
+def searched(members: Members, measured: Members) -> int:
+    """Return how many members of a set were searched for; one that was measured directly takes no place."""
+    known = {c.name for c, _ in measured}
+    return sum(c.name not in known for c, _ in members)

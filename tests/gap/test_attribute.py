@@ -8,9 +8,8 @@ import pytest
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
-from candata.gap.sets import is_full
 from candata.gap.stage import Stage, standard_error
-from candata.gap.worth import LARGEST
+from candata.gap.worth import LARGEST, is_full
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])

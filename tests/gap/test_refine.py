@@ -12,10 +12,12 @@ from candata.gap.added import here_of
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.floor import perturbed
+from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.response import Plane
 from candata.gap.screen import respond
-from candata.gap.search import Problem, fit_one
+from candata.gap.search import Fit, Problem, fit_one
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +134,22 @@ def test_where_a_scalar_was_simulated_it_is_read_and_not_simulated_again(problem
     assert rollouts == []
     here_of(problem, replace(found, members=((c, there + 0.001),)))
     assert rollouts == [("joint_dry_friction",)]
+
+
+def test_a_number_on_the_wrong_side_is_mirrored_where_that_leaves_less(arm, arm_episodes, planted, monkeypatch):
+    recs = recordings(arm, arm_episodes(planted("joint_offset", offset_rad=[0.06, -0.05]), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    c = candidate("joint_offset", arm)
+
+    def mirrored(*u):
+        here = problem.residuals([problem.setting([(c, np.array(u))])])[0]
+        plane = Plane(c.low, c.high, np.array(u), here, np.zeros((2, *here.shape), np.float32))
+        evidence = cross_fit(plane, problem.score, problem.parts, base)
+        ((_, found),) = refine._mirrored(problem, Fit(((c, np.array(u)),), plane, evidence), base)
+        return tuple(found)
+
+    assert mirrored(0.06, 0.05) == pytest.approx((0.06, -0.05))
+    assert mirrored(0.06, -0.05) == pytest.approx((0.06, -0.05))
+    monkeypatch.setattr(refine, "FEW_NUMBERS", 1)  # of many numbers this would cost too much
+    assert mirrored(0.06, 0.05) == pytest.approx((0.06, 0.05))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import fewer, sets, worth
+from candata.gap import fewer, sets, trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
@@ -171,9 +171,9 @@ def test_two_join_a_set_together_if_each_gains_alone(arm, posed):
     alone = [joint(problem, members(arm, **{name: value}), base) for name, value in
              (("actuation_delay", 0.03), ("joint_dry_friction", 0.3))]  # fmt: skip
     sure = [replace(f, evidence=alone[0].evidence) for f in alone]
-    assert {"joint_dry_friction", "actuation_delay"} < set(sets._paired(problem, idle, sure).labels)
+    assert {"joint_dry_friction", "actuation_delay"} < set(trials.paired(problem, idle, sure).labels)
     unsure = replace(sure[1], evidence=replace(sure[1].evidence, gain=sure[1].evidence.gain - sure[1].gain))
-    assert sets._paired(problem, idle, [sure[0], unsure]) is None
+    assert trials.paired(problem, idle, [sure[0], unsure]) is None
 
 
 def test_no_pair_joins_where_next_to_nothing_is_left(arm, posed):
@@ -181,7 +181,7 @@ def test_no_pair_joins_where_next_to_nothing_is_left(arm, posed):
     right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     one = replace(right, members=right.members[:1])  # Room for two, and the loss of the true set.
     others = [joint(problem, members(arm, **{name: 0.01}), base) for name in ("joint_damping", "armature")]
-    assert sets._paired(problem, one, [replace(f, evidence=right.evidence) for f in others]) is None
+    assert trials.paired(problem, one, [replace(f, evidence=right.evidence) for f in others]) is None
 
 
 def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(arm, posed):
@@ -261,10 +261,10 @@ def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
 @pytest.mark.parametrize(
     ("promise", "unsure", "many", "tried", "sharply"),
     [
-        (1.0, -np.inf, sets.MANY, True, 1),
-        (0.8, np.inf, sets.MANY, True, 2),
+        (1.0, -np.inf, trials.MANY, True, 1),
+        (0.8, np.inf, trials.MANY, True, 2),
         (0.8, np.inf, 1, True, 1),
-        (0.5, np.inf, sets.MANY, False, 1),
+        (0.5, np.inf, trials.MANY, False, 1),
     ],
 )
 def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise, unsure, many, tried, sharply):
@@ -276,10 +276,10 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
         sharp.extend([tuple(c.label for c, _ in chosen)] if not widths else [])
         return joint(problem, chosen, base, **widths)
 
-    monkeypatch.setattr(sets, "MANY", many)
-    monkeypatch.setattr(sets, "UNSURE", unsure)
+    monkeypatch.setattr(trials, "MANY", many)
+    monkeypatch.setattr(trials, "UNSURE", unsure)
     monkeypatch.setattr(sets, "is_near", lambda fit, best: fit is best)
-    monkeypatch.setattr(sets, "joint", counted)
+    monkeypatch.setattr(trials, "joint", counted)
     start = joint(problem, members(arm, actuation_delay=0.03), base)
     stage = look(problem, start.plane.z, start.members)
     true = next(f for f in stage.fits if f.labels == ("joint_dry_friction",))
@@ -324,8 +324,8 @@ def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, posed, monkeypatch):
         replace(f, members=members(arm, **{name: value}), evidence=best.evidence)
         for f, (name, value) in zip(harmful, (("joint_damping", 5.0), ("armature", 0.5)), strict=True)
     ]
-    monkeypatch.setattr(sets, "joint", lambda *_: pytest.fail("it was fitted"))
-    assert sets._paired(problem, best, alone) is None
+    monkeypatch.setattr(trials, "joint", lambda *_: pytest.fail("it was fitted"))
+    assert trials.paired(problem, best, alone) is None
 
 
 @pytest.fixture(scope="module")
@@ -392,3 +392,19 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     assert found.labels == ("actuation_delay", "joint_dry_friction")
     assert faint < worth.EXTRA * found.gain
     assert not remains
+
+
+def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
+    effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    fits = [joint(problem, members(arm, **{name: value}), base) for name, value in
+            (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
+    best = fits[0]
+    assert worth.left_by(best) > worth.LEFT
+    found = trials.shared(problem, best, fits)
+    truth = {"servo_damping": np.log(3.0), "joint_damping": 0.4}
+    assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
+    assert trials.shared(problem, best, fits[:1]) is None  # nothing to share with
+    assert trials.shared(problem, found, fits) is None  # nothing left to explain

@@ -327,3 +327,33 @@ def test_an_alias_that_is_not_yet_fitted_is_refitted_before_it_is_judged(tmp_pat
     (found,) = added._nearest(problem, held, unfitted)
     assert names(found) == names(unfitted[0])
     assert found[0][1] == pytest.approx([1.0], rel=0.05)
+
+
+def test_each_value_of_a_choice_takes_the_place_of_each_member(arm):
+    held = tuple((candidate(n, arm), np.full(1, 0.1)) for n in ("joint_damping", "actuation_delay"))
+    choice = candidate("integrator", arm)
+    z, at = np.zeros((3, 2, 4), np.float32), np.array([0.0, 1.0, 3.0])
+    rough = [(c, Curve(c, at, z, np.ones(3, bool))) for c in (choice, held[0][0])]
+    found = {tuple((c.label, *u) for c, u in members) for members in added._choices(held, rough)}
+    others = [u for u in at if u != choice.neutral[0]]
+    assert found == {
+        *((("integrator", u), ("actuation_delay", 0.1)) for u in others),
+        *((("joint_damping", 0.1), ("integrator", u)) for u in others),
+    }
+    assert added._choices((held[0], (choice, np.full(1, 1.0))), rough) == []  # that effect is in the set already
+
+
+def test_a_choice_is_fitted_however_far_it_is_where_it_begins(arm, arm_episodes, planted):
+    effects = (*planted("integrator", integrator="euler"), *planted("joint_dry_friction", frictionloss_Nm=0.3))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    dry, damped, choice = (candidate(n, arm) for n in ("joint_dry_friction", "joint_damping", "integrator"))
+    held = ((dry, np.full(1, 0.2)), (damped, np.full(1, 0.05)))
+    euler = ((choice, choice.low), (dry, np.full(1, 0.1)))
+    base, far, own = (added.by_loss(problem, [members])[0][0] for members in ((), euler, held))
+    assert far > own + added.ALIKE * (base - own)  # as another effect it would not be fitted
+    assert added._nearest(problem, held, [euler]) == []
+    (found,) = added._nearest(problem, held, [], [euler])
+    assert {c.name: u[0] for c, u in found} == pytest.approx(
+        {"integrator": choice.low[0], "joint_dry_friction": 0.3}, rel=0.05
+    )

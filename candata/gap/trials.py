@@ -1,0 +1,106 @@
+"""Sets on trial: fitted lightly, near rivals sharply; and two effects that are tried together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.added import by_loss, here_of
+from candata.gap.candidates import Candidate
+from candata.gap.refine import WIDTHS, joint
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.shortlist import brief
+from candata.gap.stage import UNSURE, is_tied, standard_error
+from candata.gap.worth import LARGEST, LEFT, extra_of, is_full, is_next, left_by, searched, takes, worth_adding
+
+Array = NDArray[np.float64]
+#: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
+#: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
+MANY = 8
+#: Standard errors by which an effect alone must gain to be tried in a pair, and how many are. (Of one split of cube
+#: tosses, inertia and compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
+SURELY, TRIED = 2.0, 3
+#: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
+PARTLY = (1.0, 0.6, 0.3)
+#: Where two that do much alike begin: at half of what each is alone. Chosen.
+HALF = 0.5
+
+
+def sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
+    """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none."""
+    base = problem.score.loss(problem.nominal)
+    if len(sets) == 1:
+        return joint(problem, sets[0], base)
+    return sharpest(problem, [joint(problem, members, base, widths=()) for members in sets])
+
+
+def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
+    """Return the best of lightly fitted sets, sharply fitted those that cannot be told from the best; None of none."""
+    base = problem.score.loss(problem.nominal)
+    light = sorted(light, key=lambda f: -f.gain)
+    many = max((len(f.plane.at) for f in light), default=0) > MANY
+    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
+    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain, default=None)
+
+
+def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
+    """Return the set with two more effects that are worth a name together though neither is beside `best`.
+
+    Tried are those that gained surely alone: beside a cause that took their share, each may need the other. A pair that
+    gains nothing at any share of what each is alone is not fitted.
+    """
+    too_many = searched(best.members, problem.measured) + 2 > LARGEST
+    if too_many or left_by(best) < LEFT:
+        return None
+    free = _free(best, alone)
+    pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
+    part, index = brief(problem)
+    now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
+    sets = [_begun(part, best.members, pair) for pair in pairs]
+    found = sharp(problem, [members for loss, members in sets if loss < now])
+    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
+        return None
+    return found
+
+
+def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
+    """Return the set in which a member shares what it explains with an effect that does much the same; else None.
+
+    Where both act, the one that was taken made up for the other, which gains nothing beside it, and no slope leads from
+    there. (More damping of the servos stood for theirs and the joints' own, 1.4 floors off: 0.2 where both act.)
+    """
+    if is_full(best.members, problem.measured) or left_by(best) < LEFT:
+        return None
+    known = {c.name for c, _ in problem.measured}
+    part, index = brief(problem)
+    base = part.score.loss(part.nominal)
+    fits = [
+        joint(part, (*(one for one in best.members if one is not m), _half(m), _half(f)), base, WIDTHS[:1])
+        for m in best.members if m[0].name not in known and not m[0].choices
+        for f in _free(best, alone) if not f[0].choices
+    ]  # fmt: skip
+    now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
+    found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < now])
+    return found if found is not None and is_next(best, found) else None
+
+
+def _free(best: Fit, alone: Sequence[Fit]) -> Members:
+    """Return the first of the effects that gain surely alone and are not in the set."""
+    taken = {c.name for c, _ in best.members}
+    sure = [f for f in alone if f.gain > SURELY * standard_error(f.evidence.gain)]
+    return tuple(f.members[0] for f in sure if f.members[0][0].name not in taken)[:TRIED]
+
+
+def _half(member: tuple[Candidate, Array]) -> tuple[Candidate, Array]:
+    """Return an effect half as far from its neutral value."""
+    c, u = member
+    return c, c.neutral + HALF * (u - c.neutral)
+
+
+def _begun(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:
+    """Return the set with two effects at the shares of their distances that leave the least loss, after that loss."""
+    shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
+    return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]

@@ -1,0 +1,42 @@
+"""Screening: to which side of its neutral value a number of a vector is followed."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from candata.gap import screen
+from candata.gap.candidates import candidate
+
+POINTS = [np.array(u) for u in ((-0.1, 0.0), (0.1, 0.0), (0.0, -0.1), (0.0, 0.1))]
+
+
+@pytest.fixture
+def one_sided(arm):
+    """A vector of which the first number helps above neutral, the second below; on the other side contact is chaos."""
+    problem = SimpleNamespace(score=SimpleNamespace(loss=lambda z: (z**2).mean(1)))
+    here = np.ones((3, 4), np.float32)
+    moves = [np.full((3, 4), size, np.float32) for size in (-5.0, 0.5, 0.5, -5.0)]
+    return problem, candidate("joint_offset", arm), here, moves
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 2, 1, 0)])
+def test_a_vector_is_followed_to_the_side_that_leaves_less(one_sided, order):
+    problem, c, here, moves = one_sided
+    points, moves = [POINTS[i] for i in order], [moves[i] for i in order]
+    sides = screen._sides(problem, c, here, points, moves)
+    assert sides.tolist() == [1, -1]
+    plane = screen._response(c, here, points, moves, False, sides)
+    assert plane.slope.mean((1, 2)) == pytest.approx([-5, 5])
+    assert np.allclose(plane.read(np.array([0.1, 0.0])), 0.5)
+    assert np.allclose(plane.read(np.array([0.0, -0.1])), 0.5)
+
+
+def test_a_number_at_its_neutral_value_or_probed_on_one_side_is_read_across_what_there_is(one_sided):
+    _, c, here, moves = one_sided
+    across = screen._response(c, here, POINTS, moves, False, np.zeros(2))
+    assert across.slope.mean((1, 2)) == pytest.approx([-27.5, 27.5])
+    below = screen._response(c, here, POINTS[::2], moves[::2], False, np.ones(2))
+    assert below.slope.mean((1, 2)) == pytest.approx([-50, 5])
