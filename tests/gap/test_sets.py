@@ -362,8 +362,8 @@ def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left
         (0.5, 0.14, 0.02, True),
         (0.5, 0.10, 0.02, False),  # surely, but a fifth of what is left
         (0.5, 0.14, 0.60, False),  # not sure
-        (10.0, 0.22, 0.02, True),  # 0.2 floors are worth a name whatever stays
-        (10.0, 0.18, 0.02, False),
+        (10.0, 0.16, 0.02, True),  # 0.15 floors are worth a name whatever stays
+        (10.0, 0.14, 0.02, False),
         (0.15, 0.02, 0.01, True),  # where little is left, a part of it may be contact's
         (0.15, 0.009, 0.001, False),  # not worth a name
     ],
