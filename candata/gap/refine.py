@@ -231,7 +231,8 @@ def _mirrored(problem: Problem, best: Fit, base: Array) -> Members:
     now = float(problem.score.loss(best.plane.z).mean())
     if c.size > FEW_NUMBERS or now - 1 < SHARP * (float(base.mean()) - now):
         return best.members
-    others = [np.where(np.arange(c.size) == i, 2 * c.neutral - u, u) for i in range(c.size)]
+    across = np.clip(2 * c.neutral - u, c.low, c.high)
+    others = [np.where(np.arange(c.size) == i, across, u) for i in range(c.size)]
     losses = [
         float(problem.score.loss(z).mean()) for z in problem.residuals([problem.setting([(c, p)]) for p in others])
     ]

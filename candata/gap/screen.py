@@ -104,7 +104,7 @@ def _sides(problem: Problem, c: Candidate, here: Compact, points: Sequence[Array
     """Return `(d,)` to which side of neutral each number of a vector leaves less, -1 or 1, where it was probed.
 
     Contact is one-sided: a jar whose mass centre lies to one side leans into the hand, to the other it topples. (A mass
-    centre 24 mm off, all of a gap of 1.7 floors, promised 0.3 across both sides, and 0.5 towards its own.)
+    centre 24 mm off, all of a gap of 1.7 floors, promised 0.2 across both sides, and 0.5 towards its own.)
     """
     sides, least = np.zeros(c.size), np.full(c.size, np.inf)
     for u, move in zip(points, moves, strict=True):

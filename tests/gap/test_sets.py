@@ -392,19 +392,3 @@ def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted)
     assert found.labels == ("actuation_delay", "joint_dry_friction")
     assert faint < worth.EXTRA * found.gain
     assert not remains
-
-
-def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
-    effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
-    recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    base = problem.score.loss(problem.nominal)
-    fits = [joint(problem, members(arm, **{name: value}), base) for name, value in
-            (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
-    best = fits[0]
-    assert worth.left_by(best) > worth.LEFT
-    found = trials.shared(problem, best, fits)
-    truth = {"servo_damping": np.log(3.0), "joint_damping": 0.4}
-    assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
-    assert trials.shared(problem, best, fits[:1]) is None  # nothing to share with
-    assert trials.shared(problem, found, fits) is None  # nothing left to explain

@@ -1,0 +1,29 @@
+"""Two effects tried together: what the one taken made up for, both explain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.gap import trials, worth
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+
+
+def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
+    effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    fits = [joint(problem, ((candidate(name, arm), np.full(1, value)),), base) for name, value in
+            (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
+    best = fits[0]
+    assert worth.left_by(best) > worth.LEFT
+    found = trials.shared(problem, best, fits)
+    truth = {"servo_damping": np.log(3.0), "joint_damping": 0.4}
+    assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
+    assert trials.shared(problem, best, fits[:1]) is None  # nothing to share with
+    assert trials.shared(problem, found, fits) is None  # nothing left to explain
