@@ -94,9 +94,8 @@ class Stage:
             return None
         best = self.fits[0]
         each = best.evidence.gain
-        gain = min(best.gain, float(self.base.mean()) - self.reachable)
         others = float(np.delete(each, np.argmax(each)).mean())
-        sure = gain > max(self.threshold, standard_error(each), MATTERS) and others > self.threshold / 2
+        sure = self._counted(best) > max(self.threshold, standard_error(each), MATTERS) and others > self.threshold / 2
         return best if sure else None
 
     def is_plain(self, best: Fit) -> bool:
@@ -104,9 +103,13 @@ class Stage:
 
         Either it is sure, or it removes most of the loss, which no floor of the right height allows.
         """
-        error = standard_error(best.evidence.gain)
-        sure = best.gain > CLEAR * max(self.threshold, error) and best.gain**2 > PLAIN * self.threshold * error
-        return sure or best.gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
+        error, gain = standard_error(best.evidence.gain), self._counted(best)
+        sure = gain > CLEAR * max(self.threshold, error) and gain**2 > PLAIN * self.threshold * error
+        return sure or gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
+
+    def _counted(self, best: Fit) -> float:
+        """Return how much of a fit's gain counts, in floors: down to the loss that true worlds reach."""
+        return min(best.gain, float(self.base.mean()) - self.reachable)
 
 
 def look(problem: Problem, here: Compact, held: Members, before: Stage | None = None) -> Stage:

@@ -90,6 +90,8 @@ def exchanged(problem: Problem, responses: Responses, members: Members) -> list[
 def beside(problem: Problem, here: Compact, held: Responses, responses: Responses) -> list[Sum]:
     """Return what is held with each other effect, its own numbers moved along; those that leave least first.
 
+    A choice is there once with each of its values.
+
     Parameters
     ----------
     problem : Problem
@@ -102,8 +104,7 @@ def beside(problem: Problem, here: Compact, held: Responses, responses: Response
     found = [_added(problem, [*held, one], here) for response in responses for one in _values(response)]
     last = [one.members[-1] for one in found]
     acting = [one for one, (c, u) in zip(found, last, strict=True) if not c.is_neutral(u)]
-    best = {one.members[-1][0].label: one for one in sorted(acting, key=lambda one: -one.loss)}
-    return sorted(best.values(), key=lambda one: one.loss)
+    return sorted(acting, key=lambda one: one.loss)
 
 
 def _values(response: tuple[Candidate, Curve | Plane]) -> Responses:

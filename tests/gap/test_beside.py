@@ -77,10 +77,30 @@ def test_another_effect_is_found_with_what_is_held_moved_along(late):
     off = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
     seen = looked_into(problem, z)
     rough = look(seen, z, off.members).rough
-    found = sets._along(problem, off, rough, brief(seen))
+    some = brief(seen)
+    found = sets._along(problem, off, some[0], *sets._moved_along(problem, off, rough, some))
     assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
     assert found.members[0][1] == pytest.approx([0.12], abs=0.001)
-    assert sets._along(problem, off, (), brief(seen)) is None
+    assert sets._along(problem, off, some[0], *sets._moved_along(problem, off, (), some)) is None
+
+
+def test_what_explains_as_much_once_what_is_held_moves_is_tried_beside_what_passes(late):
+    """The true one comes along with a wrong one that explains less, and begins where what is held moved."""
+    problem, delay = late
+    ((c, u),) = delay.members
+    z = problem.residuals([problem.setting([(c, u - 0.004)])])[0]
+    off = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
+    seen = looked_into(problem, z)
+    some = brief(seen)
+    now, sums = sets._moved_along(problem, off, look(seen, z, off.members).rough, some)
+    wrong, right = ((*off.members, (candidate(n, problem.replayer.scene), np.full(1, v))) for n, v in
+                    (("armature", 0.0005), ("joint_dry_friction", 0.3)))  # fmt: skip
+    begun = sets._moving(some[0], [wrong], now, sums)
+    assert begun[0] is wrong
+    for found in (begun[1], sets._moving(some[0], [], now, sums)[0], sets._moving(some[0], [right], now, sums)[0]):
+        assert [m.label for m, _ in found] == ["actuation_delay", "joint_dry_friction"]
+        assert found[0][1] == pytest.approx([0.12], abs=0.001)
+    assert sets._moving(some[0], [right], now, [one for one in sums if one.loss >= now]) == [right]
 
 
 def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
@@ -89,9 +109,9 @@ def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
     sums = [Sum((*delay.members, (candidate("armature", problem.replayer.scene), np.full(1, 0.0005))), np.inf),
             Sum((*delay.members, (step, step.low)), np.inf)]  # fmt: skip
     fitted = []
-    monkeypatch.setattr(sets, "beside", lambda *a: sums)
     monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: fitted.append(members) or delay)
-    assert sets._along(problem, delay, [], brief(problem)) is None, "the delay alone is no more than it was"
+    now = float(problem.score.loss(delay.plane.z).mean())
+    assert sets._along(problem, delay, problem, now, sums) is None, "the delay alone is no more than it was"
     assert [c.name for c, _ in fitted[0]] == ["actuation_delay", "time_step"]
 
 

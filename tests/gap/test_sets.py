@@ -286,7 +286,7 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
     other = next(f for f in stage.fits if f.members[0][0].name != "joint_dry_friction")
     first, second = (replace(true.evidence, gain=share * true.evidence.gain) for share in (1.0, promise))
     swapped = replace(stage, fits=(replace(other, evidence=first), replace(true, evidence=second)))
-    found = sets._grown(problem, start, swapped)
+    found = trials.sharp(problem, sets._front(start, swapped))
     assert (found.labels == ("actuation_delay", "joint_dry_friction")) is tried
     assert len(sharp) == sharply
 

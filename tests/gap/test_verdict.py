@@ -28,10 +28,10 @@ def found(chosen=None, tied: int = 1, remains: bool = False, names: int = 1):
     )
 
 
-def closing(share: float, before: float = 11.0, elsewhere: float | None = None) -> Gap:
+def closing(share: float, before: float = 11.0, elsewhere: float | None = None, high: float | None = None) -> Gap:
     few = () if elsewhere is None else ("e2",)
     after = 1 + (1 - share) * (before - 1)
-    return Gap(before=before, after=after, closed=share, outlying=few, closed_elsewhere=elsewhere)
+    return Gap(before=before, after=after, closed=share, high=high, outlying=few, closed_elsewhere=elsewhere)
 
 
 @pytest.mark.parametrize(
@@ -57,6 +57,11 @@ def closing(share: float, before: float = 11.0, elsewhere: float | None = None) 
         (found(True), closing(0.5, before=1.28), "unknown_effect"),
         (found(True), closing(0.5, before=1.18), "explained"),
         (found(True), closing(0.49, before=1.18), "unknown_effect"),
+        # Of a gap so small that all of it may be closed, the share says nothing.
+        (found(True), closing(0.48, before=1.067, high=1.0), "explained"),
+        (found(True), closing(0.48, before=1.067, high=0.79), "unknown_effect"),
+        (found(True), closing(-0.1, before=1.067, high=1.0), "unknown_effect"),
+        (found(True), closing(0.48, before=1.8, high=1.0), "unknown_effect"),
         (found(True), closing(0.73, before=1.33), "explained"),
         (found(True), closing(0.8, before=1.28), "explained"),
         (found(True), closing(0.8, before=2.4), "explained"),
