@@ -123,7 +123,8 @@ def _nearest(
 ) -> list[Members]:
     """Return the sets with one member exchanged that explain about as much once refitted, on a few episodes.
 
-    Those with another choice are fitted with simulated slopes: beside it effects do what signatures say nothing of.
+    The first of those with another choice are fitted with simulated slopes: beside it effects do what signatures say
+    nothing of.
     (Beside a cone, a solver's `impratio` began where it had made up for it, and signatures moved it nowhere: 2.9
     floors; simulated slopes led to 0.9, where less friction in the cone's place left 1.4.)
     """
@@ -143,7 +144,8 @@ def _nearest(
     refitted = [
         members if loss < far else joint(problem, members, base, widths=()).members for loss, members in worthy[:ADDED]
     ]
-    refitted += [joint(problem, members, base, widths=WIDTHS[:2]).members for members in choices]
+    light = by_loss(problem, [joint(problem, members, base, widths=()).members for members in choices])
+    refitted += [joint(problem, members, base, widths=WIDTHS[:2]).members for _, members in light[:ADDED]]
     return [members for loss, members in by_loss(problem, refitted)[:RIVALS] if loss < far] if refitted else []
 
 
