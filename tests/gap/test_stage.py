@@ -159,6 +159,29 @@ def test_a_rival_of_a_faint_effect_is_sharpened_where_nulls_gain_as_much(arm, mo
     assert sharpened(problem, stage).fits[0].labels == (first,)
 
 
+@pytest.mark.parametrize(("other", "first"), [("elbow", "elbow"), (None, "shoulder")])
+def test_the_next_joints_fault_is_sharpened_too_but_not_that_of_all(arm, monkeypatch, other, first):
+    """Sharp, it is the better one; of all joints the same fault is no rival of one's."""
+    alone, better = candidate("joint_damping", arm, "shoulder"), candidate("joint_damping", arm, other)
+    sharp = {alone.label: np.full(8, 1.1), better.label: np.full(8, 1.0)}
+    problem = SimpleNamespace(
+        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].label,
+        losses_from=lambda begins, worlds: np.array([[sharp[w] for w in worlds] for _ in begins]),
+    )  # fmt: skip
+    polished = []
+
+    def polish(problem, f, base):
+        polished.append(f.labels[0])
+        return fit(f.members[0][0], sharp[f.labels[0]])
+
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "polished", polish)
+    fits = (fit(alone, np.full(8, 1.1)), fit(better, np.full(8, 1.12)))
+    found = sharpened(problem, staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0))
+    assert found.fits[0].labels == (f"joint_damping {first}",)
+    assert len(polished) == (2 if other else 1)
+
+
 @pytest.mark.parametrize(("other", "slopes"), [("pose_bias", True), ("pose_latency", False)])
 def test_a_scalar_is_fitted_as_a_vector_that_it_is_compared_with(hand, monkeypatch, other, slopes):
     """By slopes it is the better one; beside another scalar both are read off curves, and none is taken."""
