@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effect
+from candata.gap.candidates import candidate
 from candata.gap.finding import Finding
 from candata.gap.mismatch_commands import (
     Paired,
@@ -56,6 +57,9 @@ RIVALS = (
     *(("servo_gain", "kp_scale", v) for v in (1.3, 1.7, 2.5, 4.0)),
     *(("clock_drift", "ppm", v) for v in (-4e4, -2.5e4, -1.5e4, 1.5e4, 2.5e4, 4e4)),
 )
+#: So do stronger motors: the same limit for all, as shares of the strongest one's. (Fingers of 1.1 N m below a wrist of
+#: 8 N m, all limited to 3, were refused as shifted commands.)
+STRONGER = (0.25, 0.5, 1.0)
 #: By how much a shift must beat the best rival's joint error to be sure.
 SURELY = 0.7
 
@@ -226,7 +230,11 @@ def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]
     steps, joints = max(1, round(-rows)), pairs.drive.joints
     moved = replace(look.recs, commands=_ahead(look.recs.commands, steps))
     shift = _apart(pairs, look.play(moved)["joint_position"][..., joints])
-    possible = [r for r in RIVALS if effect(r[0]).possible(look.replayer.scene)]
+    scene = look.replayer.scene
+    # The coordinate of a positive number is its logarithm.
+    strongest = float(np.exp(candidate("torque_limit", scene).neutral[0]))
+    stronger = (("torque_limit", "limit_Nm", share * strongest) for share in STRONGER)
+    possible = [r for r in (*RIVALS, *stronger) if effect(r[0]).possible(scene)]
     sets = [(EffectSetting(name=n, parameters={p: v}),) for n, p, v in possible]
     rival, ahead = _apart(pairs, own), iter(sets)
     while rival >= SURELY * shift and (some := next(ahead, None)):
