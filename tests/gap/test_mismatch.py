@@ -12,6 +12,7 @@ import pytest
 from candata.effects import effect, effect_names, setting
 from candata.errors import DataError
 from candata.gap import mismatch as module
+from candata.gap.candidates import candidate
 from candata.gap.mismatch import checked, mismatch
 from candata.gap.mismatch_commands import paired
 from candata.gap.mismatch_sensors import tips
@@ -284,6 +285,22 @@ def test_once_a_rival_explains_early_joints_better_no_other_is_played(gripper, g
     monkeypatch.setattr(module, "_apart", lambda *a: next(apart))
     assert module._early(module._Look(Replayer(gripper), recs, None), pairs, own, -1.0) == []
     assert next(apart) == 3.0
+
+
+def test_stronger_motors_explain_early_joints_too(gripper, gripped, monkeypatch):
+    recs = recordings(gripper, gripped)
+    pairs = paired(gripper, recs)
+    own = recs.readings["joint_position"][..., pairs.drive.joints]
+    played: list = []
+    monkeypatch.setattr(
+        module._Look, "play",
+        lambda self, recs, effects=(): played.append(effects) or {"joint_position": recs.readings["joint_position"]},
+    )  # fmt: skip
+    limited = lambda: bool(played and played[-1] and played[-1][0].name == "torque_limit")  # noqa: E731
+    monkeypatch.setattr(module, "_apart", lambda *a: 0.5 if limited() else 1.0 if len(played) == 1 else 2.0)
+    assert module._early(module._Look(Replayer(gripper), recs, None), pairs, own, -1.0) == []
+    strongest = np.exp(candidate("torque_limit", gripper).neutral[0])
+    assert played[-1][0].parameters["limit_Nm"] == pytest.approx(module.STRONGER[0] * strongest)
 
 
 def test_a_delay_of_a_step_is_physics_with_a_note(gripper, gripped):
