@@ -124,9 +124,8 @@ def _nearest(
     """Return the sets with one member exchanged that explain about as much once refitted, on a few episodes.
 
     The first of those with another choice are fitted with simulated slopes: beside it effects do what signatures say
-    nothing of.
-    (Beside a cone, a solver's `impratio` began where it had made up for it, and signatures moved it nowhere: 2.9
-    floors; simulated slopes led to 0.9, where less friction in the cone's place left 1.4.)
+    nothing of. (Beside a cone, a solver's `impratio` began where it had made up for it, and signatures moved it
+    nowhere: 2.9 floors; simulated slopes led to 0.9, where less friction in the cone's place left 1.4.)
     """
     own = by_loss(problem, [held])[0][0]
     least = {

@@ -57,8 +57,8 @@ RIVALS = (
     *(("servo_gain", "kp_scale", v) for v in (1.3, 1.7, 2.5, 4.0)),
     *(("clock_drift", "ppm", v) for v in (-4e4, -2.5e4, -1.5e4, 1.5e4, 2.5e4, 4e4)),
 )
-#: So do stronger motors: the same limit for all, as shares of the strongest one's. (Fingers of 1.1 N m below a wrist of
-#: 8 N m, all limited to 3, were refused as shifted commands.)
+#: So do stronger motors: the same limit for all, as shares of the strongest one's. Chosen, coarse. (Fingers of 1.1 N m
+#: below a wrist of 8 N m, all limited to 3, were refused as shifted commands.)
 STRONGER = (0.25, 0.5, 1.0)
 #: By how much a shift must beat the best rival's joint error to be sure.
 SURELY = 0.7

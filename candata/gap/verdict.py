@@ -33,7 +33,7 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
     faint = little and closed < EXPLAINED and (trust(size) < DOUBTED or closed < LARGER_PART)
     few = closed > 0 and (size.closed_elsewhere or 0.0) >= LARGER_PART
     least = LARGER_PART if len(found.chosen.members) == 1 else PARTLY
-    # Of a gap so small that all of it may be closed, the share says nothing: the held-out gain has decided.
+    # Where the interval of the share reaches `EXPLAINED`, the gap is too small for it: the held-out gain has decided.
     unsure = little and closed > 0 and trust(size) >= DOUBTED and (size.high or 0.0) >= EXPLAINED
     if not unsure and (faint or (closed < least and not few)):
         return "unknown_effect"

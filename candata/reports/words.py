@@ -25,8 +25,8 @@ HEADLINES: dict[Verdict, str] = {
 _MEANINGS: dict[Verdict, str] = {
     "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
     "explained": "The named effects pass the held-out test and close at least 80 % of the gap, "
-    "or leave 0.30 floors of it or less, and less than half, with a support of at least one half.",
-    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, "
+    "or leave 0.30 floors of it or less, and less than half or perhaps nothing, with a support of at least one half.",
+    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, one alone half, "
     "of all episodes or of all but a few, but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",

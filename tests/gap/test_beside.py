@@ -70,30 +70,30 @@ def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatc
     assert stage.best_gain == pytest.approx(max(promised or 0.0, simulated) if looks == 2 else promised)
 
 
-def test_another_effect_is_found_with_what_is_held_moved_along(late):
+@pytest.fixture(scope="module")
+def off(late):
+    """The delay read 4 ms off, what every effect does beside it on a few episodes, and these."""
     problem, delay = late
     ((c, u),) = delay.members
     z = problem.residuals([problem.setting([(c, u - 0.004)])])[0]
-    off = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
+    held = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
     seen = looked_into(problem, z)
-    rough = look(seen, z, off.members).rough
-    some = brief(seen)
-    found = sets._along(problem, off, some[0], *sets._moved_along(problem, off, rough, some))
+    return held, look(seen, z, held.members).rough, brief(seen)
+
+
+def test_another_effect_is_found_with_what_is_held_moved_along(late, off):
+    problem, (held, rough, some) = late[0], off
+    found = sets._along(problem, held, some[0], *sets._moved_along(problem, held, rough, some))
     assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
     assert found.members[0][1] == pytest.approx([0.12], abs=0.001)
-    assert sets._along(problem, off, some[0], *sets._moved_along(problem, off, (), some)) is None
+    assert sets._along(problem, held, some[0], *sets._moved_along(problem, held, (), some)) is None
 
 
-def test_what_explains_as_much_once_what_is_held_moves_is_tried_beside_what_passes(late):
+def test_what_explains_as_much_once_what_is_held_moves_is_tried_beside_what_passes(late, off):
     """The true one comes along with a wrong one that explains less, and begins where what is held moved."""
-    problem, delay = late
-    ((c, u),) = delay.members
-    z = problem.residuals([problem.setting([(c, u - 0.004)])])[0]
-    off = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
-    seen = looked_into(problem, z)
-    some = brief(seen)
-    now, sums = sets._moved_along(problem, off, look(seen, z, off.members).rough, some)
-    wrong, right = ((*off.members, (candidate(n, problem.replayer.scene), np.full(1, v))) for n, v in
+    problem, (held, rough, some) = late[0], off
+    now, sums = sets._moved_along(problem, held, rough, some)
+    wrong, right = ((*held.members, (candidate(n, problem.replayer.scene), np.full(1, v))) for n, v in
                     (("armature", 0.0005), ("joint_dry_friction", 0.3)))  # fmt: skip
     begun = sets._moving(some[0], [wrong], now, sums)
     assert begun[0] is wrong

@@ -296,8 +296,12 @@ def test_stronger_motors_explain_early_joints_too(gripper, gripped, monkeypatch)
         module._Look, "play",
         lambda self, recs, effects=(): played.append(effects) or {"joint_position": recs.readings["joint_position"]},
     )  # fmt: skip
-    limited = lambda: bool(played and played[-1] and played[-1][0].name == "torque_limit")  # noqa: E731
-    monkeypatch.setattr(module, "_apart", lambda *a: 0.5 if limited() else 1.0 if len(played) == 1 else 2.0)
+
+    def apart(*_):  # stronger motors fit best, the shift itself fairly, all else badly
+        limited = played and played[-1] and played[-1][0].name == "torque_limit"
+        return 0.5 if limited else 1.0 if len(played) == 1 else 2.0
+
+    monkeypatch.setattr(module, "_apart", apart)
     assert module._early(module._Look(Replayer(gripper), recs, None), pairs, own, -1.0) == []
     strongest = np.exp(candidate("torque_limit", gripper).neutral[0])
     assert played[-1][0].parameters["limit_Nm"] == pytest.approx(module.STRONGER[0] * strongest)
