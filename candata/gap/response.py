@@ -195,8 +195,8 @@ def _ridge(slope: Compact, span: Array) -> Array:
 def _solve(slope: Compact, z: Compact, weight: Compact, ridge: Array) -> Array:
     """Return the weighted least-squares step."""
     flat = slope.reshape(len(slope), -1)
-    normal = (flat * weight.ravel()) @ flat.T
-    return np.linalg.solve(normal.astype(float) + np.diag(ridge), -(flat * weight.ravel()) @ z.ravel())
+    weighted = flat * weight.ravel()
+    return np.linalg.solve((weighted @ flat.T).astype(float) + np.diag(ridge), -weighted @ z.ravel())
 
 
 @dataclass(frozen=True)

@@ -78,10 +78,11 @@ def screening(c: Candidate, problem: Problem) -> list[Array]:
 def _places(c: Candidate, problem: Problem, held: Members) -> list[Array]:
     """Return the coordinates at which a candidate is looked at.
 
-    Where all are simulated on the recording because none explains it alone, a scalar is looked at nearer, too: what a
-    faint effect does, as a support that is 2 mm too high, need not be a share of what a strong one does.
+    Where all are simulated on the recording, what was simulated of a few episodes serves for all of them. Where that is
+    because none explains it alone, a scalar is looked at nearer, too: what a faint effect does, as a support that is
+    2 mm too high, need not be a share of what a strong one does.
     """
-    points = screening(c, problem)
+    points = first_probes(c, problem.replayer.scene) if problem.simulated else screening(c, problem)
     if held or not problem.simulated or c.choices or c.size > 1:
         return points
     sides = ([p for p in points if p[0] < c.neutral[0]], [p for p in points if p[0] > c.neutral[0]])

@@ -33,10 +33,10 @@ class Problem:
     """What every step of the attribution needs; `before` and `raw` are the nominal replay and its residuals.
 
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
-    set where only a few of the episodes are looked at, and fewer signatures do; `few` keeps what was simulated there,
-    as some of it is asked for again; `simulated` is set where every candidate is simulated on the recording, its
-    signature set aside, and `telling` where other episodes are looked at first than usual; `pace` tells how far the
-    search is.
+    set where only a few of the episodes are looked at, and fewer signatures do; `played` keeps the residuals `(B, D)`
+    of episodes in worlds that were simulated, as some of them are asked for again, alone or among others; `simulated`
+    is set where every candidate is simulated on the recording, its signature set aside, and `telling` where other
+    episodes are looked at first than usual; `pace` tells how far the search is.
     """
 
     replayer: Replayer
@@ -56,7 +56,7 @@ class Problem:
     brief: bool = False
     simulated: bool = False
     telling: Index | None = None
-    few: dict[tuple[tuple[str, ...], str], Compact] = field(default_factory=dict)
+    played: dict[tuple[str, str], Compact] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
 
     @property
@@ -66,19 +66,28 @@ class Problem:
 
     def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
-        if not self.brief:
-            return [self.score.normal(z) for z in self._simulated(variants)]
-        if len(self.few) * len(self.recs) > KEPT:
-            self.few.clear()
-        asked = [(self.recs.ids, name_of(some)) for some in variants]
-        new = {key: some for key, some in zip(asked, variants, strict=True) if key not in self.few}
-        found = self._simulated(list(new.values()))
-        self.few.update(zip(new, (z.astype(np.float32) for z in found), strict=True))
-        return [self.score.normal(self.few[key]) for key in asked]
+        names, ids = [name_of(some) for some in variants], self.recs.ids
+        kept = {(name, i): self.played[name, i] for name in names for i in ids if (name, i) in self.played}
+        missing: dict[tuple[int, ...], dict[str, EffectSet]] = {}
+        for name, some in zip(names, variants, strict=True):
+            index = tuple(e for e, i in enumerate(ids) if (name, i) not in kept)
+            missing.setdefault(index, {})[name] = some
+        if len(self.played) > KEPT:
+            self.played.clear()
+        for index, worlds in missing.items():
+            if not index:
+                continue
+            found = self._simulated(np.array(index), list(worlds.values()))
+            new = {(name, ids[e]): z[k] for name, z in zip(worlds, found, strict=True) for k, e in enumerate(index)}
+            kept.update(new)
+            self.played.update(new)
+        return [self.score.normal(np.stack([kept[name, i] for i in ids])) for name in names]
 
-    def _simulated(self, variants: Sequence[EffectSet]) -> list[Array]:
-        """Return residuals `(E, B, D)` of each effect set, by rollouts."""
-        return [residual(self.recs, self.plan, r) for r in replay_all(self.replayer, self.recs, self.begin, variants)]
+    def _simulated(self, index: Index, variants: Sequence[EffectSet]) -> list[Compact]:
+        """Return residuals `(E, B, D)` of some episodes in each effect set, by rollouts."""
+        recs, begin, plan = (whole.take(index) for whole in (self.recs, self.begin, self.plan))
+        played = replay_all(self.replayer, recs, begin, variants)
+        return [residual(recs, plan, readings).astype(np.float32) for readings in played]
 
     def losses_from(self, begins: Sequence[Starts], variants: Sequence[EffectSet]) -> Array:
         """Return losses `(S, V, E)` of V effect sets that are replayed from S other starts, all stepped together."""

@@ -12,11 +12,12 @@ from candata.gap.attribute import Attribution
 from candata.gap.candidates import typical_size
 from candata.gap.recordings import Recordings
 from candata.gap.refine import ENOUGH
-from candata.gap.replay import replay_all
+from candata.gap.replay import needs_simulation, replay_all
 from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import weights
 from candata.gap.search import Fit, Problem
+from candata.gap.shortlist import taken
 from candata.gap.stage import BLUNT, standard_error
 from candata.rotation import difference
 from candata.schema.report import Gap
@@ -40,6 +41,8 @@ NEAREST, FARTHEST, RISEN = 0.125, 1.0, 2.0
 LEAST_ROOM = 0.02
 #: Most numbers whose curvature is simulated: beyond it their refits say how sure they are, `LOOSE` times wider.
 MOST_CURVED, LOOSE = 16, 6.0
+#: Fewest episodes by which curvature is measured, of as many or more. Chosen.
+CURVED = 10
 #: Least half width as a share of the effect: episodes share commands and chaos, and slopes are no finer.
 FINEST = 0.01
 #: What a set leaves [floors, or the share of the gap, the smaller] where a right one is as likely as a wrong one.
@@ -185,17 +188,22 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
 
     Each episode's loss is read at the fit and at two places beside it along each axis of `_axes`, and taken for the
     parabola through them, of slope g and curvature A. The standard error along the axis is sd(g) / sqrt(E) / mean(A)
-    (the sandwich of Huber 1967); axes add up by their squares. The distance doubles until the loss has risen surely;
-    where it never does, or bounds leave no room, a plausible size is what is known. A fit of many numbers ends while it
-    could still descend: each axis holds where the loss has risen by no more than what would have ended it.
+    (the sandwich of Huber 1967), of which half of many episodes tell enough; axes add up by their squares. The distance
+    doubles until the loss has risen surely; where it never does, or bounds leave no room, a plausible size is what is
+    known. A fit of many numbers ends while it could still descend: each axis holds where the loss has risen by no more
+    than what would have ended it.
     """
     scene = problem.replayer.scene
     low, high, typical = (
         np.concatenate(parts)
         for parts in zip(*((c.low, c.high, typical_size(c, scene)) for c, _ in fit.members), strict=True)
     )
-    axes = _axes(fit.plane, np.where(np.concatenate([np.full(c.size, c.choices) for c, _ in fit.members]), 0, typical))
-    here = problem.score.loss(fit.plane.z)
+    read = np.concatenate([np.full(c.size, not needs_simulation((c.setting(u, scene),))) for c, u in fit.members])
+    sizes = np.where(np.concatenate([np.full(c.size, c.choices) for c, _ in fit.members]), 0, typical)
+    axes = _axes(fit.plane, sizes, read)
+    some = _every_other(problem.recs.tasks)
+    part, fewer = taken(problem, some), np.sqrt(len(some) / len(problem.recs))
+    here = part.score.loss(fit.plane.z[some])
     half, shift = np.ones(len(axes)), np.zeros(len(axes))
     unfinished = ENOUGH * float(here.mean()) if len(own) > MANY else 0.0
     open_ = [i for i, axis in enumerate(axes) if max(_room(axis, own - low, high - own)) > LEAST_ROOM]
@@ -203,14 +211,14 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     while open_ and share <= FARTHEST:
         places = {i: _places(share, *_room(axes[i], own - low, high - own)) for i in open_}
         worlds = [problem.setting(fit.split(own + s * axes[i])) for i, pair in places.items() for s in pair]
-        losses = iter([problem.score.loss(z) - here for z in problem.residuals(worlds)])
+        losses = iter([part.score.loss(z) - here for z in part.residuals(worlds)])
         known = []
         for i, (a, b) in places.items():
             one, other = next(losses), next(losses)
             slope = (one * b**2 - other * a**2) / (a * b * (b - a))
             curvature = 2 * (one * b - other * a) / (a * b * (a - b))
             if curvature.mean() > RISEN * standard_error(curvature):
-                sure = NORMAL * WIDER_MANY * standard_error(slope) / curvature.mean()
+                sure = NORMAL * WIDER_MANY * fewer * standard_error(slope) / curvature.mean()
                 half[i] = min(max(sure, np.sqrt(2 * unfinished / curvature.mean())), 1.0)
                 shift[i] = np.clip(-slope.mean() / curvature.mean(), -share, share)
                 known.append(i)
@@ -220,18 +228,33 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     return np.minimum(own, least) - width, np.maximum(own, least) + width
 
 
-def _axes(plane: Plane, typical: Array) -> Array:
+def _every_other(tasks: Sequence[str]) -> Index:
+    """Return every other episode of each task; all, where that would leave fewer than `CURVED`."""
+    order = sorted(range(len(tasks)), key=lambda i: tasks[i])
+    return np.sort(order[:: 2 if len(order) >= 2 * CURVED else 1]).astype(int)
+
+
+def _axes(plane: Plane, typical: Array, read: NDArray[np.bool_]) -> Array:
     """Return directions `(m, d)` that do not work into one another, each as long as a plausible size lets it be.
 
-    They are the principal axes of the slopes, every coordinate in units of its plausible size `typical (d,)`; those
-    whose size is 0, choices, take no part. Where numbers make up for one another, as the joints of one finger do, the
-    loss is flat along such an axis alone, and rises along each number.
+    Where numbers make up for one another, as the joints of one finger do, the loss is flat along such a direction
+    alone, and rises along each number. They are the principal axes of the slopes, every coordinate in units of its
+    plausible size `typical (d,)`; those whose size is 0, choices, take no part. Numbers that only alter what is `read
+    (d,)` after the fact have axes of their own, which need no simulation; along an axis of the others, they follow by
+    as much as leaves least (conjugate directions by the Schur complement).
     """
     free = np.flatnonzero(typical > 0)
     slope = (plane.slope[free] * np.sqrt(weights(plane.z))).reshape(len(free), plane.z.size).astype(float)
     slope *= typical[free, None]
+    normal, read = slope @ slope.T, read[free]
+    follow = -np.linalg.pinv(normal[np.ix_(read, read)]) @ normal[np.ix_(read, ~read)]
+    moved = np.linalg.eigh(normal[np.ix_(~read, ~read)] + normal[np.ix_(~read, read)] @ follow)[1]
+    own = np.linalg.eigh(normal[np.ix_(read, read)])[1]
     axes = np.zeros((len(free), len(typical)))
-    axes[:, free] = np.linalg.eigh(slope @ slope.T)[1].T
+    count = own.shape[1]
+    axes[:count, free[read]] = own.T
+    axes[count:, free[~read]] = moved.T
+    axes[count:, free[read]] = (follow @ moved).T
     return axes / np.abs(axes).max(axis=1, initial=1e-12, keepdims=True) * typical
 
 

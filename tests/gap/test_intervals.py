@@ -10,11 +10,30 @@ import pytest
 from candata.gap.candidates import candidate, typical_size
 from candata.gap.folds import CrossFit
 from candata.gap.response import Curve, Plane
+from candata.gap.score import weights
 from candata.gap.search import Fit
-from candata.gap.shrink import FINEST, intervals
+from candata.gap.shrink import CURVED, FINEST, _axes, intervals
 
 TRUE = np.array([0.2, 0.01])
 NAMES = ("joint_damping", "armature")
+
+
+class Episodes(tuple):
+    """Numbers of episodes, all of one task."""
+
+    @property
+    def tasks(self):
+        return ("press",) * len(self)
+
+
+@pytest.fixture(autouse=True)
+def _taken(monkeypatch):
+    """Let a part of these problems be a part of what they leave."""
+
+    def taken(problem, some):
+        return SimpleNamespace(score=problem.score, residuals=lambda worlds: [z[some] for z in problem.residuals(worlds)])
+
+    monkeypatch.setattr("candata.gap.shrink.taken", taken)
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +65,7 @@ def posed(arm, pair):
         plane = Plane(low, high, own, residuals([members])[0], slope)
 
         problem = SimpleNamespace(
-            recs=range(episodes), replayer=SimpleNamespace(scene=arm), residuals=residuals,
+            recs=Episodes(range(episodes)), replayer=SimpleNamespace(scene=arm), residuals=residuals,
             setting=lambda members: members, score=SimpleNamespace(loss=lambda z: z.mean(1)), rng=rng,
         )  # fmt: skip
         return problem, Fit(members, plane, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 2)))), size
@@ -69,6 +88,34 @@ def test_they_hold_the_truth_about_nine_times_in_ten(posed, monkeypatch):
 def test_they_narrow_with_episodes(posed):
     few, many = (np.subtract(*intervals(*posed(3, episodes)[:2])[::-1]) for episodes in (8, 200))
     assert (many < 0.5 * few).all()
+
+
+@pytest.mark.parametrize(("episodes", "simulated"), [(2 * CURVED, CURVED), (2 * CURVED - 1, 2 * CURVED - 1)])
+def test_of_many_episodes_every_other_is_simulated(posed, monkeypatch, episodes, simulated):
+    asked = []
+    monkeypatch.setattr("candata.gap.shrink.taken", lambda problem, some: asked.append(len(some)) or problem)
+    problem, fit, _ = posed(1, episodes)
+    problem.residuals = lambda worlds: [fit.plane.z[: asked[-1]]] * len(worlds)
+    problem.score.loss = lambda z: z[: asked[-1]].mean(1)
+    intervals(problem, fit)
+    assert asked == [simulated]
+
+
+def test_axes_do_not_work_into_one_another_and_what_is_only_read_has_its_own(rng):
+    slope = rng.standard_normal((5, 4, 30)).astype(np.float32)
+    slope[1] += 2 * slope[3]
+    read, size = np.array([False, True, True, False, False]), np.array([1.0, 0.1, 0.5, 2.0, 0.0])
+    z = rng.standard_normal((4, 30)).astype(np.float32)
+    axes = _axes(Plane(-size, size, 0 * size, z, slope), size, read)
+    moved = np.tensordot(axes, slope * np.sqrt(weights(z)), 1).reshape(4, -1).astype(float)
+    product = moved @ moved.T
+    unit = np.sqrt(np.diag(product))
+    assert product / np.outer(unit, unit) == pytest.approx(np.eye(4), abs=1e-5)
+    alone = ~axes[:, ~read].any(1)
+    assert alone.sum() == 2
+    assert axes[~alone][:, read].any()
+    assert not axes[:, 4].any()
+    assert np.abs(axes[:, :4] / size[:4]).max(1) == pytest.approx(np.ones(4))
 
 
 def test_a_number_that_changes_nothing_is_known_to_a_plausible_size(posed):
@@ -109,7 +156,7 @@ def test_choices_alone_are_what_they_are(arm):
     flat = np.zeros((len(own), 8, 30), np.float32)
     fit = Fit(members, Plane(own, own, own, flat[0], flat), CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, len(own)))))
     problem = SimpleNamespace(
-        recs=range(8), replayer=SimpleNamespace(scene=arm), score=SimpleNamespace(loss=lambda z: z.mean(1))
+        recs=Episodes(range(8)), replayer=SimpleNamespace(scene=arm), score=SimpleNamespace(loss=lambda z: z.mean(1))
     )
     low, high = intervals(problem, fit)
     assert low == pytest.approx(own - FINEST * np.abs(own - neutral))
@@ -152,7 +199,7 @@ def test_an_effect_that_has_an_end_is_known_on_one_side_only(arm, ends):
     z = np.repeat(1 + 1e3 * (reach[:, None, None] - 0.06 - off) ** 2, 30, axis=2).astype(np.float32)
     curve, own = Curve(c, at, z, np.ones(len(at), bool)), np.array([0.06])
     fit = Fit(((c, own),), curve, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 1))))
-    problem = SimpleNamespace(recs=range(16), score=SimpleNamespace(loss=lambda z: z.mean(-1)), rng=rng)
+    problem = SimpleNamespace(recs=Episodes(range(16)), score=SimpleNamespace(loss=lambda z: z.mean(-1)), rng=rng)
     (low,), (high,) = intervals(problem, fit)
     assert 0.04 < low < 0.06
     assert high == c.high[0] if ends else 0.06 < high < 0.08

@@ -91,7 +91,7 @@ def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_too(arm, problem):
 
 def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     stepped = []
-    watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), few={})
+    watched = replace(problem, replayer=replace(problem.replayer, count=stepped.append), played={})
     part, _ = shortlist.brief(replace(watched, simulated=True))
     worlds = [problem.setting([(c, u)]) for c in unheld(part, ()) for u in screening(c, part)]
     first = part.residuals(worlds)
@@ -100,6 +100,10 @@ def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
     again = shortlist.brief(watched)[0].residuals(worlds)
     assert not stepped
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    watched.residuals(worlds[:1])  # of all episodes: the others are missing
+    each = watched.recs.commands.shape[1] * watched.replayer.scene.substeps
+    assert sum(stepped) == each * (len(watched.recs) - len(part.recs))
+    stepped.clear()
     part.losses_from([part.begin], worlds[:1])  # from given starts: the caller wants those
     assert stepped
 
@@ -127,7 +131,7 @@ def test_simulated_responses_are_what_rollouts_leave(arm, problem):
     c = candidate("armature", arm)
     ((_, curve),), dead = respond(replace(problem, simulated=True), problem.nominal, [c])
     assert not dead
-    for u in screening(c, problem):
+    for u in screening(c, replace(problem, brief=True)):
         (there,) = problem.residuals([problem.setting([(c, u)])])
         assert np.allclose(curve.read(u), there, atol=1e-4)
         assert curve.nearest_sure(u) == 0
