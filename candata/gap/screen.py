@@ -78,16 +78,21 @@ def screening(c: Candidate, problem: Problem) -> list[Array]:
 def _places(c: Candidate, problem: Problem, held: Members) -> list[Array]:
     """Return the coordinates at which a candidate is looked at.
 
-    Where all are simulated on the recording, what was simulated of a few episodes serves for all of them. Where that is
-    because none explains it alone, a scalar is looked at nearer, too: what a faint effect does, as a support that is
-    2 mm too high, need not be a share of what a strong one does.
+    Where all are simulated on the recording, what was simulated of a few episodes serves for all of them. A scalar is
+    then looked at twice on each side beside other effects. Where it is because none explains it alone, it is looked at
+    nearer, too: what a faint effect does, as a support that is 2 mm too high, need not be a share of what a strong one
+    does.
     """
-    points = first_probes(c, problem.replayer.scene) if problem.simulated else screening(c, problem)
-    if held or not problem.simulated or c.choices or c.size > 1:
+    if not problem.simulated:
+        return screening(c, problem)
+    points = first_probes(c, problem.replayer.scene)
+    if c.choices or c.size > 1:
         return points
-    sides = ([p for p in points if p[0] < c.neutral[0]], [p for p in points if p[0] > c.neutral[0]])
-    nearest = [min(side, key=lambda p: float(abs(p[0] - c.neutral[0]))) for side in sides if side]
-    return [*points, *(c.neutral + NEARER * (p - c.neutral) for p in nearest)]
+    away = sorted(points, key=lambda p: float(abs(p[0] - c.neutral[0])))
+    sides = [side for side in ([p for p in away if (p[0] < c.neutral[0]) == below] for below in (True, False)) if side]
+    if held:
+        return [side[i] for side in sides for i in sorted({(len(side) - 1) // 2, len(side) - 1})]
+    return [*points, *(c.neutral + NEARER * (side[0] - c.neutral) for side in sides)]
 
 
 def _response(

@@ -19,7 +19,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, Stage, is_near, is_tied, look, unheld
+from candata.gap.stage import RIVALS, Stage, as_simulated, is_near, is_tied, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest
@@ -42,10 +42,12 @@ Index = NDArray[np.int64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
-#: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
-#: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
-#: damping of contacts promised nothing and was worth all of the 3.4 floors left. Nor is a search made again for less.
-BELIEVED, SETTLED = 0.5, 0.5
+#: Beside other causes signatures are believed where the best candidate gains this share of what is left; else every
+#: effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of contacts promised nothing and
+#: was worth all of the 3.4 floors left.
+BELIEVED = 0.5
+#: Floors left for which no search is made again, and no rival tried in place of what was taken last. Chosen.
+SETTLED = 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
@@ -74,12 +76,9 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
         if other is not None:
             best = other
             continue
-        if not has_room(best) and not gains_share(
-            world, here_of(world, best), unheld(world, best.members), best.members
-        ):
-            return best, world, remains
+        seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
-        grown = None if is_full(best.members, problem.measured) else _next(world, best)
+        grown = None if is_full(best.members, problem.measured) else _next(world, best, seems)
         sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown) else None
         if grown is not None and sharper is not None and not is_next(sharper, grown):
             problem, best = world, sharper
@@ -119,14 +118,17 @@ def judged(problem: Problem, fit: Fit) -> Grown:
     return fit, world, leaves(world, fit)
 
 
-def _next(problem: Problem, best: Fit) -> Fit | None:
-    """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes."""
-    stage, seen = _beside(problem, best.members, here_of(problem, best))
+def _next(problem: Problem, best: Fit, seems: bool = True) -> Fit | None:
+    """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes.
+
+    `seems` tells whether signatures are worth a look.
+    """
+    stage, seen = _beside(problem, best.members, here_of(problem, best), seems)
     front = _front(best, stage)
     if not has_room(best) or is_toss(problem.replayer.scene):
         return sharp(problem, front)
     some = brief(seen)
-    now, sums = _moved_along(problem, best, stage.rough, some)
+    now, sums = _moved_along(problem, best, as_simulated(seen, stage), some)
     found = sharp(problem, _moving(some[0], front, now, sums))
     if found is not None and is_next(best, found):
         return found
@@ -210,24 +212,26 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
     return found if found.gain > best.gain else None
 
 
-def _beside(problem: Problem, members: Members, here: Compact) -> tuple[Stage, Problem]:
+def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> tuple[Stage, Problem]:
     """Return the evidence of every candidate beside effects whose residuals are `here (E, K)`, and how it was seen.
 
-    They are simulated there where signatures promise little, and count if they promise more.
+    They are simulated there where signatures promise little, and count if they promise more. (Beside a torque limit
+    the object stays down, and a tracker that lags by 43 ms promised nothing of the 0.18 floors left, all its own.)
     """
-    stage = look(problem, here, members)
-    if problem.simulated or is_toss(problem.replayer.scene) or _is_promising(stage):
+    final = problem.simulated or is_toss(problem.replayer.scene)
+    stage = look(problem, here, members) if seems or final else None
+    if stage is not None and (final or _is_promising(stage)):
         return stage, problem
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     simulated = looked_into(problem, here)
     other = look(simulated, here, members, stage)
-    return (other, simulated) if other.best_gain > stage.best_gain else (stage, problem)
+    return (other, simulated) if stage is None or other.best_gain > stage.best_gain else (stage, problem)
 
 
 def _is_promising(stage: Stage) -> bool:
     """Tell whether the effects beside others promise enough of what these leave."""
     left = float(stage.base.mean()) - 1
-    return left < SETTLED or stage.best_gain > BELIEVED * left
+    return left < FAINT or stage.best_gain > BELIEVED * left
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:

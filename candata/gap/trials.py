@@ -38,12 +38,22 @@ def sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
 
 
 def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
-    """Return the best of lightly fitted sets, sharply fitted those that cannot be told from the best; None of none."""
+    """Return the best of lightly fitted sets, sharply fitted those that cannot be told from the best; None of none.
+
+    Of several, those are fitted on that still cannot be told from the best by slopes over the first of the widths.
+    """
     base = problem.score.loss(problem.nominal)
-    light = sorted(light, key=lambda f: -f.gain)
-    many = max((len(f.plane.at) for f in light), default=0) > MANY
-    near = [f for f in light if f is light[0] or (not many and is_tied(f, light[0], UNSURE))]
-    return max((joint(problem, f.members, base) for f in near), key=lambda f: f.gain, default=None)
+    near, widths = _nearest(light), WIDTHS
+    if len(near) > 1:
+        near, widths = _nearest([joint(problem, f.members, base, WIDTHS[:1]) for f in near]), WIDTHS[1:]
+    return max((joint(problem, f.members, base, widths) for f in near), key=lambda f: f.gain, default=None)
+
+
+def _nearest(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best fit and, where none has many numbers, those that cannot be told from it."""
+    ordered = sorted(fits, key=lambda f: -f.gain)
+    many = max((len(f.plane.at) for f in ordered), default=0) > MANY
+    return [f for f in ordered if f is ordered[0] or (not many and is_tied(f, ordered[0], UNSURE))]
 
 
 def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:

@@ -17,7 +17,7 @@ from candata.gap.replay import Replayer, needs_simulation
 from candata.gap.screen import respond, screening
 from candata.gap.shortlist import brief, looked_into
 from candata.gap.signatures import Library
-from candata.gap.stage import Stage, look
+from candata.gap.stage import Stage, as_simulated, look
 from candata.gap.together import Sum
 from candata.gap.wanted import wanted
 from tests.effects.gripper import ROLES, write_scene
@@ -46,7 +46,7 @@ def test_a_cause_that_signatures_miss_beside_a_long_delay_is_found_by_simulation
 
 @pytest.mark.parametrize(
     ("promised", "simulated", "left", "looks"),
-    [(0.4, 0.9, 1.0, 2), (0.4, 0.3, 1.0, 2), (0.6, 0.9, 1.0, 1), (0.1, 0.9, 0.4, 1), (None, 0.9, 1.0, 2)],
+    [(0.4, 0.9, 1.0, 2), (0.4, 0.3, 1.0, 2), (0.6, 0.9, 1.0, 1), (0.01, 0.9, 0.04, 1), (None, 0.9, 1.0, 2)],
 )
 def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatch, promised, simulated, left, looks):
     problem, fit = late
@@ -62,12 +62,38 @@ def test_effects_are_simulated_only_where_signatures_leave_much(late, monkeypatc
         return Stage(np.full(12, 1 + left), np.zeros((4, 12)), found, 0.0, (), (), (), 0.0)
 
     monkeypatch.setattr(sets, "look", looked)
-    stage, seen = sets._beside(replace(problem, pace=Pace(told.append, 1.0)), fit.members, fit.plane.z)
+    stage, seen = sets._beside(replace(problem, pace=Pace(told.append, 1.0)), fit.members, fit.plane.z, True)
     assert len(told) == looks - 1
     assert all("about 20 to 65 s" in line for line in told)
     assert made == [False, True][:looks]
     assert seen.simulated is (looks == 2 and simulated > (promised or 0.0))
     assert stage.best_gain == pytest.approx(max(promised or 0.0, simulated) if looks == 2 else promised)
+
+
+def test_where_signatures_were_seen_to_promise_nothing_effects_are_simulated_at_once(late, monkeypatch):
+    """Beside a long delay dry friction promises nothing, and is worth all that is left."""
+    problem, fit = late
+    made, real = [], sets.look
+
+    def looked(problem, *rest):
+        made.append(problem.simulated)
+        return real(problem, *rest)
+
+    monkeypatch.setattr(sets, "look", looked)
+    stage, seen = sets._beside(problem, fit.members, fit.plane.z, False)
+    assert made == [True]
+    assert seen.simulated
+    assert stage.passing().labels == ("joint_dry_friction",)
+
+
+@pytest.mark.parametrize(("faint", "named"), [(0.0, True), (np.inf, False)])
+def test_what_is_left_of_a_large_gap_is_simulated_too_where_signatures_promise_nothing(late, monkeypatch, faint, named):
+    problem, fit = late
+    monkeypatch.setattr(sets, "has_room", lambda best: False)
+    monkeypatch.setattr(sets, "gains_share", lambda problem, here, found, held: False)
+    monkeypatch.setattr(sets, "FAINT", faint)
+    found, _, _ = sets.forward(problem, fit, ())
+    assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is named
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +104,7 @@ def off(late):
     z = problem.residuals([problem.setting([(c, u - 0.004)])])[0]
     held = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
     seen = looked_into(problem, z)
-    return held, look(seen, z, held.members).rough, brief(seen)
+    return held, as_simulated(seen, look(seen, z, held.members)), brief(seen)
 
 
 def test_another_effect_is_found_with_what_is_held_moved_along(late, off):

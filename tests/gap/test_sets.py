@@ -12,7 +12,7 @@ from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
-from candata.gap.refine import around, divided, joint
+from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem
@@ -272,9 +272,9 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
     problem, base = posed
     sharp: list[tuple[str, ...]] = []
 
-    def counted(problem, chosen, base, **widths):
-        sharp.extend([tuple(c.label for c, _ in chosen)] if not widths else [])
-        return joint(problem, chosen, base, **widths)
+    def counted(problem, chosen, base, widths=WIDTHS):
+        sharp.extend([tuple(c.label for c, _ in chosen)] if len(widths) > 1 else [])
+        return joint(problem, chosen, base, widths)
 
     monkeypatch.setattr(trials, "MANY", many)
     monkeypatch.setattr(trials, "UNSURE", unsure)

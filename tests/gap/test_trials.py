@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,32 @@ from candata.gap import trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
-from candata.gap.refine import joint
+from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
+
+
+@pytest.mark.parametrize(("unsure", "finished"), [(0.0, 1), (np.inf, 2)])
+def test_only_rivals_that_stay_near_are_fitted_with_every_width(arm, arm_episodes, planted, monkeypatch, unsure, finished):
+    """Two sets that nothing tells apart at first: the one that is clearly worse after one width is left there."""
+    recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.4), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    made = []
+
+    def counted(problem, members, base, widths=WIDTHS):
+        made.append((members[0][0].name, widths))
+        return joint(problem, members, base, widths)
+
+    light = [joint(problem, ((candidate(name, arm), np.full(1, value)),), base, widths=()) for name, value in
+             (("joint_damping", 0.3), ("servo_damping", 1.0))]  # fmt: skip
+    alike = [replace(f, evidence=light[0].evidence) for f in light]
+    monkeypatch.setattr(trials, "joint", counted)
+    monkeypatch.setattr(trials, "UNSURE", np.inf)
+    tied = trials.is_tied
+    monkeypatch.setattr(trials, "is_tied", lambda f, best, errors: f in alike or tied(f, best, unsure))
+    assert trials.sharpest(problem, alike).labels == ("joint_damping",)
+    assert [widths for _, widths in made] == [WIDTHS[:1]] * 2 + [WIDTHS[1:]] * finished
+    assert trials.sharpest(problem, []) is None
 
 
 def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
