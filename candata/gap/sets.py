@@ -43,8 +43,8 @@ Index = NDArray[np.int64]
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
 #: Beside other causes signatures are believed where the best candidate gains this share of what is left; else every
-#: effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of contacts promised nothing and
-#: was worth all of the 3.4 floors left.
+#: effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of contacts promised nothing,
+#: and was worth all of the 3.4 floors left.
 BELIEVED = 0.5
 #: Floors left for which no search is made again, and no rival tried in place of what was taken last. Chosen.
 SETTLED = 0.5

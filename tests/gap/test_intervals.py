@@ -31,7 +31,8 @@ def _taken(monkeypatch):
     """Let a part of these problems be a part of what they leave."""
 
     def taken(problem, some):
-        return SimpleNamespace(score=problem.score, residuals=lambda worlds: [z[some] for z in problem.residuals(worlds)])
+        every = problem.residuals
+        return SimpleNamespace(score=problem.score, residuals=lambda worlds: [z[some] for z in every(worlds)])
 
     monkeypatch.setattr("candata.gap.shrink.taken", taken)
 

@@ -16,7 +16,7 @@ from candata.gap.replay import Replayer
 
 
 @pytest.mark.parametrize(("unsure", "finished"), [(0.0, 1), (np.inf, 2)])
-def test_only_rivals_that_stay_near_are_fitted_with_every_width(arm, arm_episodes, planted, monkeypatch, unsure, finished):
+def test_rivals_that_stay_near_alone_are_fitted_on(arm, arm_episodes, planted, monkeypatch, unsure, finished):
     """Two sets that nothing tells apart at first: the one that is clearly worse after one width is left there."""
     recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.4), count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
