@@ -85,8 +85,8 @@ class Problem:
 
     def _simulated(self, index: Index, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return residuals `(E, B, D)` of some episodes in each effect set, by rollouts."""
-        recs, begin, plan = (whole.take(index) for whole in (self.recs, self.begin, self.plan))
-        played = replay_all(self.replayer, recs, begin, variants)
+        recs, plan = self.recs.take(index), self.plan.take(index)
+        played = replay_all(self.replayer, recs, self.begin.take(index), variants)
         return [residual(recs, plan, readings).astype(np.float32) for readings in played]
 
     def losses_from(self, begins: Sequence[Starts], variants: Sequence[EffectSet]) -> Array:

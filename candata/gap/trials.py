@@ -43,10 +43,10 @@ def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
     Of several, those are fitted on that still cannot be told from the best by slopes over the first of the widths.
     """
     base = problem.score.loss(problem.nominal)
-    near, widths = _nearest(light), WIDTHS
+    near, known = _nearest(light), 0
     if len(near) > 1:
-        near, widths = _nearest([joint(problem, f.members, base, WIDTHS[:1]) for f in near]), WIDTHS[1:]
-    return max((joint(problem, f.members, base, widths) for f in near), key=lambda f: f.gain, default=None)
+        near, known = _nearest([joint(problem, f.members, base, WIDTHS[:1]) for f in near]), 1
+    return max((joint(problem, f.members, base, WIDTHS[known:]) for f in near), key=lambda f: f.gain, default=None)
 
 
 def _nearest(fits: Sequence[Fit]) -> list[Fit]:

@@ -15,7 +15,7 @@ from candata.schema.report import Gap
 def found(monkeypatch):
     """The function that asks whether a force that closes a share unseats what closes another."""
 
-    def ask(closed: float, closable: float | None):
+    def ask(closed: float, closable: float | None, before: float = 3.0):
         seen = []
 
         def described(problem, world, where, nearest, rng):
@@ -23,7 +23,7 @@ def found(monkeypatch):
             return None if closable is None else SimpleNamespace(unknown=SimpleNamespace(closable=closable))
 
         monkeypatch.setattr(unknown, "describe", described)
-        size = Gap(before=3.0, after=3.0 - 2 * closed, closed=closed)
+        size = Gap(before=before, after=before - (before - 1) * closed, closed=closed)
         return unknown.unseating("problem", size, (), "joint_offset ring1", np.random.default_rng(0)), seen
 
     return ask
@@ -36,6 +36,8 @@ def found(monkeypatch):
         (0.37, 0.46, False),  # hardly more, with more freedom
         (0.37, None, False),  # no force stands out
         (0.55, 0.9, True),
+        (0.81, 0.98, True),  # much is left, in floors and of the gap
+        (0.81, 0.9, False),
     ],
 )
 def test_what_closes_clearly_more_unseats(found, closed, closable, unseated):
@@ -48,4 +50,8 @@ def test_it_is_judged_by_itself(found):
 
 
 def test_what_explains_is_not_questioned(found):
-    assert found(0.9, 1.0) == (None, [])
+    assert found(0.95, 1.0) == (None, [])
+
+
+def test_nor_is_what_leaves_little_of_a_small_gap(found):
+    assert found(0.81, 1.0, before=1.4) == (None, [])
