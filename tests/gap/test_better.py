@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import unknown
+from candata.gap import conclusion, unknown
 from candata.schema.report import Gap
 
 
@@ -55,3 +55,21 @@ def test_what_explains_is_not_questioned(found):
 
 def test_nor_is_what_leaves_little_of_a_small_gap(found):
     assert found(0.81, 1.0, before=1.4) == (None, [])
+
+
+@pytest.mark.parametrize(
+    ("word", "asked"),
+    [
+        ("explained", True),
+        ("partly_explained", True),
+        ("ambiguous", True),
+        ("no_gap", False),
+        ("unknown_effect", False),
+    ],
+)
+def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word, asked):
+    monkeypatch.setattr(conclusion, "unseating", lambda problem, size, where, nearest, rng: nearest)
+    monkeypatch.setattr(conclusion, "_judged", lambda f: None)
+    found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)))
+    some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), (), None)
+    assert some == ("armature" if asked else None)
