@@ -17,7 +17,7 @@ from candata.gap.shrink import trust
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect, suspects
-from candata.gap.verdict import DOUBTED, EXPLAINED
+from candata.gap.verdict import DOUBTED
 from candata.schema.report import Gap, Symptom, Unknown
 
 Array = NDArray[np.float64]
@@ -107,11 +107,10 @@ def unseating(
     where, nearest, rng
         As for `describe`.
     """
-    closed = size.closed or 0.0
-    if closed >= EXPLAINED and trust(size) >= DOUBTED:
+    if trust(size) >= DOUBTED:
         return None
     found = describe(problem, (), where, nearest, rng)
-    return found if found and (found.unknown.closable or 0.0) > closed + CLEARLY else None
+    return found if found and (found.unknown.closable or 0.0) > (size.closed or 0.0) + CLEARLY else None
 
 
 def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopgap:
