@@ -42,12 +42,10 @@ Index = NDArray[np.int64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
-#: Beside other causes signatures are believed where the best candidate gains this share of what is left; else every
-#: effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of contacts promised nothing,
-#: and was worth all of the 3.4 floors left.
-BELIEVED = 0.5
-#: Floors left for which no search is made again, and no rival tried in place of what was taken last. Chosen.
-SETTLED = 0.5
+#: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
+#: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
+#: damping of contacts promised nothing and was worth all of the 3.4 floors left. Nor is a search made again for less.
+BELIEVED, SETTLED = 0.5, 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
@@ -77,6 +75,8 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             best = other
             continue
         seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
+        if not seems and _is_simulated(world):
+            return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best, seems)
         sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown) else None
@@ -121,7 +121,8 @@ def judged(problem: Problem, fit: Fit) -> Grown:
 def _next(problem: Problem, best: Fit, seems: bool = True) -> Fit | None:
     """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes.
 
-    `seems` tells whether signatures are worth a look.
+    `seems` tells whether signatures are worth a look: of a large gap of which little is left, what promises nothing by
+    them is simulated at once.
     """
     stage, seen = _beside(problem, best.members, here_of(problem, best), seems)
     front = _front(best, stage)
@@ -218,9 +219,8 @@ def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> t
     They are simulated there where signatures promise little, and count if they promise more. (Beside a torque limit
     the object stays down, and a tracker that lags by 43 ms promised nothing of the 0.18 floors left, all its own.)
     """
-    final = problem.simulated or is_toss(problem.replayer.scene)
-    stage = look(problem, here, members) if seems or final else None
-    if stage is not None and (final or _is_promising(stage)):
+    stage = look(problem, here, members) if seems else None
+    if stage is not None and (_is_simulated(problem) or _is_promising(stage)):
         return stage, problem
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     simulated = looked_into(problem, here)
@@ -228,10 +228,15 @@ def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> t
     return (other, simulated) if stage is None or other.best_gain > stage.best_gain else (stage, problem)
 
 
+def _is_simulated(problem: Problem) -> bool:
+    """Tell whether every effect is simulated on the recording wherever it is looked at."""
+    return problem.simulated or is_toss(problem.replayer.scene)
+
+
 def _is_promising(stage: Stage) -> bool:
     """Tell whether the effects beside others promise enough of what these leave."""
     left = float(stage.base.mean()) - 1
-    return left < FAINT or stage.best_gain > BELIEVED * left
+    return left < SETTLED or stage.best_gain > BELIEVED * left
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
