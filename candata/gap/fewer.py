@@ -41,7 +41,7 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     base = problem.score.loss(problem.nominal)
     fits = [joint(problem, tuple(m for m in best.members if m is not left), base) for left in free]
     found = max(fits, key=lambda f: f.gain, default=None)
-    if found is None or is_next(found, best):
+    if found is None or is_next(found, best, problem.recs.tasks):
         return best, problem, remains
     found, world, remains = judged(problem, found)
     return simplified(world, found, remains)

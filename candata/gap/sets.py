@@ -79,11 +79,12 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best, seems)
-        sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown) else None
-        if grown is not None and sharper is not None and not is_next(sharper, grown):
+        tasks = world.recs.tasks
+        sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown, tasks) else None
+        if grown is not None and sharper is not None and not is_next(sharper, grown, tasks):
             problem, best = world, sharper
             continue
-        if grown is None or not is_next(best, grown):
+        if grown is None or not is_next(best, grown, tasks):
             if not has_room(best):
                 return best, world, remains
             world.pace.told("trying other effects in place of what was found early")
@@ -131,7 +132,7 @@ def _next(problem: Problem, best: Fit, seems: bool = True) -> Fit | None:
     some = brief(seen)
     now, sums = _moved_along(problem, best, as_simulated(seen, stage), some)
     found = sharp(problem, _moving(some[0], front, now, sums))
-    if found is not None and is_next(best, found):
+    if found is not None and is_next(best, found, problem.recs.tasks):
         return found
     return _along(problem, best, some[0], now, sums) or found
 
@@ -197,7 +198,7 @@ def _along(problem: Problem, best: Fit, part: Problem, now: float, sums: Sequenc
     order = sorted(range(len(few)), key=losses.__getitem__)[: 1 + RIVALS]
     base = problem.score.loss(problem.nominal)
     light = [joint(problem, few[i], base, widths=()) for i in order if losses[i] < now]
-    return sharpest(problem, [f for f in light if is_next(best, f)])
+    return sharpest(problem, [f for f in light if is_next(best, f, problem.recs.tasks)])
 
 
 def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
@@ -313,7 +314,7 @@ def _retraced(problem: Problem, best: Fit) -> Fit | None:
         return None
     other = joint(problem, (*held, rivals[0].members[0]), problem.score.loss(problem.nominal))
     grown = _next(problem, other)
-    return grown if grown is not None and is_next(best, grown) else None
+    return grown if grown is not None and is_next(best, grown, problem.recs.tasks) else None
 
 
 def with_measured(problem: Problem, best: Fit, remains: bool) -> Grown:

@@ -325,6 +325,18 @@ def standard_error(values: Array) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
+def error_within(values: Array, tasks: Sequence[str]) -> float:
+    """Return the standard error of the mean of episodes `(E,)` of these very tasks, as of a stratified sample.
+
+    Each task's own mean varies by its own episodes (Cochran 1977, theorem 5.3); of fewer than two nothing is known, and
+    then the episodes count as if drawn from all tasks.
+    """
+    groups = [values[[i for i, own in enumerate(tasks) if own == task]] for task in sorted(set(tasks))]
+    if min(map(len, groups), default=0) < 2:
+        return standard_error(values)
+    return float(np.sqrt(sum(len(g) * g.var(ddof=1) for g in groups)) / len(values))
+
+
 def null_level(score: Score, rng: np.random.Generator, quantile: float = 0.99, sets: int = 1000) -> float:
     """Return the quantile of the mean loss of null sets, in floors."""
     count = score.null_loss.shape[1]

@@ -94,7 +94,7 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     ]  # fmt: skip
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < now])
-    return found if found is not None and is_next(best, found) else None
+    return found if found is not None and is_next(best, found, problem.recs.tasks) else None
 
 
 def _free(best: Fit, alone: Sequence[Fit]) -> Members:

@@ -338,22 +338,25 @@ def lone(arm, posed):
 
 
 @pytest.mark.parametrize(
-    ("left", "extra", "spread", "taken"),
+    ("left", "extra", "spread", "tasks", "taken"),
     [
-        (0.20, 0.15, 0.02, True),
-        (0.20, 0.08, 0.02, False),  # leaves most of it
-        (0.04, 0.039, 0.002, False),  # of next to nothing
-        (0.20, 0.15, 0.20, False),  # not sure
+        (0.20, 0.15, 0.02, "", True),
+        (0.20, 0.08, 0.02, "", False),  # leaves most of it
+        (0.04, 0.039, 0.002, "", False),  # of next to nothing
+        (0.20, 0.15, 0.20, "", False),  # not sure
+        (0.20, 0.15, 0.20, "ab" * 6, True),  # sure, in one task of two
+        (0.20, 0.15, 0.20, "aabb" * 3, False),
+        (0.20, 0.15, 0.20, "ab" * 5 + "ac", False),  # of one episode of a task nothing is known
     ],
 )
 def test_a_small_effect_is_named_only_where_it_surely_takes_most_of_what_is_left(
-    posed, lone, left, extra, spread, taken
+    lone, left, extra, spread, tasks, taken
 ):
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1 + left), gain=np.full(12, 9.0)))
     gains = extra + spread * np.tile([-1.0, 1.0], 6)
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
     assert not worth.worth_adding(gains, best.gain)
-    assert worth.settles(best, grown) is taken
+    assert worth.settles(best, grown, tasks) is taken
 
 
 @pytest.mark.parametrize(
@@ -372,14 +375,14 @@ def test_another_effect_is_named_that_takes_a_quarter_of_what_is_left(lone, left
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1 + left), gain=np.full(12, 0.2)))
     gains = extra + spread * np.tile([-1.0, 1.0], 6)
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
-    assert worth.is_next(best, grown) is taken
+    assert worth.is_next(best, grown, ()) is taken
 
 
 def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
     best = replace(lone[0], evidence=replace(lone[0].evidence, loss=np.full(12, 1.2), gain=np.full(12, 9.0)))
     gains = np.append(np.full(11, 0.03), 1.5)
     grown = replace(best, evidence=replace(best.evidence, loss=best.evidence.loss - gains))
-    assert not worth.settles(best, grown)
+    assert not worth.settles(best, grown, ())
 
 
 def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted):
