@@ -34,9 +34,9 @@ class Problem:
 
     `ruled_out` names effects that other evidence excludes, `measured` what was measured without any fit; `brief` is
     set where only a few of the episodes are looked at, and fewer signatures do; `played` keeps the residuals `(B, D)`
-    of episodes in worlds that were simulated, as some of them are asked for again, alone or among others; `simulated`
-    is set where every candidate is simulated on the recording, its signature set aside, and `telling` where other
-    episodes are looked at first than usual; `pace` tells how far the search is.
+    of episodes from their starts in worlds that were simulated, as some of them are asked for again, alone or among
+    others; `simulated` is set where every candidate is simulated on the recording, its signature set aside, and
+    `telling` where other episodes are looked at first than usual; `pace` tells how far the search is.
     """
 
     replayer: Replayer
@@ -56,7 +56,7 @@ class Problem:
     brief: bool = False
     simulated: bool = False
     telling: Index | None = None
-    played: dict[tuple[str, str], Compact] = field(default_factory=dict)
+    played: dict[tuple[str, tuple[str, bytes]], Array] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
 
     @property
@@ -66,7 +66,7 @@ class Problem:
 
     def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts."""
-        names, ids = [name_of(some) for some in variants], self.recs.ids
+        names, ids = [name_of(some) for some in variants], list(zip(self.recs.ids, self.begin.keys, strict=True))
         kept = {(name, i): self.played[name, i] for name in names for i in ids if (name, i) in self.played}
         missing: dict[tuple[int, ...], dict[str, EffectSet]] = {}
         for name, some in zip(names, variants, strict=True):
@@ -83,11 +83,11 @@ class Problem:
             self.played.update(new)
         return [self.score.normal(np.stack([kept[name, i] for i in ids])) for name in names]
 
-    def _simulated(self, index: Index, variants: Sequence[EffectSet]) -> list[Compact]:
+    def _simulated(self, index: Index, variants: Sequence[EffectSet]) -> list[Array]:
         """Return residuals `(E, B, D)` of some episodes in each effect set, by rollouts."""
         recs, plan = self.recs.take(index), self.plan.take(index)
         played = replay_all(self.replayer, recs, self.begin.take(index), variants)
-        return [residual(recs, plan, readings).astype(np.float32) for readings in played]
+        return [residual(recs, plan, readings) for readings in played]
 
     def losses_from(self, begins: Sequence[Starts], variants: Sequence[EffectSet]) -> Array:
         """Return losses `(S, V, E)` of V effect sets that are replayed from S other starts, all stepped together."""

@@ -54,6 +54,12 @@ class Starts:
         """Return the starts of some episodes; an index may come more than once."""
         return Starts(self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index])
 
+    @property
+    def keys(self) -> list[bytes]:
+        """What tells the start of one episode `(E)` from any other."""
+        parts = (self.rows, self.qpos, self.qvel, self.qpos0, self.qvel0)
+        return [b"".join(values[e].tobytes() for values in parts) for e in range(len(self.rows))]
+
 
 def is_toss(scene: Scene) -> bool:
     """Tell whether the scene is an object alone, replayed open loop."""

@@ -31,8 +31,10 @@ def _taken(monkeypatch):
     """Let a part of these problems be a part of what they leave."""
 
     def taken(problem, some):
-        every = problem.residuals
-        return SimpleNamespace(score=problem.score, residuals=lambda worlds: [z[some] for z in every(worlds)])
+        def residuals(worlds):
+            return [z[some] for z in problem.residuals(worlds)]
+
+        return SimpleNamespace(score=problem.score, residuals=residuals)
 
     monkeypatch.setattr("candata.gap.shrink.taken", taken)
 
