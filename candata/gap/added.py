@@ -16,7 +16,6 @@ from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
 from candata.gap.stage import BLUNT, RIVALS, UNSURE, is_tied
-from candata.gap.starts import is_toss
 from candata.gap.together import WITHIN, Responses, exchanged, sums
 from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, has_room, leaves, left_by, worth_adding
 
@@ -46,7 +45,7 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     rough : sequence of (Candidate, Curve or Plane)
         Every effect alone on a few episodes; nothing is tried where there are none.
     """
-    if not rough or left_by(best) < LEFT or problem.simulated or is_toss(problem.replayer.scene):
+    if not rough or left_by(best) < LEFT or problem.plays_all:
         return None
     problem.pace.say("adding up what effects do alone", TOGETHER)
     part, index = brief(problem)

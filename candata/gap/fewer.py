@@ -16,7 +16,6 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
-from candata.gap.starts import is_toss
 from candata.gap.worth import EXTRA, FAINT, is_next
 
 Array = NDArray[np.float64]
@@ -69,7 +68,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     known = {c.name for c, _ in problem.measured}
     free = [m for m in best.members if m[0].name not in known]
     few = len(best.members) < 3 or len(free) < 2
-    if not remains or few or problem.simulated or is_toss(problem.replayer.scene):
+    if not remains or few or problem.plays_all:
         return best, problem, remains
     problem.pace.told("trying one effect in place of two")
     part, _ = brief(problem)

@@ -13,7 +13,6 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.search import Members, Problem
 from candata.gap.signatures import is_read_at_start
-from candata.gap.starts import is_toss
 
 Array = NDArray[np.float64]
 #: A candidate whose signatures are smaller than this (RMS, in units of the floor) cannot be seen here.
@@ -37,8 +36,7 @@ def respond(
     """
     out: list[tuple[Candidate, Curve | Plane]] = []
     dead = []
-    toss = is_toss(problem.replayer.scene)
-    own = [toss or problem.simulated or bool(held and (c.choices or _is_read(problem, c))) for c in found]
+    own = [problem.plays_all or bool(held and (c.choices or _is_read(problem, c))) for c in found]
     places = [_places(c, problem, held) for c in found]
     played = [tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
               for kind in (True, False)]  # fmt: skip
@@ -89,7 +87,8 @@ def _places(c: Candidate, problem: Problem, held: Members) -> list[Array]:
     if c.choices or c.size > 1:
         return points
     away = sorted(points, key=lambda p: float(abs(p[0] - c.neutral[0])))
-    sides = [side for side in ([p for p in away if (p[0] < c.neutral[0]) == below] for below in (True, False)) if side]
+    below, above = ([p for p in away if np.sign(p[0] - c.neutral[0]) == side] for side in (-1, 1))
+    sides = [side for side in (below, above) if side]
     if held:
         return [side[i] for side in sides for i in sorted({(len(side) - 1) // 2, len(side) - 1})]
     return [*points, *(c.neutral + NEARER * (side[0] - c.neutral) for side in sides)]

@@ -75,7 +75,7 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             best = other
             continue
         seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
-        if not seems and _is_simulated(world):
+        if not seems and world.plays_all:
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
         grown = None if is_full(best.members, problem.measured) else _next(world, best, seems)
@@ -221,17 +221,12 @@ def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> t
     the object stays down, and a tracker that lags by 43 ms promised nothing of the 0.18 floors left, all its own.)
     """
     stage = look(problem, here, members) if seems else None
-    if stage is not None and (_is_simulated(problem) or _is_promising(stage)):
+    if stage is not None and (problem.plays_all or _is_promising(stage)):
         return stage, problem
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     simulated = looked_into(problem, here)
     other = look(simulated, here, members, stage)
     return (other, simulated) if stage is None or other.best_gain > stage.best_gain else (stage, problem)
-
-
-def _is_simulated(problem: Problem) -> bool:
-    """Tell whether every effect is simulated on the recording wherever it is looked at."""
-    return problem.simulated or is_toss(problem.replayer.scene)
 
 
 def _is_promising(stage: Stage) -> bool:

@@ -17,8 +17,8 @@ from candata.gap.stage import UNSURE, is_tied, standard_error
 from candata.gap.worth import LARGEST, LEFT, extra_of, is_full, is_next, left_by, searched, takes, worth_adding
 
 Array = NDArray[np.float64]
-#: Numbers of a set up to which each rival that such fits cannot tell from the best is fitted sharply, by three times as
-#: many replays; of more numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
+#: Numbers of a set up to which each rival that a light fit cannot tell from the best gets simulated slopes too; of more
+#: numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
 #: Standard errors by which an effect alone must gain to be tried in a pair, and how many are. (Of one split of cube
 #: tosses, inertia and compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
@@ -43,13 +43,13 @@ def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
     Of several, those are fitted on that still cannot be told from the best by slopes over the first of the widths.
     """
     base = problem.score.loss(problem.nominal)
-    near, known = _nearest(light), 0
+    near, known = _untold(light), 0
     if len(near) > 1:
-        near, known = _nearest([joint(problem, f.members, base, WIDTHS[:1]) for f in near]), 1
+        near, known = _untold([joint(problem, f.members, base, WIDTHS[:1]) for f in near]), 1
     return max((joint(problem, f.members, base, WIDTHS[known:]) for f in near), key=lambda f: f.gain, default=None)
 
 
-def _nearest(fits: Sequence[Fit]) -> list[Fit]:
+def _untold(fits: Sequence[Fit]) -> list[Fit]:
     """Return the best fit and, where none has many numbers, those that cannot be told from it."""
     ordered = sorted(fits, key=lambda f: -f.gain)
     many = max((len(f.plane.at) for f in ordered), default=0) > MANY

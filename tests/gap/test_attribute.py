@@ -8,7 +8,7 @@ import pytest
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
-from candata.gap.stage import Stage, standard_error
+from candata.gap.stage import Stage, error_within, standard_error
 from candata.gap.worth import LARGEST, is_full
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
@@ -47,6 +47,19 @@ def test_the_gain_of_one_episode_alone_is_luck():
     assert gain.mean() > standard_error(gain)  # which alone would let it pass
     assert stage(gain).passing() is None
     assert stage(np.array([2.0, *[0.06] * 7])).passing() is not None
+
+
+def test_how_sure_a_mean_is_within_tasks_is_what_draws_of_those_tasks_show(rng):
+    tasks, level, spread = "aaabbbbbcc", np.repeat([0.0, 5.0, 9.0], (3, 5, 2)), np.repeat([0.1, 0.4, 0.2], (3, 5, 2))
+    draws = level + spread * rng.standard_normal((4000, 10))
+    found = np.sqrt(np.mean([error_within(values, tasks) ** 2 for values in draws]))
+    assert found == pytest.approx(draws.mean(1).std(), rel=0.05)
+    assert found < 0.2 * standard_error(draws[0])
+
+
+@pytest.mark.parametrize("tasks", ["aaaaaaaa", "aaaaaaab", ""])
+def test_of_one_task_or_a_single_episode_of_one_it_is_the_plain_error(tasks):
+    assert error_within(BASE, tasks) == pytest.approx(standard_error(BASE))
 
 
 def test_what_was_measured_takes_no_place_in_the_set(cube):

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from candata.gap import attribute as attribution
-from candata.gap import shortlist
+from candata.gap import search, shortlist
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.replay import Replayer, name_of
 from candata.gap.screen import respond, screening
 from candata.gap.sets import _swapped
 from candata.gap.shortlist import SIMULATED, screened
@@ -87,6 +87,20 @@ def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_too(arm, problem):
     held = ((candidate("actuation_delay", arm), np.full(1, 0.01)),)
     (_, curve), *_ = respond(simulated, problem.nominal, [c], held)[0]
     assert not set(curve.at) - usual - {0.0}
+    first = sorted({float(u[0]) for u in screening(c, replace(problem, brief=True))})
+    assert len(first) == 3
+    assert sorted(set(curve.at) - {0.0}) == pytest.approx(first[1:])  # beside others the middle and the farthest
+
+
+def test_only_the_newest_of_what_was_simulated_is_kept(problem, monkeypatch):
+    monkeypatch.setattr(search, "KEPT", len(problem.recs))
+    watched = replace(problem, played={})
+    c = candidate("joint_damping", problem.replayer.scene)
+    old, new = (watched.setting([(c, np.full(1, value))]) for value in (0.1, 0.2))
+    both = watched.residuals([old, new])
+    assert len(watched.played) == len(problem.recs)
+    assert {name for name, _ in watched.played} == {name_of(new)}
+    assert all(np.array_equal(a, b) for a, b in zip(both, watched.residuals([old, new]), strict=True))
 
 
 def test_what_was_simulated_on_a_few_episodes_is_not_simulated_again(problem):
