@@ -16,6 +16,7 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
+from candata.gap.trials import least_worth
 from candata.gap.worth import EXTRA, FAINT, is_next
 
 Array = NDArray[np.float64]
@@ -72,7 +73,11 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
         return best, problem, remains
     problem.pace.told("trying one effect in place of two")
     part, _ = brief(problem)
-    found = [members for pair in combinations(_least(part, best, free), 2) for members in _instead(part, best, pair)]
+    found = [
+        members
+        for pair in combinations(least_worth(part, best, known)[:PAIRED], 2)
+        for members in _instead(part, best, pair)
+    ]
     base = part.score.loss(part.nominal)
     refitted = [joint(part, members, base, widths=()).members for _, members in by_loss(part, found)[:ADDED]]
     base = problem.score.loss(problem.nominal)
@@ -83,13 +88,6 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
         return best, problem, remains
     fit, world, remains = judged(problem, fit)
     return merged(world, fit, remains)
-
-
-def _least(problem: Problem, best: Fit, free: list[tuple[Candidate, Array]]) -> Members:
-    """Return those of some members that are worth least, by what is lost without each."""
-    losses = [float(problem.score.loss(z).mean()) for z in problem.without_each(best.members)]
-    order = [m for _, m in sorted(zip(losses, best.members, strict=True), key=lambda pair: pair[0])]
-    return tuple(m for m in order if any(m is one for one in free))[:PAIRED]
 
 
 def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:

@@ -55,3 +55,22 @@ def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_ep
     assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
     assert trials.shared(problem, best, fits[:1]) is None  # nothing to share with
     assert trials.shared(problem, found, fits) is None  # nothing left to explain
+
+
+def test_in_a_full_set_the_one_that_shares_takes_the_place_of_what_made_up_for_it(
+    arm, arm_episodes, planted, monkeypatch
+):
+    effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    servos, joints, inertia = [(candidate(name, arm), np.full(1, value)) for name, value in
+                               (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
+    alone = [joint(problem, (m,), base) for m in (servos, joints)]
+    full = joint(problem, (servos, inertia), base)
+    monkeypatch.setattr(worth, "LARGEST", 2)
+    assert trials.least_worth(problem, full, ())[0][0].name == "armature"
+    assert [c.name for c, _ in trials.least_worth(problem, full, ("armature",))] == ["servo_damping"]
+    found = trials.shared(problem, full, alone)
+    truth = {"servo_damping": np.log(3.0), "joint_damping": 0.4}
+    assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
