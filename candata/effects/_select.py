@@ -64,7 +64,7 @@ def _groups(scene: Scene, possible: Ids) -> dict[str, Ids]:
 def _places(scene: Scene, usual: Ids, possible: Ids) -> tuple[str, ...]:
     """Return the names of the usual joints and of the groups that are not one of these or all.
 
-    Beside groups of slides a lone usual joint is left out: it is what the effect touches anyway, so the same cause twice.
+    Beside groups of slides a lone usual joint is left out: the effect touches it anyway, so it is the same cause twice.
     """
     groups = [
         n for n, ids in _groups(scene, possible).items() if np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)

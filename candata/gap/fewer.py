@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -16,8 +17,8 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
-from candata.gap.trials import least_worth
-from candata.gap.worth import EXTRA, FAINT, is_next
+from candata.gap.trials import least_worth, sharp
+from candata.gap.worth import EXTRA, FAINT, LARGEST, is_next
 
 Array = NDArray[np.float64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
@@ -37,26 +38,59 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     if len(best.members) < 2:
         return best, problem, remains
     known = {c.name for c, _ in problem.measured}
-    free = [m for m in best.members if m[0].name not in known and not m[0].choices and _is_spare(problem, best, m)]
-    base = problem.score.loss(problem.nominal)
-    fits = [joint(problem, tuple(m for m in best.members if m is not left), base) for left in free]
-    found = max(fits, key=lambda f: f.gain, default=None)
-    if found is None or is_next(found, best, problem.recs.tasks):
+    free = [m for m in best.members if m[0].name not in known and not m[0].choices]
+    found = _without_some(problem, best, _spare(problem, best, free))
+    if found is None:
         return best, problem, remains
     found, world, remains = judged(problem, found)
     return simplified(world, found, remains)
 
 
-def _is_spare(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> bool:
-    """Tell whether leaving a member out costs little, or slopes promise that the others, refitted, make up for it."""
+def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
+    """Return the set, refitted, without one of some members, or several of them, where it explains as much; else None.
+
+    Of a joint fit of many, all are left out at once, else half of them, and so on: one by one, each of eleven was
+    fitted without each of the others.
+    """
+    base, count = problem.score.loss(problem.nominal), len(spare) if len(best.members) > LARGEST else 1
+    sets = [spare[: count >> halved] for halved in range(count.bit_length() - 1)]
+    for left_out in sets:
+        fit = joint(problem, _others(best, left_out), base)
+        if not is_next(fit, best, problem.recs.tasks):
+            return fit
+    found = sharp(problem, [_others(best, (left,)) for left in spare[: 1 + RIVALS]])
+    return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
+
+
+def _others(best: Fit, left_out: Members) -> Members:
+    """Return the members of a set without some of them."""
+    return tuple(m for m in best.members if all(m is not one for one in left_out))
+
+
+def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Members:
+    """Return those of some members that cost little, or that slopes promise the others, refitted, to make up for.
+
+    First comes the one without which slopes promise most; one member of the set is none of them.
+    """
+    now, found = float(problem.score.loss(best.plane.z).mean()), []
+    for m in free:
+        left_out, promised = _losses_without(problem, best, m)
+        if left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now):
+            found.append((promised, m))
+    order = [m for _, m in sorted(found, key=lambda pair: pair[0])]
+    return tuple(order[: len(best.members) - 1])
+
+
+def _losses_without(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> tuple[float, float]:
+    """Return the loss that slopes promise without a member as the others stand, and once they are refitted."""
     plane = best.plane
     own = np.concatenate([np.full(c.size, c is left[0]) for c, _ in best.members])
     at = plane.at.copy()
     at[own] = left[0].neutral
     rest = Plane(plane.low[~own], plane.high[~own], plane.at[~own], plane.read(at), plane.slope[~own])
     refitted = rest.read(rest.best(np.arange(len(rest.z))))
-    left_out, promised, now = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted, plane.z))
-    return left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now)
+    left_out, promised = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted))
+    return left_out, promised
 
 
 def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
@@ -92,7 +126,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
 
 def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:
     """Return the sets with the one effect in place of a pair that promises most beside the others, and its rivals."""
-    kept = tuple(m for m in best.members if all(m is not one for one in pair))
+    kept = _others(best, pair)
     here = residuals_at(problem, kept)
     base = problem.score.loss(here)
     found = [c for c in unheld(problem, kept) if c.label not in {one.label for one, _ in pair}]

@@ -1,0 +1,136 @@
+"""Sets with fewer effects that explain as much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import fewer, trials, worth
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.folds import cross_fit
+from candata.gap.recordings import recordings
+from candata.gap.refine import around, divided, joint
+from candata.gap.replay import Replayer
+from candata.gap.search import Fit
+
+
+@pytest.fixture(scope="module")
+def posed(arm, arm_episodes, planted):
+    """The problem that an arm with two causes poses, and its base loss."""
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return problem, problem.score.loss(problem.nominal)
+
+
+def members(arm, **values):
+    return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+
+
+def blunt_fit(problem, some):
+    """A set where it is, with its slopes, fitted by nothing."""
+    plane = around(problem, some, lambda u: divided(some, u))
+    base = problem.score.loss(problem.nominal)
+    return Fit(some, plane, cross_fit(replace(plane, slope=0 * plane.slope), problem.score, problem.parts, base))
+
+
+def test_a_member_goes_that_the_others_make_up_for(arm, posed):
+    problem, _ = posed
+    fit = blunt_fit(problem, members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03))
+    found, world, _ = fewer.simplified(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    assert world is not problem, "in units of the floor of its own world"
+    assert found.members[0][1] == pytest.approx(0.3, rel=0.05)
+    # Left out as they are, the others explain less than with it.
+    losses = [problem.score.loss(z).mean() for z in (fit.plane.z, problem.without_each(fit.members)[2])]
+    assert losses[1] > losses[0]
+
+
+def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+        *planted("armature", armature_kgm2=3e-5),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    some = members(arm, joint_dry_friction=0.3, actuation_delay=0.03, armature=3e-5)
+    fit = joint(problem, some, problem.score.loss(problem.nominal))
+    found, _, _ = fewer.simplified(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    cost = problem.score.loss(problem.without_each(fit.members)[2]).mean() - problem.score.loss(fit.plane.z).mean()
+    assert worth.FAINT < cost < worth.EXTRA * fit.gain
+
+
+def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
+    problem, base = posed
+    right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    some = members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03)
+    for module in (fewer, trials):
+        monkeypatch.setattr(module, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert fewer.simplified(problem, right, True) == (right, problem, True)
+    one = blunt_fit(problem, some[:1])
+    assert fewer.simplified(problem, one, False) == (one, problem, False)
+    known, fit = replace(problem, measured=(some[0], some[2])), blunt_fit(problem, some)
+    assert fewer.simplified(known, fit, True)[0] is fit
+
+
+def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, posed):
+    problem, base = posed
+    wrong = joint(problem, members(arm, joint_dry_friction=0.3, servo_damping=0.3, armature=0.0005), base)
+    found, world, _ = fewer.merged(problem, wrong, True)
+    assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
+    assert found.gain > wrong.gain
+    assert world is not problem, "in units of the floor of its own world"
+
+
+def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, arm_episodes, planted, monkeypatch):
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+        *planted("servo_gain", "shoulder", kp_scale=0.6),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    weak = (candidate("servo_gain", arm, "shoulder"), np.log([0.6]))
+    some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), weak)
+    right = joint(problem, some, problem.score.loss(problem.nominal))
+    assert fewer.merged(problem, right, True) == (right, problem, True)
+    for module in (fewer, trials):
+        monkeypatch.setattr(module, "joint", lambda *a, **k: pytest.fail("it was fitted"))
+    assert fewer.merged(problem, right, False) == (right, problem, False)
+    assert fewer.merged(replace(problem, measured=some[:2]), right, True)[0] is right
+    assert fewer.merged(replace(problem, simulated=True), right, True)[0] is right
+
+
+def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, posed, monkeypatch):
+    problem, _ = posed
+    named = members(arm, joint_dry_friction=0.3, actuation_delay=0.03)
+    others = members(arm, joint_damping=0.01, armature=1e-4, servo_damping=0.01)
+    fit = blunt_fit(problem, (*named, *others))
+    made = []
+
+    def counted(problem, some, base, **widths):
+        made.append([c.name for c, _ in some])
+        return joint(problem, some, base, **widths)
+
+    monkeypatch.setattr(fewer, "joint", counted)
+    monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: others if best is fit else ())
+    found, _, _ = fewer.simplified(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    assert made == [["joint_dry_friction", "actuation_delay"]]
+
+
+def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, posed, monkeypatch):
+    problem, _ = posed
+    some = members(arm, joint_dry_friction=0.3, joint_damping=0.01, armature=1e-4, actuation_delay=0.03)
+    fit = blunt_fit(problem, some)
+    monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: tuple(free[1:]))
+    found, _, _ = fewer.simplified(problem, fit, True)
+    assert {"joint_dry_friction", "actuation_delay"} <= set(found.labels)
