@@ -49,15 +49,15 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
 def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
     """Return the set, refitted, without one of some members, or several of them, where it explains as much; else None.
 
-    Of a joint fit of many, all are left out at once, else half of them, and so on: one by one, each of eleven was
-    fitted without each of the others.
+    Of a joint fit of many, all are left out at once, else half of them, and so on to one, fitted lightly until that is
+    so: sharply and one by one, each of eleven was fitted without each of the others.
     """
-    base, count = problem.score.loss(problem.nominal), len(spare) if len(best.members) > LARGEST else 1
-    sets = [spare[: count >> halved] for halved in range(count.bit_length() - 1)]
-    for left_out in sets:
-        fit = joint(problem, _others(best, left_out), base)
-        if not is_next(fit, best, problem.recs.tasks):
-            return fit
+    base = problem.score.loss(problem.nominal)
+    if len(best.members) > LARGEST:
+        halves = (spare[: len(spare) >> times] for times in range(len(spare).bit_length()))
+        light = (joint(problem, _others(best, left_out), base, widths=()) for left_out in halves)
+        kept = next((f.members for f in light if not is_next(f, best, problem.recs.tasks)), None)
+        return joint(problem, kept, base) if kept else None
     found = sharp(problem, [_others(best, (left,)) for left in spare[: 1 + RIVALS]])
     return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
 

@@ -122,7 +122,7 @@ def test_slides_stand_for_hinges_where_there_are_none(tmp_path):
 
 
 def test_a_lone_hinge_beside_groups_of_slides_is_no_place(tmp_path):
-    turned = JAWS.replace("<joint name=\"lift\" type=\"slide\"", "<joint name=\"lift\" type=\"hinge\"")
+    turned = JAWS.replace('<joint name="lift" type="slide"', '<joint name="lift" type="hinge"')
     assert turned != JAWS
     scene = write_scene(tmp_path, turned, JAWS_ROLES + "groups: {jaws: [left, right]}\n")
     assert effect("servo_gain").elements(scene) == ("jaws",)

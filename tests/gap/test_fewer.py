@@ -117,14 +117,15 @@ def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, posed, monkeypatch
     made = []
 
     def counted(problem, some, base, **widths):
-        made.append([c.name for c, _ in some])
+        made.append(([c.name for c, _ in some], widths))
         return joint(problem, some, base, **widths)
 
     monkeypatch.setattr(fewer, "joint", counted)
     monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: others if best is fit else ())
     found, _, _ = fewer.simplified(problem, fit, True)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
-    assert made == [["joint_dry_friction", "actuation_delay"]]
+    few = ["joint_dry_friction", "actuation_delay"]
+    assert made == [(few, {"widths": ()}), (few, {})]
 
 
 def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, posed, monkeypatch):
