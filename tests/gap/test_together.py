@@ -160,6 +160,40 @@ def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
     assert names(sets.forward(problem, wrong, (), first.rough)[0].members) == TRUE
 
 
+@pytest.mark.parametrize(
+    ("blunt", "sharp", "taken"),
+    [
+        (1.31, 0.98, True),  # a part of what the pair leaves, and sharp all of it
+        (1.31, 1.31, False),  # no more than that: not worth a name beside the two
+        (1.55, 0.98, False),  # next to nothing of it: no sharp fit is spent
+    ],
+)
+def test_a_third_that_is_worth_little_beside_two_is_judged_sharply(posed, wrong, monkeypatch, blunt, sharp, taken):
+    problem, first = posed
+    size, gained = len(problem.recs), 16.0
+    pair, triple = (tuple((candidate(name, problem.replayer.scene), np.full(1, 0.1)) for name in some) for some in
+                    (TRUE, {*TRUE, "armature"}))  # fmt: skip
+
+    def left(members, loss):
+        evidence = replace(wrong.evidence, loss=np.full(size, loss), gain=np.full(size, 1 + gained - loss))
+        return replace(wrong, members=members, evidence=evidence)
+
+    made = []
+
+    def fitted(problem, members, base, widths=(1,)):
+        made.append((len(members), bool(widths)))
+        return left(members, (sharp if widths else blunt) if len(members) == 3 else 1.6)
+
+    one = sums(brief(problem)[0], first.rough)[0][0]
+    monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=some)] for some in (pair, triple)])
+    monkeypatch.setattr(added, "by_loss", lambda problem, some: [(1.0, members) for members in some])
+    monkeypatch.setattr(added, "joint", fitted)
+    monkeypatch.setattr(added, "pruned", lambda problem, fit, base: fit)
+    found = added.together(problem, left(wrong.members, 8.0), first.rough)
+    assert found.members == (triple if taken else pair)
+    assert ((3, True) in made) == (blunt < 1.5)
+
+
 def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wrong, monkeypatch):
     problem, first = posed
     settled = replace(wrong, evidence=replace(wrong.evidence, loss=np.full(12, 1 + worth.LEFT / 2)))
