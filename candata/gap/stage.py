@@ -310,9 +310,17 @@ def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
 
 
 def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
-    """Return the fit of the same effect that says least among those tied with the best: fewest numbers, one element."""
-    same = [f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best)]
-    return min([best, *same], key=lambda f: (f.members[0][0].size, _breadth(f.members[0][0], scene)))
+    """Return the fit of the same effect that says least: of those tied with the best, one of the fewest numbers.
+
+    Of these the one that gains most, or acts on the fewest elements where gains are the same as far as fits are sharp.
+    (Less friction everywhere gained 0.081 floors, on the support alone 0.076, within a standard error.)
+    """
+    same = [best, *(f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best))]
+    fewest = min(f.members[0][0].size for f in same)
+    plain = [f for f in same if f.members[0][0].size == fewest]
+    most = max(f.gain for f in plain)
+    alike = [f for f in plain if most - f.gain <= BLUNT * most]
+    return min(alike, key=lambda f: _breadth(f.members[0][0], scene))
 
 
 def _breadth(c: Candidate, scene: Scene) -> float:

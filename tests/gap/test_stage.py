@@ -225,3 +225,22 @@ def test_what_lies_below_the_loss_of_true_worlds_cannot_be_told_apart(arm):
     assert tied_with(best, [best, rival]) == [best]
     assert tied_with(best, [best, rival], reachable=0.95) == [best, rival]
     assert tied_with(best, [best, rival], reachable=0.85) == [best]
+
+
+@pytest.mark.parametrize(
+    ("everywhere", "one", "found"),
+    [
+        (0.92, 0.95, None),  # more for all joints, within a standard error: all
+        (0.95, 0.92, "elbow"),
+        (0.92, 0.925, "elbow"),  # alike as far as fits are sharp: the one joint
+    ],
+)
+def test_of_all_and_one_element_the_one_that_gains_more_is_named(arm, everywhere, one, found):
+    spread = np.linspace(-0.1, 0.1, 8)
+    fits = [
+        fit(candidate("joint_damping", arm), everywhere + spread),
+        fit(candidate("joint_damping", arm, "elbow"), one - spread),
+    ]
+    best = max(fits, key=lambda f: f.gain)
+    assert all(staging.is_tied(f, best) for f in fits)
+    assert staging._simplest(best, fits, arm).members[0][0].element == found
