@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from itertools import combinations, product
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import by_loss, here_of
+from candata.gap.added import TRIED, begun, here_of
 from candata.gap.candidates import Candidate
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem
@@ -20,11 +20,9 @@ Array = NDArray[np.float64]
 #: Numbers of a set up to which each rival that a light fit cannot tell from the best gets simulated slopes too; of more
 #: numbers, only the best. Chosen: twelve joint offsets and one more effect took 53 CPU s each.
 MANY = 8
-#: Standard errors by which an effect alone must gain to be tried in a pair, and how many are. (Of one split of cube
-#: tosses, inertia and compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
-SURELY, TRIED = 2.0, 3
-#: Where a pair's fit is begun: at these shares of what each is alone, which made up for the other too. Chosen.
-PARTLY = (1.0, 0.6, 0.3)
+#: Standard errors by which an effect alone must gain to be tried in a pair. (Of one split of cube tosses, inertia and
+#: compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
+SURELY = 2.0
 #: Where two that do much alike begin: at half of what each is alone. Chosen.
 HALF = 0.5
 
@@ -69,7 +67,7 @@ def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     pairs = [(a, b) for a, b in combinations(free, 2) if a[0].name != b[0].name]
     part, index = brief(problem)
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
-    sets = [_begun(part, best.members, pair) for pair in pairs]
+    sets = [begun(part, best.members, pair) for pair in pairs]
     found = sharp(problem, [members for loss, members in sets if loss < now])
     if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
         return None
@@ -119,9 +117,3 @@ def _half(member: tuple[Candidate, Array]) -> tuple[Candidate, Array]:
     """Return an effect half as far from its neutral value."""
     c, u = member
     return c, c.neutral + HALF * (u - c.neutral)
-
-
-def _begun(problem: Problem, held: Members, pair: Members) -> tuple[float, Members]:
-    """Return the set with two effects at the shares of their distances that leave the least loss, after that loss."""
-    shares = [[(c, u) if c.choices else (c, c.neutral + s * (u - c.neutral)) for s in PARTLY] for c, u in pair]
-    return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]

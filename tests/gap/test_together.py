@@ -216,6 +216,7 @@ def test_a_set_that_leaves_most_of_it_is_not_begun_with(arm, posed, wrong, monke
     harmful = [(candidate(name, arm), np.full(1, value)) for name, value in (("joint_damping", 5.0), ("armature", 0.5))]
     one = sums(brief(problem)[0], first.rough)[0][0]
     monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=tuple(harmful))]])
+    monkeypatch.setattr(added, "_started", lambda *a: [])
     monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
     assert added.together(problem, wrong, first.rough) is None
 

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import trials, worth
+from candata.gap import added, trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
+from candata.gap.shortlist import brief
+from candata.gap.stage import look
 
 
 @pytest.mark.parametrize(("unsure", "finished"), [(0.0, 1), (np.inf, 2)])
@@ -74,3 +76,19 @@ def test_in_a_full_set_the_one_that_shares_takes_the_place_of_what_made_up_for_i
     found = trials.shared(problem, full, alone)
     truth = {"servo_damping": np.log(3.0), "joint_damping": 0.4}
     assert {c.name: u[0] for c, u in found.members} == pytest.approx(truth, rel=0.1)
+
+
+def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, planted):
+    """Both slow the arm: what each does alone adds up to too much."""
+    effects = (*planted("joint_damping", damping_Nms_rad=0.6), *planted("servo_gain", kp_scale=0.6))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    part, _ = brief(problem)
+    rough = look(problem, problem.nominal, ()).rough
+    ((loss, members),) = added._started(part, rough)
+    assert {c.name for c, _ in members} == {"joint_damping", "servo_gain"}
+    alone = {c.name: (c, u) for c, u in added._strongest(part, rough)}
+    best, full = (added.by_loss(part, [some])[0][0] for some in (
+        (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
+    assert loss < best < full
+    assert added._started(part, [r for r in rough if r[0].name == "servo_gain"]) == []
