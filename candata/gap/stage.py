@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from math import inf
 
 import numpy as np
@@ -312,15 +313,21 @@ def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
 def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     """Return the fit of the same effect that says least: of those tied with the best, one of the fewest numbers.
 
-    Of these the one that gains most, or acts on the fewest elements where gains are the same as far as fits are sharp.
-    (Less friction everywhere gained 0.081 floors, on the support alone 0.076, within a standard error.)
+    Of these it is the one on all elements, where that on one can hardly be told from that on another: which one it is
+    is not known. (Two fingertips held a box, and either alone twisted as much as both.) Else it is the one that gains
+    most, or acts on the fewest elements where gains are the same as far as fits are sharp. (Less friction everywhere
+    gained 0.081 floors, on the support alone 0.076, within a standard error.)
     """
-    same = [best, *(f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best))]
+    alike = [f for f in fits if f.members[0][0].name == best.members[0][0].name and is_tied(f, best, UNSURE)]
+    same = [best, *(f for f in alike if is_tied(f, best))]
     fewest = min(f.members[0][0].size for f in same)
     plain = [f for f in same if f.members[0][0].size == fewest]
+    whole = [f for f in plain if f.members[0][0].element is None]
+    if whole and any(_is_elsewhere(f.members[0][0], g.members[0][0], scene) for f, g in combinations(alike, 2)):
+        return whole[0]
     most = max(f.gain for f in plain)
-    alike = [f for f in plain if most - f.gain <= BLUNT * most]
-    return min(alike, key=lambda f: _breadth(f.members[0][0], scene))
+    sharp = [f for f in plain if most - f.gain <= BLUNT * most]
+    return min(sharp, key=lambda f: _breadth(f.members[0][0], scene))
 
 
 def _breadth(c: Candidate, scene: Scene) -> float:

@@ -244,3 +244,11 @@ def test_of_all_and_one_element_the_one_that_gains_more_is_named(arm, everywhere
     best = max(fits, key=lambda f: f.gain)
     assert all(staging.is_tied(f, best) for f in fits)
     assert staging._simplest(best, fits, arm).members[0][0].element == found
+
+
+@pytest.mark.parametrize(("other", "found"), [(0.93, None), (1.5, "elbow")])
+def test_where_either_element_would_do_all_are_named(arm, other, found):
+    spread = np.linspace(-0.1, 0.1, 8)
+    losses = {None: 0.94 + spread, "elbow": 0.92 - spread, "shoulder": other + spread}
+    fits = [fit(candidate("joint_damping", arm, element), loss) for element, loss in losses.items()]
+    assert staging._simplest(fits[1], fits, arm).members[0][0].element == found
