@@ -19,7 +19,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, Stage, as_simulated, is_near, is_tied, look, unheld
+from candata.gap.stage import RIVALS, UNSURE, Stage, as_simulated, is_near, is_tied, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest
@@ -269,8 +269,9 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
             continue
         others = tuple(m for m in best.members if m[0].name != c.name)
         places = (_everywhere(problem, c, u), *_neighbour(problem, others, c))
-        fit = max((joint(problem, (*others, place), base) for place in places), key=lambda f: f.gain)
-        if worth_adding(extra_of(best, fit), best.gain):
+        light = [joint(problem, (*others, place), base, widths=()) for place in places]
+        fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
+        if fit is not None and worth_adding(extra_of(best, fit), best.gain):
             return pruned(problem, fit, base)
     return None
 
