@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import combinations, product
 
 import numpy as np
@@ -45,10 +45,10 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     """Return the set to whose signatures the recording adds up, where it takes most of what `best` leaves; else None.
 
     Of the first sets of two effects, and then of three, the one that leaves least where it is simulated is fitted, and
-    the best pair of the effects that explain most alone, begun at shares of that: where both do much alike, signatures
-    add up to too much. (Of servos less stiff and joints damped, both slow, the sum was not among the first four.) A
-    third that is worth little beside the two, but a good part of what they leave, is judged by a sharp fit. (Beside a
-    tracker's bias and a delay, a support's height took 0.28 of 0.59 floors blunt, and all of them sharp; alone beside
+    where these leave a gap the best pair of the effects that explain most alone, begun at shares of that: where both do
+    much alike, signatures add up to too much. (Of servos less stiff and joints damped, both slow, the sum was not among
+    the first four.) A third worth little beside the two, but a part of what they leave, is judged by a sharp fit. (Beside
+    a tracker's bias and a delay, a support's height took 0.28 of 0.59 floors blunt, and all of them sharp; alone beside
     the two it promised nothing, since the bias made up for it.)
 
     Parameters
@@ -66,14 +66,11 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean())
     base, left = problem.score.loss(problem.nominal), left_by(best)
     found = more = None
-    started = _started(part, rough)
-    for some in filter(None, sums(part, rough)):  # of two effects there is no triple
-        firsts = [*by_loss(part, [one.members for one in some[:ADDED]])[:1], *started]
-        started = []
-        fits = [joint(problem, members, base, widths=()) for loss, members in firsts if loss < now]
-        fit = max(fits, key=lambda f: f.gain, default=None)
+    for some in _firsts(part, rough):
+        loss, members = by_loss(part, some)[0]
+        fit = joint(problem, members, base, widths=()) if loss < now else None
         if fit is not None and (found is None or worth_adding(extra_of(found, fit), found.gain)):
-            found = fit
+            found, more = fit, None
         elif fit is not None and found is not None and left_by(found) > LEFT and takes(found, fit):
             more = fit
         if found is not None and not leaves(problem, found):
@@ -87,14 +84,23 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     return found if left_by(found) < MOST * left and worth_adding(extra_of(best, found), best.gain) else None
 
 
-def _started(problem: Problem, rough: Responses) -> list[tuple[float, Members]]:
-    """Return, after what it leaves, the pair of those that explain most alone that leaves least once fitted lightly.
+def _firsts(problem: Problem, rough: Responses) -> Iterator[list[Members]]:
+    """Yield sets: those of two, then of three whose signatures add up, then a pair of what explains most alone."""
+    for some in sums(problem, rough):  # of two effects there is no triple
+        if some:
+            yield [one.members for one in some[:ADDED]]
+    yield from ([members] for members in _started(problem, rough))
+
+
+def _started(problem: Problem, rough: Responses) -> list[Members]:
+    """Return the pair of those that explain most alone that leaves least once it is fitted lightly.
 
     Of a few episodes; nothing where one effect is all there is.
     """
     base = problem.score.loss(problem.nominal)
     begins = [begun(problem, (), pair)[1] for pair in combinations(_strongest(problem, rough), 2)]
-    return by_loss(problem, [joint(problem, pair, base, widths=()).members for pair in begins])[:1]
+    light = by_loss(problem, [joint(problem, pair, base, widths=()).members for pair in begins])
+    return [members for _, members in light[:1]]
 
 
 def _strongest(problem: Problem, rough: Responses) -> Members:

@@ -85,10 +85,10 @@ def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, 
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     part, _ = brief(problem)
     rough = look(problem, problem.nominal, ()).rough
-    ((loss, members),) = added._started(part, rough)
+    (members,) = added._started(part, rough)
     assert {c.name for c, _ in members} == {"joint_damping", "servo_gain"}
     alone = {c.name: (c, u) for c, u in added._strongest(part, rough)}
-    best, full = (added.by_loss(part, [some])[0][0] for some in (
-        (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
+    loss, best, full = (added.by_loss(part, [some])[0][0] for some in (
+        members, (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
     assert loss < best < full
     assert added._started(part, [r for r in rough if r[0].name == "servo_gain"]) == []
