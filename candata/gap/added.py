@@ -45,11 +45,11 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     """Return the set to whose signatures the recording adds up, where it takes most of what `best` leaves; else None.
 
     Of the first sets of two effects, and then of three, the one that leaves least where it is simulated is fitted, and
-    where these leave a gap the best pair of the effects that explain most alone, begun at shares of that: where both do
+    where these leave a gap the best pair of what explains most alone, begun at shares of that: where both do
     much alike, signatures add up to too much. (Of servos less stiff and joints damped, both slow, the sum was not among
-    the first four.) A third worth little beside the two, but a part of what they leave, is judged by a sharp fit. (Beside
-    a tracker's bias and a delay, a support's height took 0.28 of 0.59 floors blunt, and all of them sharp; alone beside
-    the two it promised nothing, since the bias made up for it.)
+    the first four.) A third worth little beside the two, but a part of what they leave, is judged by a sharp fit.
+    (Beside a tracker's bias and a delay, a support's height took 0.28 of 0.59 floors blunt, and all of it sharp; alone
+    beside the two it promised nothing, since the bias made up for it.)
 
     Parameters
     ----------
