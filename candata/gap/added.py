@@ -15,7 +15,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact
 from candata.gap.screen import respond, slope_of
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.shortlist import brief
+from candata.gap.shortlist import brief, fitted
 from candata.gap.sparse import pruned
 from candata.gap.stage import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.together import WITHIN, Responses, exchanged, sums
@@ -108,8 +108,7 @@ def _strongest(problem: Problem, rough: Responses) -> Members:
     base = problem.score.loss(problem.nominal)
     found: dict[str, tuple[float, tuple[Candidate, Array]]] = {}
     for c, response in rough:
-        at = response.fitter(problem.score)(np.arange(len(base)))
-        gain = float((base - problem.score.loss(response.read(at))).mean())
+        gain, at = fitted(problem, response, base)
         if gain > found.get(c.name, (0.0,))[0]:
             found[c.name] = gain, (c, at)
     order = sorted(found.values(), key=lambda pair: -pair[0])

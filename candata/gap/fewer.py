@@ -17,7 +17,7 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
-from candata.gap.trials import least_worth, sharp
+from candata.gap.trials import least_worth, sharp, without
 from candata.gap.worth import EXTRA, FAINT, LARGEST, is_next
 
 Array = NDArray[np.float64]
@@ -55,16 +55,11 @@ def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
     base = problem.score.loss(problem.nominal)
     if len(best.members) > LARGEST:
         halves = (spare[: len(spare) >> times] for times in range(len(spare).bit_length()))
-        light = (joint(problem, _others(best, left_out), base, widths=()) for left_out in halves)
+        light = (joint(problem, without(best, left_out), base, widths=()) for left_out in halves)
         kept = next((f.members for f in light if not is_next(f, best, problem.recs.tasks)), None)
         return joint(problem, kept, base) if kept else None
-    found = sharp(problem, [_others(best, (left,)) for left in spare[: 1 + RIVALS]])
+    found = sharp(problem, [without(best, (left,)) for left in spare[: 1 + RIVALS]])
     return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
-
-
-def _others(best: Fit, left_out: Members) -> Members:
-    """Return the members of a set without some of them."""
-    return tuple(m for m in best.members if all(m is not one for one in left_out))
 
 
 def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Members:
@@ -126,7 +121,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
 
 def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:
     """Return the sets with the one effect in place of a pair that promises most beside the others, and its rivals."""
-    kept = _others(best, pair)
+    kept = without(best, pair)
     here = residuals_at(problem, kept)
     base = problem.score.loss(here)
     found = [c for c in unheld(problem, kept) if c.label not in {one.label for one, _ in pair}]

@@ -103,7 +103,7 @@ def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -
     least = WORTH * float((base[index] - 1).mean())
     left_out = {
         c.label for c, r in seen.rough
-        if (c.element or c.label in seen.faint) and _fitted_gain(part, r, base[index]) <= least
+        if (c.element or c.label in seen.faint) and fitted(part, r, base[index])[0] <= least
     }  # fmt: skip
     responses, _ = respond(problem, here, [c for c, _ in seen.rough if c.label not in left_out])
     return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name in left_out))
@@ -137,14 +137,14 @@ def _best(problem: Problem, responses: Responses, base: Array, share: float) -> 
         return [c for gain, c in gains[:SIMULATED] if gain > least]
     wanted = sum(gain > share * gains[0][0] for gain, _ in gains)
     found = [c for _, c in gains[: int(np.clip(wanted, LEAST, MOST))]]
-    fitted = sorted(((_fitted_gain(problem, r, base), c) for c, r in responses), key=lambda pair: -pair[0])[:FITTED]
-    return found + [c for gain, c in fitted if c not in found and gain > share * fitted[0][0]]
+    closing = sorted(((fitted(problem, r, base)[0], c) for c, r in responses), key=lambda pair: -pair[0])[:FITTED]
+    return found + [c for gain, c in closing if c not in found and gain > share * closing[0][0]]
 
 
-def _fitted_gain(problem: Problem, response: Curve | Plane, base: Array) -> float:
-    """Return what a candidate gains on the episodes that it is fitted to."""
+def fitted(problem: Problem, response: Curve | Plane, base: Array) -> tuple[float, Array]:
+    """Return what a candidate gains on the episodes that it is fitted to, and its coordinates `(d,)` there."""
     at = response.fitter(problem.score)(np.arange(len(base)))
-    return float((base - problem.score.loss(response.read(at))).mean())
+    return float((base - problem.score.loss(response.read(at))).mean()), at
 
 
 def _gains(problem: Problem, responses: Responses, base: Array) -> list[tuple[float, Candidate]]:

@@ -88,7 +88,7 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     part, index = brief(problem)
     base = part.score.loss(part.nominal)
     left_out = least_worth(part, best, known)[:1] if is_full(best.members, problem.measured) else ()
-    kept = tuple(m for m in best.members if all(m is not one for one in left_out))
+    kept = without(best, left_out)
     fits = [
         joint(part, (*(one for one in kept if one is not m), _half(m), _half(f)), base, WIDTHS[:1])
         for m in kept if m[0].name not in known and not m[0].choices
@@ -97,6 +97,11 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < now])
     return found if found is not None and is_next(best, found, problem.recs.tasks) else None
+
+
+def without(best: Fit, left_out: Members) -> Members:
+    """Return the members of a set without some of them."""
+    return tuple(m for m in best.members if all(m is not one for one in left_out))
 
 
 def least_worth(problem: Problem, best: Fit, known: Collection[str]) -> Members:

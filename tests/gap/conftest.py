@@ -9,10 +9,14 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import Diagnosis, diagnose
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
 from candata.gap.floor import Floor
-from candata.gap.recordings import Recordings
+from candata.gap.recordings import Recordings, recordings
+from candata.gap.replay import Replayer
 from candata.gap.residuals import Layout
 from candata.gap.score import Score, score
+from candata.gap.search import Members, Problem
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
@@ -181,3 +185,20 @@ def white_score(one_phase) -> Callable[..., Score]:
         return score(np.zeros(shape), spread, one_phase(episodes, *shape[1:]))
 
     return make
+
+
+@pytest.fixture(scope="module")
+def two_causes(arm, arm_episodes, planted) -> tuple[Problem, np.ndarray]:
+    """The problem that an arm with two causes poses, and its base loss."""
+    effects = (
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return problem, problem.score.loss(problem.nominal)
+
+
+def members(arm: Scene, **values: float) -> Members:
+    """Scalar effects at their values, as the members of a set."""
+    return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())

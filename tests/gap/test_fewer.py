@@ -15,22 +15,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
-
-
-@pytest.fixture(scope="module")
-def posed(arm, arm_episodes, planted):
-    """The problem that an arm with two causes poses, and its base loss."""
-    effects = (
-        *planted("joint_dry_friction", frictionloss_Nm=0.3),
-        *planted("actuation_delay", delay_s=0.03),
-    )
-    recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    return problem, problem.score.loss(problem.nominal)
-
-
-def members(arm, **values):
-    return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
+from tests.gap.conftest import members
 
 
 def blunt_fit(problem, some):
@@ -40,8 +25,8 @@ def blunt_fit(problem, some):
     return Fit(some, plane, cross_fit(replace(plane, slope=0 * plane.slope), problem.score, problem.parts, base))
 
 
-def test_a_member_goes_that_the_others_make_up_for(arm, posed):
-    problem, _ = posed
+def test_a_member_goes_that_the_others_make_up_for(arm, two_causes):
+    problem, _ = two_causes
     fit = blunt_fit(problem, members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03))
     found, world, _ = fewer.simplified(problem, fit, True)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
@@ -68,8 +53,8 @@ def test_a_member_worth_less_than_a_name_goes(arm, arm_episodes, planted):
     assert worth.FAINT < cost < worth.EXTRA * fit.gain
 
 
-def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, posed, monkeypatch):
-    problem, base = posed
+def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm, two_causes, monkeypatch):
+    problem, base = two_causes
     right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     some = members(arm, joint_dry_friction=0.2, actuation_delay=0.03, joint_damping=0.03)
     for module in (fewer, trials):
@@ -81,8 +66,8 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
     assert fewer.simplified(known, fit, True)[0] is fit
 
 
-def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, posed):
-    problem, base = posed
+def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
+    problem, base = two_causes
     wrong = joint(problem, members(arm, joint_dry_friction=0.3, servo_damping=0.3, armature=0.0005), base)
     found, world, _ = fewer.merged(problem, wrong, True)
     assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
@@ -109,8 +94,8 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
     assert fewer.merged(replace(problem, simulated=True), right, True)[0] is right
 
 
-def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, posed, monkeypatch):
-    problem, _ = posed
+def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, two_causes, monkeypatch):
+    problem, _ = two_causes
     named = members(arm, joint_dry_friction=0.3, actuation_delay=0.03)
     others = members(arm, joint_damping=0.01, armature=1e-4, servo_damping=0.01)
     fit = blunt_fit(problem, (*named, *others))
@@ -128,8 +113,8 @@ def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, posed, monkeypatch
     assert made == [(few, {"widths": ()}), (few, {})]
 
 
-def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, posed, monkeypatch):
-    problem, _ = posed
+def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, two_causes, monkeypatch):
+    problem, _ = two_causes
     some = members(arm, joint_dry_friction=0.3, joint_damping=0.01, armature=1e-4, actuation_delay=0.03)
     fit = blunt_fit(problem, some)
     monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: tuple(free[1:]))

@@ -17,26 +17,11 @@ from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem
 from candata.gap.stage import look
+from tests.gap.conftest import members
 
 
-@pytest.fixture(scope="module")
-def posed(arm, arm_episodes, planted):
-    """The problem that an arm with two causes poses, and its base loss."""
-    effects = (
-        *planted("joint_dry_friction", frictionloss_Nm=0.3),
-        *planted("actuation_delay", delay_s=0.03),
-    )
-    recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    return problem, problem.score.loss(problem.nominal)
-
-
-def members(arm, **values):
-    return tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
-
-
-def test_an_early_member_gives_way_to_the_true_one(arm, posed):
-    problem, base = posed
+def test_an_early_member_gives_way_to_the_true_one(arm, two_causes):
+    problem, base = two_causes
     wrong = joint(problem, members(arm, joint_damping=0.3, actuation_delay=0.03), base)
     found = sets._swapped(problem, wrong)
     assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
@@ -55,14 +40,14 @@ def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, 
     assert found.members[0][1] == pytest.approx(0.3, rel=0.02)
 
 
-def test_a_true_set_is_left_as_it_is(arm, posed):
-    problem, base = posed
+def test_a_true_set_is_left_as_it_is(arm, two_causes):
+    problem, base = two_causes
     right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     assert sets._swapped(problem, right) is None
 
 
-def test_a_set_led_by_another_member_is_the_same_fit(arm, posed):
-    problem, base = posed
+def test_a_set_led_by_another_member_is_the_same_fit(arm, two_causes):
+    problem, base = two_causes
     fit = joint(problem, members(arm, joint_dry_friction=0.25, actuation_delay=0.03), base)
     led = fit.led_by("actuation_delay")
     assert led.labels == ("actuation_delay", "joint_dry_friction")
@@ -91,8 +76,8 @@ def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, pla
     assert sets._retraced(problem, replace(found, evidence=wrong.evidence)) is None  # no room for another
 
 
-def test_two_join_a_set_together_if_each_gains_alone(arm, posed):
-    problem, base = posed
+def test_two_join_a_set_together_if_each_gains_alone(arm, two_causes):
+    problem, base = two_causes
     idle = joint(problem, members(arm, armature=0.0005), base)
     alone = [joint(problem, members(arm, **{name: value}), base) for name, value in
              (("actuation_delay", 0.03), ("joint_dry_friction", 0.3))]  # fmt: skip
@@ -102,16 +87,16 @@ def test_two_join_a_set_together_if_each_gains_alone(arm, posed):
     assert trials.paired(problem, idle, [sure[0], unsure]) is None
 
 
-def test_no_pair_joins_where_next_to_nothing_is_left(arm, posed):
-    problem, base = posed
+def test_no_pair_joins_where_next_to_nothing_is_left(arm, two_causes):
+    problem, base = two_causes
     right = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     one = replace(right, members=right.members[:1])  # Room for two, and the loss of the true set.
     others = [joint(problem, members(arm, **{name: 0.01}), base) for name in ("joint_damping", "armature")]
     assert trials.paired(problem, one, [replace(f, evidence=right.evidence) for f in others]) is None
 
 
-def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(arm, posed):
-    problem, base = posed
+def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(arm, two_causes):
+    problem, base = two_causes
     delay = members(arm, actuation_delay=0.03)
     elbow = (candidate("joint_dry_friction", arm, "elbow"), np.array([0.3]))
     found = sets._moved(problem, joint(problem, (*delay, elbow), base))
@@ -137,8 +122,8 @@ def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm
     assert sets._moved(problem, wrong).labels == ("actuation_delay shoulder",)
 
 
-def test_few_true_names_replace_many(arm, posed):
-    problem, base = posed
+def test_few_true_names_replace_many(arm, two_causes):
+    problem, base = two_causes
     many = joint(
         problem,
         members(arm, joint_damping=0.01, joint_dry_friction=0.3, armature=0.0005, actuation_delay=0.03),
@@ -147,8 +132,8 @@ def test_few_true_names_replace_many(arm, posed):
     assert set(sets._rebuilt(problem, many, base).labels) == {"joint_dry_friction", "actuation_delay"}
 
 
-def test_many_names_that_leave_most_of_it_open_are_not_taken(arm, posed, monkeypatch):
-    problem, base = posed
+def test_many_names_that_leave_most_of_it_open_are_not_taken(arm, two_causes, monkeypatch):
+    problem, base = two_causes
     best = joint(problem, members(arm, armature=0.0005), base)
     better = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     excess = float((base - 1).mean())
@@ -159,9 +144,9 @@ def test_many_names_that_leave_most_of_it_open_are_not_taken(arm, posed, monkeyp
         assert (found is not best) is taken
 
 
-def test_names_that_make_up_for_one_another_are_not_taken(arm, posed, monkeypatch):
+def test_names_that_make_up_for_one_another_are_not_taken(arm, two_causes, monkeypatch):
     """Without one of them far more is wrong than in the nominal scene: its fit is undone by the others."""
-    problem, base = posed
+    problem, base = two_causes
     best = joint(problem, members(arm, armature=0.0005), base)
     true = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     assert not sets._cancels(problem, true)
@@ -173,8 +158,8 @@ def test_names_that_make_up_for_one_another_are_not_taken(arm, posed, monkeypatc
     assert sets.jointly(problem, best) == (best, problem, True)
 
 
-def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
-    problem, _ = posed
+def test_choices_beside_effects_are_simulated_there(arm, two_causes, planted):
+    problem, _ = two_causes
     held = members(arm, actuation_delay=0.03)
     here = problem.residuals([problem.setting(held)])[0]
     step = candidate("time_step", arm)
@@ -193,9 +178,9 @@ def test_choices_beside_effects_are_simulated_there(arm, posed, planted):
         (0.5, np.inf, trials.MANY, False, 1),
     ],
 )
-def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise, unsure, many, tried, sharply):
+def test_the_best_of_near_rivals_joins_the_set(arm, two_causes, monkeypatch, promise, unsure, many, tried, sharply):
     """What promises less beside what is held is tried too, sharply only what cannot be told from the best else."""
-    problem, base = posed
+    problem, base = two_causes
     sharp: list[tuple[str, ...]] = []
 
     def counted(problem, chosen, base, widths=WIDTHS):
@@ -218,15 +203,15 @@ def test_the_best_of_near_rivals_joins_the_set(arm, posed, monkeypatch, promise,
 
 
 @pytest.fixture(scope="module")
-def alone(arm, posed):
+def alone(arm, two_causes):
     """Damping and friction, each fitted alone."""
-    problem, base = posed
+    problem, base = two_causes
     return [joint(problem, members(arm, **{name: 0.3}), base) for name in ("joint_damping", "joint_dry_friction")]
 
 
-def test_tied_causes_are_told_apart_beside_what_else_was_found(arm, posed, alone):
+def test_tied_causes_are_told_apart_beside_what_else_was_found(arm, two_causes, alone):
     """Under a delay of 30 ms friction and damping may look alike; with the delay in place they do not."""
-    problem, base = posed
+    problem, base = two_causes
     chosen = joint(problem, members(arm, joint_damping=0.3, actuation_delay=0.03), base)
     tied, (best, _, _) = sets.compared(problem, chosen, alone, True)
     assert [f.labels for f in tied] == [("joint_dry_friction",)]
@@ -234,16 +219,16 @@ def test_tied_causes_are_told_apart_beside_what_else_was_found(arm, posed, alone
     assert float(best.evidence.loss.mean()) - 1 < worth.LEFT < float(chosen.evidence.loss.mean()) - 1
 
 
-def test_a_first_cause_that_was_exchanged_is_tied_with_nothing(arm, posed, alone):
-    problem, base = posed
+def test_a_first_cause_that_was_exchanged_is_tied_with_nothing(arm, two_causes, alone):
+    problem, base = two_causes
     chosen = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
     tied, (best, _, _) = sets.compared(problem, chosen, alone, False)
     assert tied == alone[:1]
     assert best is chosen
 
 
-def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, posed, monkeypatch):
-    problem, base = posed
+def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, two_causes, monkeypatch):
+    problem, base = two_causes
     best = joint(problem, members(arm, actuation_delay=0.03), base)
     harmful = [joint(problem, members(arm, **{name: 0.0}), base) for name in ("joint_damping", "armature")]
     alone = [
@@ -255,9 +240,9 @@ def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, posed, monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def lone(arm, posed):
+def lone(arm, two_causes):
     """A wrong first cause, of armature, and the true ones, each fitted alone; all three said to gain alike."""
-    problem, base = posed
+    problem, base = two_causes
     values = {"armature": 0.0005, "joint_dry_friction": 0.3, "actuation_delay": 0.03}
     fits = [joint(problem, members(arm, **{name: value}), base) for name, value in values.items()]
     return [replace(f, evidence=fits[0].evidence) for f in fits]

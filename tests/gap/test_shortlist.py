@@ -21,7 +21,6 @@ from candata.gap.shortlist import (
     FEW,
     FITTED,
     MOST,
-    _fitted_gain,
     _gains,
     brief,
     few,
@@ -89,7 +88,7 @@ def test_a_second_look_leaves_out_only_what_closes_next_to_nothing_where_it_is_f
     part, index = brief(posed)
     first = screened(posed, posed.nominal, found, (), base)
     before = {c.label for c, _ in first.responses if c.element is None}
-    fitted = {c.label: _fitted_gain(part, r, base[index]) for c, r in first.rough}
+    fitted = {c.label: shortlist.fitted(part, r, base[index])[0] for c, r in first.rough}
     left = float((base[index] - 1).mean())
     size = []
     for share in (-np.inf, 0.1, np.inf):
@@ -119,7 +118,7 @@ def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch)
     found = candidates(arm, list(posed.recs.readings))
     part, index = brief(posed)
     responses, _ = respond(part, part.nominal, found)
-    fitted = {c.label: _fitted_gain(part, r, base[index]) for c, r in responses}
+    fitted = {c.label: shortlist.fitted(part, r, base[index])[0] for c, r in responses}
     monkeypatch.setattr("candata.gap.shortlist.LEAST", 1)
     monkeypatch.setattr("candata.gap.shortlist.MOST", 1)
     first = sorted(fitted, key=lambda name: -fitted[name])[:FITTED]
