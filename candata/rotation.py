@@ -1,7 +1,7 @@
 """Unit quaternions w x y z, vectorised over leading axes: what the stepping loop needs each step.
 
-Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508, eqs. 12 (product),
-101 (exponential), 105 (logarithm).
+Source: J. Sola, "Quaternion kinematics for the error-state Kalman filter", arXiv 1711.02508, eqs. 12 (product), 19 (its
+matrix), 101 (exponential), 105 (logarithm).
 """
 
 from __future__ import annotations
@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+#: What of a quaternion stands where in the matrix of a product from the left, and its sign.
+_LEFT = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+_SIGN = np.array([[1.0, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
+#: What turns a unit quaternion into its inverse.
+_INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def multiply(a: Array, b: Array) -> Array:
@@ -27,9 +32,14 @@ def multiply(a: Array, b: Array) -> Array:
     )
 
 
+def product(a: Array, b: Array) -> Array:
+    """Return `multiply(a, b)` of few quaternions `(n, 4)` in few calls, of many in twice the time."""
+    return (a[:, _LEFT] * _SIGN * b[:, None]).sum(-1)
+
+
 def conjugate(q: Array) -> Array:
     """Return the inverse of a unit quaternion, `(..., 4)`."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return q * _INVERSE
 
 
 def exp(rotation_vector: Array) -> Array:

@@ -15,11 +15,13 @@ from candata.effects import Forces
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate.observer import Observer, correct
+from candata.simulate.observer import Follower, Observer
 from candata.simulate.timing import resampled, retimed, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
 Array = NDArray[np.float64]
+#: Rows whose forces are read together where nothing acts on them: one by one took a fifth of the loop's own time.
+ROWS = 16
 #: Adds to the worlds of a batch what no effect is; it may bind the batch's live fields.
 Alter = Callable[[mujoco_batch.Batch, Worlds], Worlds]
 #: `(row, what the step begins with) -> (n, nv)` generalised forces to add, see `Hook` for forces.
@@ -139,6 +141,7 @@ class _Run:
         self.batch.bind("qpos")[:] = qpos
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self.object = scene.object_qpos if scene.object_id is not None else 0
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         # Outputs are copied after every call: only where something reads them.
@@ -149,47 +152,74 @@ class _Run:
 
     def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool, settle: int) -> Trajectory:
         """Step through all rows and collect the readings."""
-        scene, count = self.scene, commands.shape[1]
+        scene, count, substeps = self.scene, commands.shape[1], self.scene.substeps
         drifting = np.flatnonzero(self.worlds.pace != 1)
-        own_time = retimed(commands[drifting], self.worlds.pace[drifting], scene.substeps, settle)
-        tips = len(scene.force_sensors)
-        force, touch = np.zeros((self.n, tips, 3)), np.zeros(self.n, bool)
+        own_time = retimed(commands[drifting], self.worlds.pace[drifting], substeps, settle)
+        follower = Follower(scene, observer) if observer is not None else None
+        at_once = 1 if self.worlds.force or self.push else ROWS
+        force = np.zeros((1, self.n, len(scene.force_sensors), 3))
+        sensed, touch = self._nothing(), np.zeros(self.n, bool)
+        waiting: list[tuple[dict[str, Array], list[Array]]] = []
         rows: dict[str, list[Array]] = {}
         touches, sizes, states = [], [], []
         failed = np.full(self.n, count)
         for k in range(count):
-            state = self._readings(force)
-            readings = self._filter("reading", dict(state))
-            for name, value in readings.items():
-                rows.setdefault(name, []).append(value)
+            state = self._readings()
+            waiting.append((state, sensed))
+            if len(waiting) == at_once or k + 1 == count:
+                force = self._forces([data for _, data in waiting], instant)
+                sizes.append(np.sqrt((force**2).sum(-1)))
+                self._read(rows, [each for each, _ in waiting], force)
+                waiting = []
             touches.append(touch)
-            sizes.append(np.sqrt((force**2).sum(-1)))
             if keep:
                 states.append((self.qpos.copy(), self.qvel.copy()))
-            if observer is not None:
-                correct(scene, observer, k, state, touch, self.qpos)
+            if follower is not None:
+                follower.correct(k, state, touch, self.qpos)
             if k + 1 < count:
-                held = np.repeat(commands[:, k][:, None], scene.substeps, axis=1)
+                held = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held[drifting] = own_time[:, k]
-                self._apply_forces(k, force, touch)
-                force, touch = self._step(held, instant)
+                self._apply_forces(k, force[-1], touch)
+                sensed, touch = self._step(held)
                 failed[self.batch.warning[:, :, 1].any(1) & (failed == count)] = k + 1
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
-        return Trajectory(readings, np.stack(touches, 1), np.stack(sizes, 1), failed, *kept)
+        return Trajectory(readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed, *kept)
 
-    def _readings(self, force: Array) -> dict[str, Array]:
-        """Return what perfect sensors read now."""
+    def _readings(self) -> dict[str, Array]:
+        """Return what perfect sensors but those of force read now."""
         scene = self.scene
         out: dict[str, Array] = {}
         if scene.object_id is not None:
-            at = scene.object_qpos
-            out["object_pose"] = self.qpos[:, at : at + 7].copy()
+            out["object_pose"] = self.qpos[:, self.object : self.object + 7].copy()
         if len(scene.joint_qpos):
             out["joint_position"] = self.qpos[:, scene.joint_qpos]
-        if len(scene.force_sensors):
-            out["fingertip_force"] = force
         return out
+
+    def _nothing(self) -> list[Array]:
+        """Return what the sensors read before the first step, for each number of physics steps."""
+        return [np.zeros((len(ids), steps, self.scene.model.nsensordata)) for steps, ids in self.groups]
+
+    def _forces(self, sensed: Sequence[list[Array]], instant: bool) -> Array:
+        """Return the forces `(R, n, F, 3)` on the fingertips in their frames, of R rows together: few at once cost as
+        much as one.
+        """
+        scene = self.scene
+        force = np.zeros((len(sensed), self.n, len(scene.force_sensors), 3))
+        if not len(scene.force_sensors):
+            return force
+        for (_, ids), each in zip(self.groups, zip(*sensed, strict=True), strict=True):
+            data = np.stack(each)
+            local = rotate(conjugate(data[..., scene.frame_sensors]), data[..., scene.force_sensors])
+            force[:, ids] = local[:, :, -1] if instant else local.mean(2)
+        return force
+
+    def _read(self, rows: dict[str, list[Array]], states: Sequence[dict[str, Array]], forces: Array) -> None:
+        """Add to `rows` what the sensors of the worlds read of states and forces `(R, n, F, 3)`."""
+        for state, force in zip(states, forces, strict=True):
+            x = {**state, "fingertip_force": force} if force.shape[1] else state
+            for name, value in self._filter("reading", x).items():
+                rows.setdefault(name, []).append(value)
 
     def _filter(self, kind: str, x):
         """Pass x through the hooks of one kind."""
@@ -207,23 +237,24 @@ class _Run:
         x = self._filter("force", x)
         self.applied[:] = x.added if self.push is None else x.added + self.push(row, x)
 
-    def _step(self, held: Array, instant: bool) -> tuple[Array, NDArray[np.bool_]]:
-        """Advance one row under commands `(n, S, A)`; return force `(n, F, 3)` and touch `(n,)` of each world."""
+    def _step(self, held: Array) -> tuple[list[Array], NDArray[np.bool_]]:
+        """Advance one row under commands `(n, S, A)`; return what the sensors of the worlds read at each physics step
+        `(n, steps, .)`, for each number of these, and touch `(n,)`.
+        """
         scene = self.scene
         control = None
         if len(scene.actuator_ids):
             control = np.zeros((self.n, held.shape[1], scene.model.nu))
             control[:, :, scene.actuator_ids] = self._filter("command", held)
-        force, touch = np.zeros((self.n, len(scene.force_sensors), 3)), np.zeros(self.n, bool)
+        sensed, touch = [], np.zeros(self.n, bool)
         for steps, ids in self.groups:
             own = None if control is None else resampled(control[ids], steps)
-            data = self.batch.rollout(steps, own, record=("sensordata",), ids=ids)["sensordata"]
+            some = None if len(self.groups) == 1 else ids
+            data = self.batch.rollout(steps, own, record=("sensordata",), ids=some)["sensordata"]
+            sensed.append(data)
             if len(scene.force_sensors):
-                world = data[:, :, scene.force_sensors]
-                local = rotate(conjugate(data[:, :, scene.frame_sensors]), world)
-                force[ids] = local[:, -1] if instant else local.mean(1)
                 touch[ids] = (data[:, :, scene.touch_sensors] > 0).any((1, 2))
-        return force, touch
+        return sensed, touch
 
 
 def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:

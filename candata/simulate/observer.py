@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.rotation import difference, exp, multiply, normalise
+from candata.rotation import conjugate, normalise, product
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]
+#: Sine of a turn below which its axis means nothing.
+TINY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -39,26 +41,56 @@ class Observer:
     guard_rad: float = 0.2
 
 
-def correct(
-    scene: Scene,
-    observer: Observer,
-    row: int,
-    state: Mapping[str, Array],
-    touch: NDArray[np.bool_],
-    qpos: Array,
-) -> None:
-    """Pull `qpos (n, nq)` in place towards the recording at `row`; `state` is what perfect sensors read of it."""
-    if "joint_position" in observer.recorded and "joint_position" in state:
-        error = observer.recorded["joint_position"][:, row] - state["joint_position"]
-        qpos[:, scene.joint_qpos] += observer.joint_gain * np.nan_to_num(error)
-    if "object_pose" not in observer.recorded or "object_pose" not in state:
-        return
-    target, now = observer.recorded["object_pose"][:, row], state["object_pose"]
-    seen = np.asarray(np.isfinite(target).all(1))
-    target = np.where(seen[:, None], target, now)
-    shift, turn = target[:, :3] - now[:, :3], difference(target[:, 3:], now[:, 3:])
-    far = ((shift**2).sum(1) > observer.guard_m**2) | ((turn**2).sum(1) > observer.guard_rad**2)
-    gain = np.where(far | ~touch, observer.free_gain, observer.pose_gain)[:, None]
-    at = scene.object_qpos
-    qpos[:, at : at + 3] += gain * shift
-    qpos[:, at + 3 : at + 7] = normalise(multiply(exp(gain * turn), qpos[:, at + 3 : at + 7]))
+class Follower:
+    """An observer made ready for a run: what it pulls towards, and how hard, row by row.
+
+    Parameters
+    ----------
+    scene : Scene
+    observer : Observer
+    """
+
+    def __init__(self, scene: Scene, observer: Observer) -> None:
+        self._observer = observer
+        self._joints, self._object = scene.joint_qpos, None
+        recorded = observer.recorded.get("joint_position") if len(scene.joint_qpos) else None
+        self._angles = None if recorded is None else _told(recorded, observer.joint_gain)
+        pose = observer.recorded.get("object_pose") if scene.object_id is not None else None
+        if pose is not None:
+            seen = np.asarray(np.isfinite(pose).all(2))
+            self._object = scene.object_qpos
+            self._position = np.where(seen[:, :, None], pose[:, :, :3], 0.0)
+            self._turn = np.where(seen[:, :, None], pose[:, :, 3:], [1.0, 0.0, 0.0, 0.0])
+            self._free, self._slow = observer.free_gain * seen, observer.pose_gain * seen
+
+    def correct(self, row: int, state: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array) -> None:
+        """Pull `qpos (n, nq)` in place towards the recording at `row`.
+
+        `state` is what perfect sensors read of it, and `touch (n,)` whether anything touches the object.
+        """
+        if self._angles is not None:
+            (target, gain), now = self._angles, state["joint_position"]
+            qpos[:, self._joints] = now + gain[:, row] * (target[:, row] - now)
+        at = self._object
+        if at is None:
+            return
+        now = qpos[:, at + 3 : at + 7]
+        shift = self._position[:, row] - qpos[:, at : at + 3]
+        turn = product(self._turn[:, row], conjugate(now))
+        cosine, axis = turn[:, :1], turn[:, 1:]
+        sine = np.sqrt((axis**2).sum(1, keepdims=True))
+        half = np.arctan2(sine, np.abs(cosine))
+        guard = self._observer
+        far = ((shift**2).sum(1) > guard.guard_m**2) | (half[:, 0] > guard.guard_rad / 2)
+        gain = np.where(far | ~touch, self._free[:, row], self._slow[:, row])[:, None]
+        qpos[:, at : at + 3] += gain * shift
+        # Of the shorter way round, that share.
+        size = np.copysign(np.sin(gain * half) / np.maximum(sine, TINY), cosine)
+        part = np.concatenate([np.cos(gain * half), size * axis], axis=1)
+        qpos[:, at + 3 : at + 7] = normalise(product(part, now))
+
+
+def _told(recorded: Array, gain: float) -> tuple[Array, Array]:
+    """Return what is pulled towards and how hard; not at all where the recording tells nothing."""
+    seen = np.isfinite(recorded)
+    return np.where(seen, recorded, 0.0), gain * seen
