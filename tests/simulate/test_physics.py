@@ -9,6 +9,7 @@ from candata.policies import policy
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
+from candata.simulate.loop import ROWS
 
 #: Gravity of MuJoCo's default option [m/s^2].
 G = 9.81
@@ -159,3 +160,20 @@ def test_a_scaled_mass_weighs_more_on_the_fingertip(ball_over_plate):
     heavy = EffectSetting(name="object_mass", parameters={"mass_scale": 2.0})
     force = play(ball_over_plate(), 120, (heavy,)).readings["fingertip_force"][0, -1, 0]
     np.testing.assert_allclose(force, [0, 0, -0.1 * G], atol=1e-3)
+
+
+def test_forces_are_the_same_read_row_by_row(hand):
+    some = [[EffectSetting(name="tactile_lag", parameters={"timeconst_s": 0.05})], [],
+            [EffectSetting(name="time_step", parameters={"time_step_s": 0.001})]]  # fmt: skip
+    plan = policy("squeeze").plan(hand, np.random.default_rng(3), 1.2)
+    tile = [np.repeat(a[None], len(some), axis=0) for a in (plan.commands, plan.qpos, plan.qvel)]
+    # A push of nothing is told each row's forces, so that none may be read together.
+    told = []
+    each = rollout(hand, *tile, some, push=lambda row, x: told.append(x.tip_force) or np.zeros_like(x.qvel))
+    many = rollout(hand, *tile, some)
+    assert len(plan.commands) > 2 * ROWS
+    for name, values in each.readings.items():
+        np.testing.assert_array_equal(many.readings[name], values)
+    np.testing.assert_array_equal(many.tip_force, each.tip_force)
+    np.testing.assert_array_equal(each.readings["fingertip_force"][1, :-1], np.stack(told, 1)[1])
+    assert np.abs(each.readings["fingertip_force"]).max() > 1.0
