@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
-from candata.gap.fewer import merged, simplified
+from candata.gap.fewer import merged, simplified, widened
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
@@ -110,6 +110,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         chosen, world, remains = jointly(world, chosen)
     chosen, world, remains = simplified(world, chosen, remains)
     chosen, world, remains = merged(world, chosen, remains)
+    chosen, world, remains = widened(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.

@@ -14,7 +14,7 @@ from candata.gap.refine import joint
 from candata.gap.response import Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.sets import Grown, judged
+from candata.gap.sets import Grown, everywhere, judged, neighbour
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.trials import least_worth, sharp, without
@@ -86,6 +86,37 @@ def _losses_without(problem: Problem, best: Fit, left: tuple[Candidate, Array]) 
     refitted = rest.read(rest.best(np.arange(len(rest.z))))
     left_out, promised = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted))
     return left_out, promised
+
+
+def widened(problem: Problem, best: Fit, remains: bool) -> Grown:
+    """Return the set with an effect of one element on all, where either of two elements would do as well.
+
+    So it is said of a single cause too: which one it is is not known. (Beside softer servos and a tilt, more torsional
+    friction of one of two fingertips that held a box explained as much as that of both, which was true.)
+    """
+    for member in best.members if len(best.members) > 1 else ():
+        if member[0].element is None:
+            continue
+        whole = everywhere(problem, *member)
+        if whole[0].size != member[0].size:
+            continue
+        base = problem.score.loss(problem.nominal)
+        elsewhere = neighbour(problem, without(best, (member,)), member[0], apart=True)
+        as_strong = [(c, member[1]) for c, _ in elsewhere if c.size == member[0].size]
+        begun = [_instead_of(best, member, one) for one in (*elsewhere, *as_strong)]
+        light = [joint(problem, members, base, widths=()) for members in begun]
+        if not any(is_tied(f, best, UNSURE) for f in light):
+            continue
+        fit = joint(problem, _instead_of(best, member, whole), base)
+        if is_tied(fit, best):
+            found, world, remains = judged(problem, fit)
+            return widened(world, found, remains)
+    return best, problem, remains
+
+
+def _instead_of(best: Fit, member: tuple[Candidate, Array], other: tuple[Candidate, Array]) -> Members:
+    """Return the members of a set with one in place of another."""
+    return tuple(other if m is member else m for m in best.members)
 
 
 def merged(problem: Problem, best: Fit, remains: bool) -> Grown:

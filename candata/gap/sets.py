@@ -19,7 +19,7 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, as_simulated, is_near, is_tied, look, unheld
+from candata.gap.stage import RIVALS, UNSURE, Stage, as_simulated, is_elsewhere, is_near, is_tied, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest
@@ -268,7 +268,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
         if c.element is None:
             continue
         others = tuple(m for m in best.members if m[0].name != c.name)
-        places = (_everywhere(problem, c, u), *_neighbour(problem, others, c))
+        places = (everywhere(problem, c, u), *neighbour(problem, others, c))
         light = [joint(problem, (*others, place), base, widths=()) for place in places]
         fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
         if fit is not None and worth_adding(extra_of(best, fit), best.gain):
@@ -276,7 +276,7 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
     return None
 
 
-def _everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:
+def everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:
     """Return the effect of which `c` is the variant on one element, as strong there."""
     whole = candidate(c.name, problem.replayer.scene)
     at = whole.neutral.copy()
@@ -284,11 +284,15 @@ def _everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Ar
     return whole, at
 
 
-def _neighbour(problem: Problem, others: Members, c: Candidate) -> Members:
-    """Return the same effect on the other element that promises most beside the others; nothing where none does."""
+def neighbour(problem: Problem, others: Members, c: Candidate, apart: bool = False) -> Members:
+    """Return the same effect on the other element that promises most beside the others; nothing where none does.
+
+    Only on one that shares nothing with the element of `c`, where they are to lie `apart`.
+    """
     scene = problem.replayer.scene
     here = residuals_at(problem, others)
-    variants = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
+    every = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
+    variants = [v for v in every if not apart or is_elsewhere(v, c, scene)]
     base = problem.score.loss(here)
     fits = [fit_one(problem, v, response, base) for v, response in respond(problem, here, variants, others)[0]]
     best = max(fits, key=lambda f: f.gain, default=None)

@@ -220,7 +220,7 @@ def sharpened(problem: Problem, stage: Stage) -> Stage:
     scene = problem.replayer.scene
     best = _simplest(stage.fits[0], stage.fits, scene)
     near = [f for f in stage.fits if is_near(f, best) or best.gain - f.gain < LUCKY * stage.threshold]
-    others = [f for f in near if _is_elsewhere(f.members[0][0], best.members[0][0], scene)]
+    others = [f for f in near if is_elsewhere(f.members[0][0], best.members[0][0], scene)]
     front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
     if len({f.members[0][0].size > 1 for f in front}) > 1:
         front = [_as_vectors_are(problem, f, stage.base) for f in front]
@@ -229,7 +229,7 @@ def sharpened(problem: Problem, stage: Stage) -> Stage:
     return replace(stage, fits=(*front, *(f for f in stage.fits if f.labels[0] not in labels)))
 
 
-def _is_elsewhere(c: Candidate, best: Candidate, scene: Scene) -> bool:
+def is_elsewhere(c: Candidate, best: Candidate, scene: Scene) -> bool:
     """Tell whether a candidate is another effect, or the same on other elements: of two joints either may be at fault.
 
     (One joint's offset, read off blunt, gained 4.1 of 4.5 floors, and 4.4 as the next joint's.)
@@ -323,7 +323,7 @@ def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     fewest = min(f.members[0][0].size for f in same)
     plain = [f for f in same if f.members[0][0].size == fewest]
     whole = [f for f in plain if f.members[0][0].element is None]
-    if whole and any(_is_elsewhere(f.members[0][0], g.members[0][0], scene) for f, g in combinations(alike, 2)):
+    if whole and any(is_elsewhere(f.members[0][0], g.members[0][0], scene) for f, g in combinations(alike, 2)):
         return whole[0]
     most = max(f.gain for f in plain)
     sharp = [f for f in plain if most - f.gain <= BLUNT * most]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from candata.gap import fewer, trials, worth
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, local_candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
@@ -64,6 +64,36 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
     assert fewer.simplified(problem, one, False) == (one, problem, False)
     known, fit = replace(problem, measured=(some[0], some[2])), blunt_fit(problem, some)
     assert fewer.simplified(known, fit, True)[0] is fit
+
+
+def on(arm, name, element):
+    """An effect on one element, as a candidate."""
+    return next(c for c in local_candidates(candidate(name, arm), arm) if c.element == element)
+
+
+def test_what_either_of_two_joints_does_as_well_is_said_of_all(arm, two_causes):
+    problem, base = two_causes
+    local = (on(arm, "joint_dry_friction", "shoulder"), np.full(1, 0.3))
+    fit = joint(problem, (local, *members(arm, actuation_delay=0.03)), base)
+    found, world, _ = fewer.widened(problem, fit, True)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    assert found.members[0][1] == pytest.approx(0.3, rel=0.05)
+    assert found.gain > fit.gain
+    assert world is not problem, "in units of the floor of its own world"
+
+
+def test_the_fault_of_one_joint_stays_its_own(arm, arm_episodes, planted):
+    effects = (
+        *planted("joint_dry_friction", "elbow", frictionloss_Nm=0.3),
+        *planted("actuation_delay", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    local = (on(arm, "joint_dry_friction", "elbow"), np.full(1, 0.3))
+    fit = joint(problem, (local, *members(arm, actuation_delay=0.03)), problem.score.loss(problem.nominal))
+    assert fewer.widened(problem, fit, False) == (fit, problem, False)
+    alone = blunt_fit(problem, fit.members[:1])
+    assert fewer.widened(problem, alone, False) == (alone, problem, False), "single causes are compared elsewhere"
 
 
 def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
