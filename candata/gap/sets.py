@@ -127,7 +127,7 @@ def _next(problem: Problem, best: Fit, seems: bool = True) -> Fit | None:
     """
     stage, seen = _beside(problem, best.members, here_of(problem, best), seems)
     front = _front(best, stage)
-    if not has_room(best) or is_toss(problem.replayer.scene):
+    if is_toss(problem.replayer.scene):
         return sharp(problem, front)
     some = brief(seen)
     now, sums = _moved_along(problem, best, as_simulated(seen, stage), some)
