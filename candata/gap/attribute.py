@@ -117,6 +117,8 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         grown, world, remains = forward(world, better, first.fits)
         if grown.labels != better.labels:
             grown, others = challenged(problem, world, grown, rough)
-        better = grown
+        # Beside a right one in a wrong one's place, another may be worth nothing more.
+        better, world, remains = simplified(world, grown, remains)
+        others = others if better.labels == grown.labels else []
     tied = aliases(world, better, others) or tied
     return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))

@@ -325,3 +325,20 @@ def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge,
     report = judge(arm, arm_episodes(effects, count=12)).report
     assert "joint_damping" not in begun[1]
     assert {e.name for e in report.effects} == {"joint_dry_friction", "actuation_delay", "servo_gain"}
+
+
+def test_what_an_exchange_leaves_nothing_to_explain_is_left_out(arm, arm_episodes, planted, judge, monkeypatch):
+    """A right member in a wrong one's place explains what another had made up for."""
+    asked = []
+
+    def exchanged(problem, world, best, rough):
+        asked.append(best.labels)
+        if len(asked) > 1:
+            return best, []
+        damping = (candidate("joint_damping", arm), np.full(1, 0.002))
+        return joint(world, (*best.members, damping), world.score.loss(world.nominal), widths=()), []
+
+    monkeypatch.setattr(attribute, "challenged", exchanged)
+    report = judge(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12)).report
+    assert asked[0] == ("joint_dry_friction",)
+    assert [e.name for e in report.effects] == ["joint_dry_friction"]
