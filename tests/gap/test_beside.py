@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import sets
+from candata.gap import added, sets
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.pace import Pace
@@ -96,6 +96,19 @@ def test_what_is_left_of_a_large_gap_is_simulated_too_where_signatures_promise_n
     assert (set(found.labels) == {"actuation_delay", "joint_dry_friction"}) is named
 
 
+def test_what_comes_in_a_members_place_is_fitted_by_simulated_slopes(late, arm):
+    """Beside a long delay the signature of dry friction leads nowhere."""
+    problem, delay = late
+    part, index = brief(problem)
+    assert len(index) < len(problem.recs)
+    damping, dry = (
+        (candidate(name, arm), np.full(1, value))
+        for name, value in (("joint_damping", 0.3), ("joint_dry_friction", 0.2))
+    )
+    (found,) = added._nearest(part, (*delay.members, damping), [(*delay.members, dry)])
+    assert found[1][1][0] == pytest.approx(0.3, rel=0.03)
+
+
 @pytest.fixture(scope="module")
 def off(late):
     """The delay read 4 ms off, what every effect does beside it on a few episodes, and these."""
@@ -105,6 +118,18 @@ def off(late):
     held = replace(delay, members=((c, u - 0.004),), response=replace(delay.plane, at=u - 0.004, z=z))
     seen = looked_into(problem, z)
     return held, as_simulated(seen, look(seen, z, held.members)), brief(seen)
+
+
+def test_so_it_is_of_what_little_is_left_of_a_large_gap(late, off, monkeypatch):
+    problem, _ = late
+    held, *_ = off
+    asked, real = [], sets._moved_along
+    monkeypatch.setattr(sets, "has_room", lambda best: False)
+    monkeypatch.setattr(sets, "_moved_along", lambda *a: asked.append(a) or real(*a))
+    found = sets._next(problem, held, seems=False)
+    assert asked
+    assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
+    assert abs(found.members[0][1][0] - 0.12) < 0.002  # it was read 4 ms off
 
 
 def test_another_effect_is_found_with_what_is_held_moved_along(late, off):
