@@ -195,8 +195,8 @@ def _nearest(
         labels = {c.label for c, _ in members}
         (left,) = (label for label in least if label not in labels)
         if loss < max(least[left], far):
-            worthy.append((loss, members))
-    refitted = [joint(problem, members, base, WIDTHS[:1]).members for _, members in worthy[:ADDED]]
+            worthy.append(members)
+    refitted = [joint(problem, members, base, WIDTHS[:1]).members for members in worthy[:ADDED]]
     light = by_loss(problem, [joint(problem, members, base, widths=()).members for members in choices])
     refitted += [joint(problem, members, base, widths=WIDTHS[:2]).members for _, members in light[:ADDED]]
     return [members for loss, members in by_loss(problem, refitted)[:RIVALS] if loss < far] if refitted else []

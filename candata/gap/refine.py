@@ -181,8 +181,8 @@ def _through_valleys(problem: Problem, fit: Fit, plane: Plane, base: Array) -> P
     """Return the plane after moves along the numbers that show least, each followed by steps of simulated slopes.
 
     Where numbers nearly make up for one another, steps end anywhere along a valley: slopes say too little of the way.
-    (A tracker's scale, a support's height and a backlash stayed 0.24 floors above the truth, two offsets of one finger
-    0.15 with one of them 83 mrad off.)
+    (A tracker's scale, a support's height and a backlash stayed 0.15 floors above the truth, and so did two offsets of
+    one finger, one of them 83 mrad off.)
     """
     for _ in range(VALLEYS):
         before = float(problem.score.loss(plane.z).mean())

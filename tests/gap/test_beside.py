@@ -120,7 +120,7 @@ def off(late):
     return held, as_simulated(seen, look(seen, z, held.members)), brief(seen)
 
 
-def test_so_it_is_of_what_little_is_left_of_a_large_gap(late, off, monkeypatch):
+def test_for_what_little_is_left_of_a_large_gap_what_is_held_moves_along_too(late, off, monkeypatch):
     problem, _ = late
     held, *_ = off
     asked, real = [], sets._moved_along

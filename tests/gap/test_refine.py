@@ -105,8 +105,8 @@ def test_of_a_few_effects_the_slopes_of_all_numbers_are_simulated(problem, monke
 
 def test_no_slopes_are_simulated_of_a_set_that_leaves_next_to_nothing(problem, monkeypatch):
     monkeypatch.setattr(refine, "_differences", lambda *a: pytest.fail("slopes were simulated"))
-    c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
     problem = replace(problem, score=replace(problem.score, floor=1.1 * problem.score.floor))
+    c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
     found = refine.joint(problem, ((c, np.full(1, 0.3)),), base)
     above = float(problem.score.loss(found.plane.z).mean()) - 1
     assert above < refine.SHARP * float(base.mean())
