@@ -20,6 +20,9 @@ SLOW_MPS, SLOW_RADPS = 0.03, 0.3
 MEMORY_S = 4.0
 #: Rise of the object above its start from which it counts as off its support [m].
 OFF_M = 0.004
+#: Heights above its start over which what draws the object to its support fades to 1/e [m]: from films and skins that
+#: stick to magnets.
+NEAR_M = (0.005, 0.015, 0.045)
 
 #: Terms of a joint, and what each is said to depend on.
 JOINT_TERMS: tuple[tuple[str, ...], ...] = (
@@ -40,6 +43,9 @@ JOINT_TERMS: tuple[tuple[str, ...], ...] = (
 OBJECT_TERMS: tuple[tuple[str, ...], ...] = (
     ("constant",),
     ("off the support",),
+    ("nearness to the support",),
+    ("nearness to the support",),
+    ("nearness to the support",),
     ("in contact",),
     ("fingertip force",),
     ("position",),
@@ -124,7 +130,9 @@ def _object_terms(scene: Scene, past: Past, x: Forces) -> Array:
         return np.zeros((n, 0, AXES))
     at, dof = scene.object_qpos, scene.object_dof
     shift, velocity = x.qpos[:, at : at + 3] - past.start[:, at : at + 3], x.qvel[:, dof : dof + AXES]
-    flags = (np.ones(n), off_support(scene, past, x), x.touch, np.sqrt((x.tip_force**2).sum((1, 2))))
+    height = np.maximum(shift[:, 2], 0.0)
+    near = [np.exp(-height / fades) * (scene.file.support is not None) for fades in NEAR_M]
+    flags = (np.ones(n), off_support(scene, past, x), *near, x.touch, np.sqrt((x.tip_force**2).sum((1, 2))))
     even = [np.repeat(np.asarray(f, float)[:, None], AXES, axis=1) for f in flags]
     place = np.concatenate([shift, np.zeros((n, 3))], axis=1)
     sign = np.tanh(velocity / np.repeat([SLOW_MPS, SLOW_RADPS], 3))

@@ -83,6 +83,20 @@ def describe_force(sample: Sample, parts: Sequence[Index]) -> Description:
     return Description(chosen, fitted(sample, chosen), gain)
 
 
+def alternatives(sample: Sample, parts: Sequence[Index], chosen: tuple[int, ...]) -> list[Description]:
+    """Return descriptions by one group that gain as much as the best such within one standard error, the best first.
+
+    The description by the `chosen` terms is none of them, but what it begins with alone may be.
+    """
+    found = sorted(
+        (Description(group, fitted(sample, group), held_out_gain(sample, parts, group)) for group in sample.groups),
+        key=lambda d: -float(d.gain.sum()),
+    )
+    behind = [found[0].gain - d.gain for d in found]
+    near = [d for d, less in zip(found, behind, strict=True) if less.sum() <= _error(less) and d.gain.sum() > 0]
+    return [d for d in near if d.terms != chosen]
+
+
 def _error(more: Array) -> float:
     """Return the standard error of a sum over episodes."""
     return float(more.std(ddof=1) * np.sqrt(len(more))) if len(more) > 1 else 0.0

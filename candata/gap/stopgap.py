@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from candata.effects import effect, setting
 from candata.effects._residual_terms import AXES, JOINT_TERMS, sizes
@@ -24,7 +25,7 @@ Index = NDArray[np.int64]
 #: Name of the effect that plays a fitted residual force.
 EFFECT = "learned_residual"
 #: Multiples of the regressed force that are played to find how large it is: an observer shrinks what it sees.
-SCALES = (0.5, 1.0, 1.5)
+SCALES = (0.5, 1.0, 1.5, 2.0)
 
 
 @dataclass(frozen=True)
@@ -132,11 +133,11 @@ def _judged(problem: Problem, readings: dict[str, Array]) -> tuple[Array, Array]
 
 
 def _best_scale(losses: Array) -> float:
-    """Return the multiple with the least loss on a cubic through 0 and `SCALES`; 0 where a replay broke."""
+    """Return the multiple with the least loss on a cubic spline through 0 and `SCALES`; 0 where a replay broke."""
     if not np.isfinite(losses).all():
         return 0.0
-    curve = np.polynomial.Polynomial.fit((0.0, *SCALES), losses, 3)
-    grid = np.linspace(0, SCALES[-1], 61)
+    curve = CubicSpline((0.0, *SCALES), losses)
+    grid = np.linspace(0, SCALES[-1], 81)
     return float(grid[np.argmin(curve(grid))])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects._residual_terms import AXES, JOINT_TERMS, OBJECT_TERMS
-from candata.gap.dictionary import Description, Sample, describe_force, fitted
+from candata.gap.dictionary import Description, Sample, alternatives, describe_force, fitted
 from candata.gap.locate import slides
 from candata.gap.residual_force import Residual
 from candata.scenes import Scene
@@ -102,6 +102,11 @@ def suspects(scene: Scene, real: Residual, null: Residual, parts: Sequence[Index
     return sorted(found, key=lambda s: -s.gain)
 
 
+def otherwise(suspect: Suspect, parts: Sequence[Index]) -> list[Suspect]:
+    """Return a suspect with other plain descriptions that held-out episodes do not tell from the best, best first."""
+    return [replace(suspect, found=d) for d in alternatives(suspect.sample, parts, suspect.found.terms)]
+
+
 def _joint(scene: Scene, j: int, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:
     """Return the suspicion on one joint."""
     rows = _rows(scene)
@@ -126,6 +131,9 @@ def _object(scene: Scene, axes: slice, real: Residual, null: Residual, parts: Se
     pair = []
     for r in (real, null):
         force = np.where(_free(scene, r)[:, :, None], r.force[:, :, wanted], np.nan)
+        if axes.start == 0:
+            # The support takes what pulls the object onto it, and pushes with what it is spared.
+            force[..., 2] = np.where(_of_object(r, "off the support"), force[..., 2], np.nan)
         terms = np.moveaxis(r.object[..., axes], 2, 3)
         pair.append(Sample(_blocks(force, rows), _blocks(terms, rows), (), np.ones(axes.stop - axes.start)))
     sample = _against(pair[0], pair[1], [(k,) for k in range(len(OBJECT_TERMS))])
@@ -138,7 +146,12 @@ def _free(scene: Scene, r: Residual) -> NDArray[np.bool_]:
 
     An untouched object that rests on its support stays where it is whatever pulls it, up to dry friction.
     """
-    return (r.object[:, :, 1, 0] > 0) | (r.object[:, :, 2, 0] > 0)
+    return _of_object(r, "off the support") | _of_object(r, "in contact")
+
+
+def _of_object(r: Residual, circumstance: str) -> NDArray[np.bool_]:
+    """Return `(E, T)` whether a circumstance of the object holds."""
+    return np.asarray(r.object[:, :, OBJECT_TERMS.index((circumstance,)), 0] > 0)
 
 
 def _tip(scene: Scene, tip: int, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:

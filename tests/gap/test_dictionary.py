@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.gap.dictionary import Sample, describe_force, fitted, held_out_gain
+from candata.gap.dictionary import Sample, alternatives, describe_force, fitted, held_out_gain
 
 GROUPS = tuple((k,) for k in range(6))
 PARTS = [np.arange(8)[f::4] for f in range(4)]
@@ -82,3 +82,13 @@ def test_held_out_gain_sees_only_the_other_folds(noise):
     first, second = (held_out_gain(s, [PARTS[0]], (3,)) for s in (sample, other))
     assert (first[PARTS[0]] > 0).all()
     assert (second[PARTS[0]] < 0).all()
+
+
+def test_alternatives_are_those_that_held_out_episodes_do_not_tell_from_the_best(noise):
+    # Two terms that are nearly the same, and one that explains a part of them.
+    noise.terms[..., 3] = noise.terms[..., 5] + 0.05 * noise.terms[..., 3]
+    sample = planted(noise, 2.0 * noise.terms[..., 5])
+    chosen = describe_force(sample, PARTS).terms
+    others = alternatives(sample, PARTS, chosen)
+    assert {chosen[0], *(k for d in others for k in d.terms)} == {3, 5}
+    assert all(d.terms != chosen and d.gain.sum() > 0 for d in others)

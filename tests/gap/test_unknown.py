@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from candata.effects._residual_terms import OBJECT_TERMS
 from candata.gap import unknown
 from candata.gap.floor import floor
 from candata.gap.folds import folds
@@ -18,6 +19,7 @@ from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap
+from candata.gap.suspects import suspects
 from candata.gap.unknown import describe
 from candata.reports.files import STOPGAP, write_diagnosis
 from candata.schema.effect import EffectsFile
@@ -172,6 +174,22 @@ def test_a_wind_on_the_object_is_a_pull_in_its_direction(gripper, hiding):
     assert "on the object towards +y" in found.words
 
 
+def test_a_pull_that_fades_with_height_is_told_from_a_weight(gripper, hiding):
+    """On its support the object shows nothing of it; in the air a constant pull would fit its size, not its motion."""
+
+    def drawn(scene, memory, x):
+        out, height = np.zeros_like(x.added), x.qpos[:, scene.object_qpos + 2]
+        rest = memory.setdefault("rest", height.copy())
+        out[:, scene.object_dof + 2] = -1.2 * np.exp(-np.maximum(height - rest, 0) / 0.012)
+        return out
+
+    found = described(gripper, grips(gripper, hiding(hidden.force(drawn))))
+    assert found.unknown.acts_on == "object"
+    assert found.unknown.depends_on[0] == "nearness to the support"
+    assert "on the object towards -z that fades with its height above the table" in found.unknown.words
+    assert found.unknown.closable > 0.7
+
+
 def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
     found = described(gripper, grips(gripper, hiding(hidden.hysteresis("left", 0.4))))
     assert (found.unknown.acts_on, found.unknown.element, found.unknown.unit) == ("fingertip", "left", "N")
@@ -204,6 +222,17 @@ def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
     # After the settling of the first tenth of a second; 1 mrad of noise under a servo of 15 N m/rad is 15 mN m a row.
     assert np.nanmean(force[:, 20:, 1]) == pytest.approx(0.2, abs=0.01)
     assert np.nanmean(force[:, 20:, 0]) == pytest.approx(0.0, abs=0.01)
+
+
+def test_what_the_support_takes_is_not_known(gripper):
+    recs = grips(gripper, ())
+    seen = residual_force(Replayer(gripper), recs, starts(gripper, recs))
+    pull = next(s for s in suspects(gripper, seen, seen, folds(recs.tasks, np.random.default_rng(0)))
+                if s.place == "object" and s.axes.start == 0)  # fmt: skip
+    off = pull.sample.terms[:, :, 2, OBJECT_TERMS.index(("off the support",))]
+    known = np.isfinite(pull.sample.force)
+    assert set(off[known[..., 2]]) == {1.0}, "downwards only in the air"
+    assert (off[known[..., 0]] < 1).any(), "sideways on the support too, while it is touched"
 
 
 def test_rows_that_were_not_recorded_are_not_known(arm, arm_episodes):
@@ -239,6 +268,34 @@ def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
     ]
     # On motions it has not seen; the noise alone is a part of what remains.
     assert errors[1] < 0.5 * errors[0]
+
+
+def played(monkeypatch, closes: dict[tuple[str, ...], float], others=()):
+    """The function that chooses among suspects of which groups close what is given, by their names."""
+    monkeypatch.setattr(unknown, "otherwise", lambda suspect, parts: list(others))
+    monkeypatch.setattr(
+        unknown, "stopgap",
+        lambda problem, world, some: SimpleNamespace(suspects=tuple(some), closed=closes[tuple(s.name for s in some)]),
+    )  # fmt: skip
+    return lambda found: [s.name for s in unknown._best(SimpleNamespace(parts=()), (), found).suspects]
+
+
+def suspect(place: str, name: str, gain: float = 1.0):
+    return SimpleNamespace(place=place, name=name, gain=gain)
+
+
+def test_what_acts_in_several_places_is_not_lost_to_one_place_that_closes_more_than_each(monkeypatch):
+    closes = {("a",): 0.1, ("b",): 0.13, ("tip",): 0.2, ("a", "b"): 0.8}
+    found = [suspect("joint", "a"), suspect("joint", "b"), suspect("fingertip", "tip")]
+    assert played(monkeypatch, closes)(found) == ["a", "b"]
+    assert played(monkeypatch, closes | {("a", "b"): 0.24})(found) == ["tip"]
+
+
+def test_a_plainer_description_is_taken_where_it_closes_more(monkeypatch):
+    found = [suspect("object", "steady")]
+    for closable, taken in ((0.6, "fading"), (0.52, "steady")):
+        choose = played(monkeypatch, {("steady",): 0.5, ("fading",): closable}, [suspect("object", "fading")])
+        assert choose(found) == [taken]
 
 
 @pytest.mark.parametrize(("scale", "after", "closed"), [(1.0, 1.5, 0.5), (0.0, 1.5, 0.0), (0.0, 2.5, -0.5)])
