@@ -34,6 +34,7 @@ from candata.gap.worth import (
     is_next,
     leaves,
     left_by,
+    settles,
     worth_adding,
 )
 
@@ -85,11 +86,12 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
             problem, best = world, sharper
             continue
         if grown is None or not is_next(best, grown, tasks):
-            if not has_room(best):
-                return best, world, remains
-            world.pace.told("trying other effects in place of what was found early")
-            grown = _swapped(world, best) or _moved(world, best)
-            grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
+            if has_room(best):
+                world.pace.told("trying other effects in place of what was found early")
+                grown = _swapped(world, best) or _moved(world, best)
+                grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
+            else:
+                grown = _moved(world, best)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
@@ -271,9 +273,17 @@ def _moved(problem: Problem, best: Fit) -> Fit | None:
         places = (everywhere(problem, c, u), *neighbour(problem, others, c))
         light = [joint(problem, (*others, place), base, widths=()) for place in places]
         fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
-        if fit is not None and worth_adding(extra_of(best, fit), best.gain):
+        if fit is not None and _is_better(best, fit, problem.recs.tasks):
             return pruned(problem, fit, base)
     return None
+
+
+def _is_better(best: Fit, other: Fit, tasks: Sequence[str]) -> bool:
+    """Tell whether another set explains clearly more: as much as one more name must, or surely most of what is left.
+
+    (Of 22 floors, the offsets of five joints in place of that of one left 0.2 of 0.9, less than a name is worth.)
+    """
+    return worth_adding(extra_of(best, other), best.gain) or settles(best, other, tasks)
 
 
 def everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:

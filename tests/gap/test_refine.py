@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from candata.gap import refine
 from candata.gap.added import here_of
-from candata.gap.candidates import candidate
+from candata.gap.candidates import Candidate, candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.floor import perturbed
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.response import Plane
-from candata.gap.score import weights
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, fit_one
 
@@ -72,22 +72,30 @@ def test_a_scalar_is_simulated_around_its_best_and_there(problem, rollouts):
     assert np.abs(sure - found.members[0][1][0]).min() < 0.02 * 0.3
 
 
-@pytest.mark.parametrize(("helpful", "simulated"), [(0, (0, 2)), (1, (0, 1, 2)), (3, (0, 1, 2))])
-def test_where_a_width_helps_no_more_only_the_last_is_simulated(problem, monkeypatch, helpful, simulated):
+@pytest.mark.parametrize(
+    ("helpful", "simulated"),
+    [(0, (0, 2)), (1, (0, 1, 2)), (3, (0, 1, 2, 2, 2)), (99, (0, 1, 2, *[2] * refine.AGAIN))],
+)
+def test_slopes_are_simulated_again_while_that_helps_and_once_more(problem, monkeypatch, helpful, simulated):
     widths = []
 
-    def differences(problem, members, world, z, width):
+    def differences(problem, members, world, z, width, known):
         widths.append(width)
         return np.zeros((1, *z.shape), z.dtype)
 
     def descended(problem, fit, plane, slope):
-        return replace(plane, z=plane.z.copy()) if 0 < len(widths) <= helpful else plane
+        return replace(plane, z=0.95 * plane.z) if 0 < len(widths) <= helpful else plane
 
+    monkeypatch.setattr(refine, "SHARP", -1.0)
     monkeypatch.setattr(refine, "_differences", differences)
     monkeypatch.setattr(refine, "_descended", descended)
-    c = candidate("joint_damping", problem.replayer.scene)
-    refine.joint(problem, ((c, np.full(1, 0.3)),), problem.score.loss(problem.nominal))
+    members = ((candidate("joint_damping", problem.replayer.scene), np.full(1, 0.3)),)
+    base = problem.score.loss(problem.nominal)
+    refine.joint(problem, members, base)
     assert widths == [refine.WIDTHS[i] for i in simulated]
+    widths.clear()
+    refine.joint(problem, members, base, refine.WIDTHS[:1])
+    assert widths == [refine.WIDTHS[0]], "again over the last width alone"
 
 
 @pytest.mark.parametrize(("names", "simulated"), [(3, True), (4, False)])
@@ -195,54 +203,76 @@ def test_a_step_stays_inside_the_bounds_however_far_it_gains(offset):
 
 
 @pytest.fixture
-def aside(problem):
-    """The true set of two effects, its plane there, and the directions that show least and most, in its numbers."""
+def two(problem):
+    """Two effects a little off their true values: three numbers, their world, and where they are."""
     scene = problem.replayer.scene
     dry, gain = (candidate(name, scene) for name in ("joint_dry_friction", "servo_gain"))
-    members = ((dry, np.full(1, 0.3)), (gain, gain.neutral))
-    world = partial(refine.divided, members)
-    plane = refine.around(problem, members, world)
-    plane = replace(plane, slope=refine._differences(problem, members, world, plane.z, refine.WIDTHS[-1]))
-    size = np.concatenate([refine.typical_size(c, scene) for c, _ in members])
-    flat = (plane.slope * size[:, None, None]).reshape(2, -1)
-    weak, strong = np.linalg.eigh(((flat * weights(plane.z).ravel()) @ flat.T).astype(float))[1].T * size
-    evidence = cross_fit(plane, problem.score, problem.parts, problem.score.loss(problem.nominal))
-    return Fit(members, plane, evidence), weak, strong
+    return ((dry, np.full(1, 0.25)), (gain, gain.neutral))
 
 
-def moved(problem, fit, u):
-    """The plane of a fit moved to coordinates, its slopes kept."""
-    return replace(fit.plane, at=u, z=problem.residuals([problem.setting(fit.split(u))])[0])
+def asked(monkeypatch, problem, members, world, known):
+    """The coordinates that slopes are read at, and the slopes."""
+    seen = []
+
+    def here(u):
+        seen.append(np.asarray(u))
+        return world(u)
+
+    z = problem.residuals([problem.setting(members)])[0]
+    return seen, refine._differences(problem, members, here, z, 0.25, known)
 
 
-@pytest.mark.parametrize("side", [-1, 1])
-@pytest.mark.parametrize("off", [0.0, 0.1])
-def test_a_fit_that_stands_aside_moves_along_what_shows_least_and_down_the_rest(problem, aside, side, off):
-    fit, weak, strong = aside
-    plane = moved(problem, fit, fit.plane.at + side * refine.ASIDE * weak + off * strong)
-    found = refine._aside(problem, fit, plane)
-    assert left(problem, fit.plane) < 1.1
-    assert left(problem, found) - 1 < 0.05 * (left(problem, plane) - 1)
-    assert found.at == pytest.approx(fit.plane.at, abs=0.03)
+def test_slopes_along_turned_directions_are_those_along_numbers(problem, two, monkeypatch):
+    world = partial(refine.divided, two)
+    _, plain = asked(monkeypatch, problem, two, world, None)
+    seen, turned = asked(monkeypatch, problem, two, world, plain)
+    away = np.array(seen) - np.concatenate([u for _, u in two])
+    assert (np.count_nonzero(np.abs(away) > 1e-6, axis=1) > 1).any(), "not along the numbers themselves"
+    assert np.abs(turned - plain).mean() < 0.2 * np.abs(plain).mean()
 
 
-def test_a_joint_fit_that_steps_leave_in_a_valley_gets_out_of_it(problem, aside, monkeypatch):
-    fit, weak, _ = aside
-    base, begin = problem.score.loss(problem.nominal), fit.plane.at + refine.ASIDE * weak
-    monkeypatch.setattr(refine, "_descended", lambda problem, fit, plane, slope: plane)  # no step helps
+class Valley:
+    """Two numbers that nearly make up for one another, read with chaos that is anew in every world."""
 
-    def fitted(widths=refine.WIDTHS):
-        return np.concatenate([u for _, u in refine.joint(problem, fit.split(begin), base, widths).members])
+    def __init__(self, chaos: float):
+        rng = np.random.default_rng(3)
+        once, other = rng.normal(0, 1, (2, 6, 40))
+        self.slope = np.stack([once + 0.05 * other, once]).astype(np.float32)
+        self.chaos, self.rng = chaos, rng
+        self.replayer = SimpleNamespace(scene=None)
 
-    assert fitted() == pytest.approx(fit.plane.at, abs=0.03)
-    for blunt in (refine.WIDTHS[:1], ()):  # where slopes are not simulated to the last, nor is this
-        assert fitted(blunt) == pytest.approx(begin)
-    monkeypatch.setattr(refine, "VALLEYS", 0)
-    assert fitted() == pytest.approx(begin)
+    def setting(self, members):
+        return np.concatenate([u for _, u in members])
+
+    def residuals(self, worlds):
+        return [
+            (np.tensordot(u, self.slope, 1) + self.chaos * self.rng.normal(0, 1, self.slope.shape[1:])).astype(
+                np.float32
+            )
+            for u in worlds
+        ]
 
 
-def test_of_one_number_nothing_lies_aside(problem):
-    c, base = candidate("joint_dry_friction", problem.replayer.scene), problem.score.loss(problem.nominal)
-    plane = placed(problem, c, np.full(1, 0.2))
-    fit = Fit(((c, np.full(1, 0.2)),), plane, cross_fit(plane, problem.score, problem.parts, base))
-    assert refine._aside(problem, fit, plane) is plane
+def test_what_two_numbers_do_together_is_told_where_each_does_much(monkeypatch):
+    monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
+    c = Candidate("joint_offset", None, np.zeros(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2, bool), False,
+                  np.ones(2, bool), np.zeros(2))  # fmt: skip
+    members, valley = ((c, np.zeros(2)),), Valley(0.1)
+    world, z = partial(refine.divided, members), np.zeros((6, 40), np.float32)
+    wrong, known = [], None
+    for _ in range(3):
+        known = refine._differences(valley, members, world, z, 0.25, known)
+        together = known[0] - known[1] - (valley.slope[0] - valley.slope[1])
+        wrong.append(float(np.sqrt((together**2).mean())))
+    assert wrong[2] < 0.5 * wrong[0]
+
+
+@pytest.mark.parametrize("at", [(-9.0, 0.0), (9.0, 9.0), (8.9, -8.9), (0.0, 0.1)])
+def test_slopes_are_read_inside_the_bounds(monkeypatch, at):
+    monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
+    c = Candidate("joint_offset", None, np.zeros(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2, bool), False,
+                  np.ones(2, bool), np.zeros(2))  # fmt: skip
+    members, valley = ((c, np.array(at)),), Valley(0.0)
+    seen, slope = asked(monkeypatch, valley, members, partial(refine.divided, members), valley.slope)
+    assert all((np.abs(u) <= 9.0).all() for u in seen)
+    assert slope == pytest.approx(valley.slope, abs=1e-4)

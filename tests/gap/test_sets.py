@@ -99,8 +99,11 @@ def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(a
     problem, base = two_causes
     delay = members(arm, actuation_delay=0.03)
     elbow = (candidate("joint_dry_friction", arm, "elbow"), np.array([0.3]))
-    found = sets._moved(problem, joint(problem, (*delay, elbow), base))
-    assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
+    wrong = joint(problem, (*delay, elbow), base)
+    large = replace(wrong, evidence=replace(wrong.evidence, gain=100 * wrong.evidence.gain))
+    for best in (wrong, large):  # a large gap, too, of which so little is left that it is worth no other name
+        found = sets._moved(problem, best)
+        assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
     assert sets._moved(problem, found) is None
 
 
