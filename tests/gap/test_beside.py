@@ -109,6 +109,21 @@ def test_what_comes_in_a_members_place_is_fitted_by_simulated_slopes(late, arm):
     assert found[1][1][0] == pytest.approx(0.3, rel=0.03)
 
 
+def test_of_much_that_is_left_what_comes_in_a_members_place_is_fitted_from_however_far(late, arm):
+    """The others made up for what was wrong, and must move before the right one shows what it is worth."""
+    problem, delay = late
+    part, _ = brief(problem)
+    damping, dry = (
+        (candidate(name, arm), np.full(1, value))
+        for name, value in (("joint_damping", 0.3), ("joint_dry_friction", 0.02))
+    )
+    ((c, u),) = delay.members
+    far = [((c, u - 0.02), dry)]
+    assert added._nearest(part, (*delay.members, damping), far) == []
+    (found,) = added._nearest(part, (*delay.members, damping), far, much=True)
+    assert found[1][1][0] == pytest.approx(0.3, rel=0.03)
+
+
 @pytest.fixture(scope="module")
 def off(late):
     """The delay read 4 ms off, what every effect does beside it on a few episodes, and these."""
