@@ -43,10 +43,12 @@ Index = NDArray[np.int64]
 #: Times the gain of all that a member of that fit may be worth. Chosen: true members were worth 1.15 at most; of four
 #: names given to a friction that no effect is, damping of the joints 2.9 and less damping of the servos 2.4.
 CANCELS = 2.0
-#: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where fewer
-#: floors than these are left; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms,
-#: damping of contacts promised nothing and was worth all of the 3.4 floors left. Nor is a search made again for less.
-BELIEVED, SETTLED = 0.5, 0.5
+#: Beside other causes signatures are believed where the best candidate gains this share of what is left, or where less
+#: than `LEFT` is; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of
+#: contacts promised nothing and was worth all of the 3.4 floors left, and torsional friction all of 0.4.
+BELIEVED = 0.5
+#: Floors that must be left for a search to be made again, or two effects to be taken in place of one. Chosen.
+SETTLED = 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a
 #: true scale of the tracker promised 0.83 of what a bias did, it gained more.
 ROUGHLY = 0.7
@@ -234,7 +236,7 @@ def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> t
 def _is_promising(stage: Stage) -> bool:
     """Tell whether the effects beside others promise enough of what these leave."""
     left = float(stage.base.mean()) - 1
-    return left < SETTLED or stage.best_gain > BELIEVED * left
+    return left < LEFT or stage.best_gain > BELIEVED * left
 
 
 def _swapped(problem: Problem, best: Fit) -> Fit | None:
