@@ -213,6 +213,9 @@ def _differences(
     at, low, high = (np.concatenate(parts) for parts in zip(*((u, c.low, c.high) for c, u in members), strict=True))
     free = np.concatenate([np.full(c.size, not c.choices) for c, _ in members])
     size = np.concatenate([typical_size(c, problem.replayer.scene) for c, _ in members])
+    slope = np.zeros((len(at), *z.shape), z.dtype)
+    if not free.any():
+        return slope
     ways, far = np.diag(size)[free], np.full(int(free.sum()), width)
     inner = (np.minimum(at - low, high - at) > width * size)[free]
     if known is not None and inner.any():
@@ -222,7 +225,6 @@ def _differences(
     steps = [_inside(at - low, high - at, way, h) for way, h in zip(ways, far, strict=True)]
     zs = problem.residuals([problem.setting(world(at + h * way)) for h, way in zip(steps, ways, strict=True)])
     along = np.stack([(moved - z) / np.float32(h) for moved, h in zip(zs, steps, strict=True)])
-    slope = np.zeros((len(at), *z.shape), z.dtype)
     slope[free] = np.tensordot((ways[:, free] / size[free] ** 2).T.astype(z.dtype), along, 1)
     return slope
 

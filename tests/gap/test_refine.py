@@ -231,6 +231,19 @@ def test_slopes_along_turned_directions_are_those_along_numbers(problem, two, mo
     assert np.abs(turned - plain).mean() < 0.2 * np.abs(plain).mean()
 
 
+def test_a_choice_has_no_slope_and_leaves_the_others_theirs(problem, two, monkeypatch):
+    scene = problem.replayer.scene
+    choices = tuple((c, c.low) for c in (candidate(name, scene) for name in ("integrator", "time_step")))
+    fit = refine.joint(problem, choices, problem.score.loss(problem.nominal))
+    assert not fit.plane.slope.any()
+    assert [u[0] for _, u in fit.members] == [u[0] for _, u in choices]
+    both = (choices[0], *two)
+    _, plain = asked(monkeypatch, problem, both, partial(refine.divided, both), None)
+    _, turned = asked(monkeypatch, problem, both, partial(refine.divided, both), plain)
+    assert not turned[0].any()
+    assert turned[1:].any(axis=(1, 2)).all()
+
+
 class Valley:
     """Two numbers that nearly make up for one another, read with chaos that is anew in every world."""
 
