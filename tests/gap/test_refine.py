@@ -210,7 +210,7 @@ def two(problem):
     return ((dry, np.full(1, 0.25)), (gain, gain.neutral))
 
 
-def asked(monkeypatch, problem, members, world, known):
+def asked(problem, members, world, known):
     """The coordinates that slopes are read at, and the slopes."""
     seen = []
 
@@ -222,24 +222,24 @@ def asked(monkeypatch, problem, members, world, known):
     return seen, refine._differences(problem, members, here, z, 0.25, known)
 
 
-def test_slopes_along_turned_directions_are_those_along_numbers(problem, two, monkeypatch):
+def test_slopes_along_turned_directions_are_those_along_numbers(problem, two):
     world = partial(refine.divided, two)
-    _, plain = asked(monkeypatch, problem, two, world, None)
-    seen, turned = asked(monkeypatch, problem, two, world, plain)
+    _, plain = asked(problem, two, world, None)
+    seen, turned = asked(problem, two, world, plain)
     away = np.array(seen) - np.concatenate([u for _, u in two])
     assert (np.count_nonzero(np.abs(away) > 1e-6, axis=1) > 1).any(), "not along the numbers themselves"
     assert np.abs(turned - plain).mean() < 0.2 * np.abs(plain).mean()
 
 
-def test_a_choice_has_no_slope_and_leaves_the_others_theirs(problem, two, monkeypatch):
+def test_a_choice_has_no_slope_and_leaves_the_others_theirs(problem, two):
     scene = problem.replayer.scene
     choices = tuple((c, c.low) for c in (candidate(name, scene) for name in ("integrator", "time_step")))
     fit = refine.joint(problem, choices, problem.score.loss(problem.nominal))
     assert not fit.plane.slope.any()
     assert [u[0] for _, u in fit.members] == [u[0] for _, u in choices]
     both = (choices[0], *two)
-    _, plain = asked(monkeypatch, problem, both, partial(refine.divided, both), None)
-    _, turned = asked(monkeypatch, problem, both, partial(refine.divided, both), plain)
+    _, plain = asked(problem, both, partial(refine.divided, both), None)
+    _, turned = asked(problem, both, partial(refine.divided, both), plain)
     assert not turned[0].any()
     assert turned[1:].any(axis=(1, 2)).all()
 
@@ -266,11 +266,17 @@ class Valley:
         ]
 
 
-def test_what_two_numbers_do_together_is_told_where_each_does_much(monkeypatch):
+@pytest.fixture
+def pair(monkeypatch):
+    """An effect of two numbers between -9 and 9, of which one is plausible."""
     monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
     c = Candidate("joint_offset", None, np.zeros(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2, bool), False,
                   np.ones(2, bool), np.zeros(2))  # fmt: skip
-    members, valley = ((c, np.zeros(2)),), Valley(0.1)
+    return c
+
+
+def test_what_two_numbers_do_together_is_told_where_each_does_much(pair):
+    members, valley = ((pair, np.zeros(2)),), Valley(0.1)
     world, z = partial(refine.divided, members), np.zeros((6, 40), np.float32)
     wrong, known = [], None
     for _ in range(3):
@@ -281,11 +287,8 @@ def test_what_two_numbers_do_together_is_told_where_each_does_much(monkeypatch):
 
 
 @pytest.mark.parametrize("at", [(-9.0, 0.0), (9.0, 9.0), (8.9, -8.9), (0.0, 0.1)])
-def test_slopes_are_read_inside_the_bounds(monkeypatch, at):
-    monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
-    c = Candidate("joint_offset", None, np.zeros(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2, bool), False,
-                  np.ones(2, bool), np.zeros(2))  # fmt: skip
-    members, valley = ((c, np.array(at)),), Valley(0.0)
-    seen, slope = asked(monkeypatch, valley, members, partial(refine.divided, members), valley.slope)
+def test_slopes_are_read_inside_the_bounds(pair, at):
+    members, valley = ((pair, np.array(at)),), Valley(0.0)
+    seen, slope = asked(valley, members, partial(refine.divided, members), valley.slope)
     assert all((np.abs(u) <= 9.0).all() for u in seen)
     assert slope == pytest.approx(valley.slope, abs=1e-4)
