@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import merged, simplified, widened
+from candata.gap.mending import Doubt, Mended
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
-from candata.gap.sets import SETTLED, compared, forward, jointly, with_measured
+from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
 from candata.gap.shortlist import gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
@@ -41,6 +42,8 @@ class Attribution:
         Whether the held-out loss of the chosen set (or of the nominal scene) lies above the nulls.
     rivals : tuple of Fit
         Sets with one member of the chosen one exchanged that the held-out episodes cannot tell from it.
+    force : Mended or None
+        A force that explains clearly more than what was found, where that ended the search.
     """
 
     first: Stage
@@ -49,6 +52,7 @@ class Attribution:
     score: Score
     remains: bool
     rivals: tuple[Fit, ...] = ()
+    force: Mended | None = None
 
 
 def attribute(problem: Problem) -> Attribution:
@@ -56,9 +60,14 @@ def attribute(problem: Problem) -> Attribution:
 
     What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
     even then, and that is much or nothing is named, effects are looked at again, simulated on the recording: in a world
-    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there.
+    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there. Where one
+    force explains clearly more than what is found, no more is looked for.
     """
-    found = _search(problem, look(problem, problem.nominal, ()))
+    # A toss has no motion that a force could be read off.
+    doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
+    found = _search(problem, look(problem, problem.nominal, ()), doubt)
+    if found.force:
+        return found
     share, floors = _left(problem, found)
     little = found.chosen is not None and (share <= MOST or floors < SETTLED)
     if is_toss(problem.replayer.scene) or not found.remains or little:
@@ -69,7 +78,7 @@ def attribute(problem: Problem) -> Attribution:
     problem = looked_into(problem, here)
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
-    other = _search(problem, look(problem, problem.nominal, (), found.first))
+    other = _search(problem, look(problem, problem.nominal, (), found.first), doubt)
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
@@ -82,8 +91,8 @@ def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
     return after / before if before > LEFT else 0.0, after
 
 
-def _search(problem: Problem, first: Stage) -> Attribution:
-    """Return what the search finds that begins with the evidence of every candidate alone."""
+def _search(problem: Problem, first: Stage, doubt: Doubt | None) -> Attribution:
+    """Return what the search finds that begins with the evidence of every candidate alone, or where a doubt ends it."""
     nominal = problem.nominal
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     if remains and first.faint and first.passing() is None and not problem.simulated:
@@ -100,13 +109,15 @@ def _search(problem: Problem, first: Stage) -> Attribution:
         first = sharpened(problem, narrowed(problem, nominal, first))
     best, rough = first.fits[0], as_simulated(problem, first)
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
-    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough)
+    chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough, doubt)
+    if doubt and doubt.stands:
+        return Attribution(first, chosen, (chosen,), world.score, remains, force=doubt.stands)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
     if len(tied) > 1:
         return Attribution(first, chosen, tuple(tied), world.score, remains)
-    if remains:
+    if remains and not joins_first(world, chosen):
         chosen, world, remains = jointly(world, chosen)
     chosen, world, remains = simplified(world, chosen, remains)
     chosen, world, remains = merged(world, chosen, remains)
@@ -114,7 +125,7 @@ def _search(problem: Problem, first: Stage) -> Attribution:
     better, others = challenged(problem, world, chosen, rough)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.
-        grown, world, remains = forward(world, better, first.fits)
+        grown, world, remains = forward(world, better, first.fits, doubt=doubt)
         if grown.labels != better.labels:
             grown, others = challenged(problem, world, grown, rough)
         # Beside a right one in a wrong one's place, another may be worth nothing more.

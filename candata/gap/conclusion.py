@@ -23,7 +23,7 @@ from candata.gap.replay import EffectSet
 from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
-from candata.gap.unknown import Described, describe, unseating
+from candata.gap.unknown import Described, describe, described, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -130,9 +130,12 @@ def _unseated(
 
     (For a motor that cogs, two faults of its joint were tied that closed 44 %; the force closes 83 %.)
     """
-    if word in ("no_gap", "unknown_effect"):
+    nearest = f.found.first.fits[0].labels[0] if f.found.first.fits else None
+    if f.found.force:
+        return described(f.found.force, (), where, nearest)
+    if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    return unseating(_judged(f), size, where, f.found.first.fits[0].labels[0], rng)
+    return unseating(_judged(f), size, where, nearest, rng)
 
 
 def _rest(

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from candata.gap.added import ADDED, by_loss, residuals_at
 from candata.gap.candidates import Candidate
+from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.refine import joint
-from candata.gap.response import Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.sets import Grown, everywhere, judged, neighbour
+from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.trials import least_worth, sharp, without
@@ -78,11 +78,7 @@ def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]])
 
 def _losses_without(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> tuple[float, float]:
     """Return the loss that slopes promise without a member as the others stand, and once they are refitted."""
-    plane = best.plane
-    own = np.concatenate([np.full(c.size, c is left[0]) for c, _ in best.members])
-    at = plane.at.copy()
-    at[own] = left[0].neutral
-    rest = Plane(plane.low[~own], plane.high[~own], plane.at[~own], plane.read(at), plane.slope[~own])
+    rest = best.plane_without((left,))
     refitted = rest.read(rest.best(np.arange(len(rest.z))))
     left_out, promised = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted))
     return left_out, promised

@@ -169,6 +169,11 @@ class Fit:
             raise TypeError(f"{self.labels} has no plane")
         return self.response
 
+    def plane_without(self, left: Sequence[tuple[Candidate, Array]]) -> Plane:
+        """Return the plane of the other members where some are at their neutral values, as slopes promise it."""
+        own = np.concatenate([np.full(c.size, any(c is one for one, _ in left)) for c, _ in self.members])
+        return self.plane.held(own, np.concatenate([c.neutral for c, _ in self.members]))
+
     def led_by(self, label: str) -> Fit:
         """Return the same set with one member before the others."""
         order = sorted(range(len(self.members)), key=lambda i: self.labels[i] != label)

@@ -2,39 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.added import ADDED, ALIKE, here_of, pieces_of, residuals_at, together
-from candata.gap.candidates import Candidate, candidate, local_candidates
+from candata.gap.candidates import Candidate
+from candata.gap.elsewhere import moved
 from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
+from candata.gap.mending import Doubt
 from candata.gap.pace import ANOTHER, BESIDE, JOINT
 from candata.gap.refine import joint
 from candata.gap.score import Compact, score
-from candata.gap.screen import respond
-from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, gains_share, looked_into
-from candata.gap.sparse import pruned, sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, as_simulated, is_elsewhere, is_near, is_tied, look, unheld
+from candata.gap.sparse import sparse
+from candata.gap.stage import RIVALS, Stage, as_simulated, is_near, is_tied, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest
 from candata.gap.worth import (
+    EXTRA,
     FAINT,
     LARGEST,
     LEFT,
     MOST,
-    extra_of,
     has_room,
     is_full,
     is_next,
     leaves,
     left_by,
-    settles,
     worth_adding,
 )
 
@@ -54,18 +55,24 @@ SETTLED = 0.5
 ROUGHLY = 0.7
 #: Share of the best gain that the next best effect must have to be tried in its place, with a third. Chosen.
 NEXT = 0.5
+#: Times what a name is worth that slopes may promise members to be worth, for the others to be fitted without them.
+#: Chosen: slopes of what makes up for one another promise too much.
+HOPELESS = 4.0
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
 #: A set, the problem in units of the floor of its world, and whether a gap remains.
 Grown = tuple[Fit, Problem, bool]
 
 
-def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses = ()) -> Grown:
+def forward(
+    problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses = (), doubt: Doubt | None = None
+) -> Grown:
     """Return the best set that grows from `best`, the problem in units of its floor, and whether a gap remains.
 
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. First tried
     is a set to whose signatures, `rough` on a few episodes, the recording adds up. Where a gap is left, what was taken
-    early is looked at again beside what came later, and two of the fits `alone` together.
+    early is looked at again beside what came later, and two of the fits `alone` together. Where signatures promise too
+    little of what is left, or a full set leaves much, a `doubt` that stands ends it.
     """
     while True:
         first = best
@@ -81,22 +88,38 @@ def forward(problem: Problem, best: Fit, alone: Sequence[Fit], rough: Responses 
         if not seems and world.plays_all:
             return best, world, remains
         world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
-        grown = None if is_full(best.members, problem.measured) else _next(world, best, seems)
+        full = is_full(best.members, problem.measured)
+        grown = None if full else _next(world, best, seems, doubt)
+        if doubt and (doubt.stands or (full and is_doubted(world, best, doubt))):
+            return best, world, remains
         tasks = world.recs.tasks
         sharper = _sharper(world, best, grown) if grown is not None and is_next(best, grown, tasks) else None
         if grown is not None and sharper is not None and not is_next(sharper, grown, tasks):
             problem, best = world, sharper
             continue
         if grown is None or not is_next(best, grown, tasks):
+            if joins_first(world, best):
+                many = jointly(world, best)
+                if many[0] is not best:
+                    return many
             if has_room(best):
                 world.pace.told("trying other effects in place of what was found early")
-                grown = _swapped(world, best) or _moved(world, best)
+                grown = _swapped(world, best) or moved(world, best)
                 grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
             else:
-                grown = _moved(world, best)
+                grown = moved(world, best)
         if grown is None:
             return best, world, remains
         problem, best = world, grown
+
+
+def joins_first(problem: Problem, best: Fit) -> bool:
+    """Tell whether a joint fit is tried before other members in the place of those of a set: of full ones, not tosses'.
+
+    Where everything is a little wrong, no three effects explain it, and a joint fit tells so for a fraction of what
+    trying others in the place of each costs.
+    """
+    return is_full(best.members, problem.measured) and not problem.plays_all
 
 
 def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> tuple[list[Fit], Grown]:
@@ -123,13 +146,21 @@ def judged(problem: Problem, fit: Fit) -> Grown:
     return fit, world, leaves(world, fit)
 
 
-def _next(problem: Problem, best: Fit, seems: bool = True) -> Fit | None:
+def is_doubted(problem: Problem, best: Fit, doubt: Doubt | None) -> bool:
+    """Tell whether a doubt stands against a set that leaves something to speak of."""
+    return doubt is not None and left_by(best) > LEFT and doubt.of(problem, here_of(problem, best))
+
+
+def _next(problem: Problem, best: Fit, seems: bool = True, doubt: Doubt | None = None) -> Fit | None:
     """Return the best set with one more effect: what passes, or a near rival of it; None where nothing passes.
 
     `seems` tells whether signatures are worth a look: of a large gap of which little is left, what promises nothing by
-    them is simulated at once.
+    them is simulated at once. None, too, where they promise too little and a doubt stands.
     """
-    stage, seen = _beside(problem, best.members, here_of(problem, best), seems)
+    seeing = _beside(problem, best.members, here_of(problem, best), seems, partial(is_doubted, problem, best, doubt))
+    if seeing is None:
+        return None
+    stage, seen = seeing
     front = _front(best, stage)
     if is_toss(problem.replayer.scene):
         return sharp(problem, front)
@@ -218,15 +249,20 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
     return found if found.gain > best.gain else None
 
 
-def _beside(problem: Problem, members: Members, here: Compact, seems: bool) -> tuple[Stage, Problem]:
+def _beside(
+    problem: Problem, members: Members, here: Compact, seems: bool, doubted: Callable[[], bool] = lambda: False
+) -> tuple[Stage, Problem] | None:
     """Return the evidence of every candidate beside effects whose residuals are `here (E, K)`, and how it was seen.
 
-    They are simulated there where signatures promise little, and count if they promise more. (Beside a torque limit
-    the object stays down, and a tracker that lags by 43 ms promised nothing of the 0.18 floors left, all its own.)
+    They are simulated there where signatures promise little, unless that is `doubted`: then None; and count if they
+    promise more. (Beside a torque limit the object stays down, and a tracker that lags by 43 ms promised nothing of the
+    0.18 floors left, all its own.)
     """
     stage = look(problem, here, members) if seems else None
     if stage is not None and (problem.plays_all or _is_promising(stage)):
         return stage, problem
+    if doubted():
+        return None
     problem.pace.say("simulating every effect beside these on the recording itself", BESIDE)
     simulated = looked_into(problem, here)
     other = look(simulated, here, members, stage)
@@ -257,58 +293,6 @@ def _swapped(problem: Problem, best: Fit) -> Fit | None:
         if worth_adding(best.evidence.loss - fit.evidence.loss, best.gain):
             return fit
     return None
-
-
-def _moved(problem: Problem, best: Fit) -> Fit | None:
-    """Return the set with the fault of one element taken for one of all or of another, where that explains more.
-
-    None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
-    moves; what made up for the wrong place is dropped with it.
-    """
-    if left_by(best) < LEFT:
-        return None
-    base = problem.score.loss(problem.nominal)
-    for c, u in best.members:
-        if c.element is None:
-            continue
-        others = tuple(m for m in best.members if m[0].name != c.name)
-        places = (everywhere(problem, c, u), *neighbour(problem, others, c))
-        light = [joint(problem, (*others, place), base, widths=()) for place in places]
-        fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
-        if fit is not None and _is_better(best, fit, problem.recs.tasks):
-            return pruned(problem, fit, base)
-    return None
-
-
-def _is_better(best: Fit, other: Fit, tasks: Sequence[str]) -> bool:
-    """Tell whether another set explains clearly more: as much as one more name must, or surely most of what is left.
-
-    (Of 22 floors, the offsets of five joints in place of that of one left 0.2 of 0.9, less than a name is worth.)
-    """
-    return worth_adding(extra_of(best, other), best.gain) or settles(best, other, tasks)
-
-
-def everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:
-    """Return the effect of which `c` is the variant on one element, as strong there."""
-    whole = candidate(c.name, problem.replayer.scene)
-    at = whole.neutral.copy()
-    at[c.own[whole.own]] = u
-    return whole, at
-
-
-def neighbour(problem: Problem, others: Members, c: Candidate, apart: bool = False) -> Members:
-    """Return the same effect on the other element that promises most beside the others; nothing where none does.
-
-    Only on one that shares nothing with the element of `c`, where they are to lie `apart`.
-    """
-    scene = problem.replayer.scene
-    here = residuals_at(problem, others)
-    every = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
-    variants = [v for v in every if not apart or is_elsewhere(v, c, scene)]
-    base = problem.score.loss(here)
-    fits = [fit_one(problem, v, response, base) for v, response in respond(problem, here, variants, others)[0]]
-    best = max(fits, key=lambda f: f.gain, default=None)
-    return best.members if best is not None and best.gain > 0 else ()
 
 
 def _retraced(problem: Problem, best: Fit) -> Fit | None:
@@ -355,7 +339,7 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     if found.gain < least:
         return best, problem, True
     fewest = _rebuilt(problem, found, base)
-    fewest = _moved(problem, fewest) or fewest
+    fewest = moved(problem, fewest) or fewest
     return (best, problem, True) if _cancels(problem, fewest) else judged(problem, fewest)
 
 
@@ -373,12 +357,21 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
     losses = [problem.score.loss(z).mean() for z in problem.without_each(found.members)]
     order = [found.members[i] for i in np.argsort(losses)[::-1]]
     for count in range(1, min(LARGEST, len(order) - 1) + 1):
-        fit = joint(problem, tuple(order[:count]), base)
         # Each of a few names must be worth one; where everything is a little wrong, many are worth little each.
         names = len(order) - count if len(order) <= LARGEST else 1
+        if _promised_without(problem, found, order[count:]) / names > HOPELESS * EXTRA * found.gain:
+            continue
+        fit = joint(problem, tuple(order[:count]), base)
         if not worth_adding((fit.evidence.loss - found.evidence.loss) / names, found.gain):
             return fit
     return found
+
+
+def _promised_without(problem: Problem, found: Fit, left: Sequence[tuple[Candidate, Array]]) -> float:
+    """Return how much more is left without some members, as slopes promise it once the others are refitted."""
+    rest = found.plane_without(left)
+    refitted = rest.read(rest.best(np.arange(len(rest.z))))
+    return float((problem.score.loss(refitted) - problem.score.loss(found.plane.z)).mean())
 
 
 def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:

@@ -7,7 +7,6 @@ stay are refitted freely.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from candata.gap.candidates import candidates
 from candata.gap.refine import around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
-from candata.gap.score import Compact, Score, weights
+from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.stage import standard_error
 
@@ -136,16 +135,21 @@ def _strength(problem: Problem, quadratic: _Quadratic, held: Array, most: float,
 
 def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], start: Array) -> Array:
     """Return t of least `t a t / 2 + b t + penalty |t|` within bounds, by coordinate descent from `start`."""
-    t = start.copy()
-    size = np.maximum(np.diag(a), 1e-12)
+    t, size = start.tolist(), np.maximum(np.diag(a), 1e-12).tolist()
+    low, high, pull = bounds[0].tolist(), bounds[1].tolist(), penalty.tolist()
+    down = a @ start + b
     for _ in range(SWEEPS):
-        before = t.copy()
-        for i in range(len(t)):
-            pull = size[i] * t[i] - (a[i] @ t + b[i])
-            t[i] = np.clip(np.sign(pull) * max(abs(pull) - penalty[i], 0.0) / size[i], bounds[0][i], bounds[1][i])
-        if np.abs(t - before).max() <= 1e-6 * max(np.abs(t).max(), 1e-12):
+        before = list(t)
+        for i, own in enumerate(size):
+            wish = own * t[i] - float(down[i])
+            moved = max(wish - pull[i], 0.0) + min(wish + pull[i], 0.0)
+            moved = min(max(moved / own, low[i]), high[i])
+            if moved != t[i]:
+                down += (moved - t[i]) * a[i]
+                t[i] = moved
+        if max(abs(x - y) for x, y in zip(t, before, strict=True)) <= 1e-6 * max(*map(abs, t), 1e-12):
             break
-    return t
+    return np.array(t)
 
 
 def pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
@@ -166,23 +170,13 @@ def _worthy(problem: Problem, fit: Fit, base: Array) -> Members:
     """
     losses = problem.score.loss(fit.plane.z)
     gain = float((base - losses).mean())
-    promised = [problem.score.loss(z).mean() - losses.mean() for z in _without(fit)]
+    promised = [problem.score.loss(fit.plane_without([m]).z).mean() - losses.mean() for m in fit.members]
     likely = tuple(m for m, rise in zip(fit.members, promised, strict=True) if m[0].choices or rise > HARDLY * gain)
     if 0 < len(likely) < len(fit.members):
         return likely
     rises = [problem.score.loss(z) - losses for z in problem.without_each(fit.members)]
     kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
     return kept or fit.members
-
-
-def _without(fit: Fit) -> Iterator[Compact]:
-    """Yield the residuals `(E, K)` that slopes promise without each member."""
-    plane, start = fit.plane, 0
-    for c, _ in fit.members:
-        own = slice(start, start := start + c.size)
-        moved = plane.at.copy()
-        moved[own] = c.neutral
-        yield plane.read(moved)
 
 
 def _is_worth(rise: Array, gain: float) -> bool:

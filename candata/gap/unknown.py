@@ -3,38 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.floor import null_recordings
 from candata.gap.locate import LEVEL, acts_on, slides
+from candata.gap.mending import CLEARLY, Mended, mended
 from candata.gap.replay import EffectSet
-from candata.gap.residual_force import residual_force
 from candata.gap.search import Problem
 from candata.gap.shrink import trust
-from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
-from candata.gap.suspects import Suspect, otherwise, suspects
+from candata.gap.suspects import Suspect
 from candata.gap.verdict import DOUBTED
 from candata.schema.report import Gap, Symptom, Unknown
 
 Array = NDArray[np.float64]
-#: Episodes that are looked at: enough to describe a force.
-LOOKED_AT = 24
-#: Null replays of each episode.
-REPLICAS = 2
-#: Suspects that are played in the simulator, and the share of the best one's gain that they must have.
-PLAYED, NEAR = 3, 0.2
-#: Share of the gap that a choice must close more than the plainer one.
-MENDS = 0.05
 #: Share of the gap below which a force that was fitted tells nothing of where a cause acts. Chosen: commands that get
 #: lost are no force, and what was fitted to three of them closed 0.2 % at most; the least of 22 others closed 4.8 %.
 LITTLE = 0.02
-#: Share of the gap that a described force must close beyond what is named, for that to be called unknown. Chosen: the
-#: force is fitted with more freedom.
-CLEARLY = 0.1
 #: Share of its largest size above which a force counts as acting.
 ACTS = 0.25
 #: Share of what was seen from which a circumstance is said to hold whenever the force acts.
@@ -76,13 +63,15 @@ def describe(
     rng : numpy.random.Generator
         Noise of the null replays.
     """
-    some = _some(problem)
-    found = _standing_out(some, world, rng)
-    if not found:
-        return None
-    best, place = _best(some, world, found), acts_on(where, slides(problem.replayer.scene))
+    found = mended(problem, world, rng)
+    return described(found, world, where, nearest) if found else None
+
+
+def described(found: Mended, world: EffectSet, where: Sequence[Symptom], nearest: str | None) -> Described | None:
+    """Return the words for the force that mends most of what a world leaves; parameters are those of `describe`."""
+    some, best, place = found.problem, found.best, acts_on(where, slides(found.problem.replayer.scene))
     if best.closed < LITTLE and place not in (None, best.suspects[0].place):
-        there = [s for s in found if s.place == place]
+        there = [s for s in found.suspects if s.place == place]
         if not there:
             return None
         best = stopgap(some, world, there[:1])
@@ -111,59 +100,6 @@ def unseating(
         return None
     found = describe(problem, (), where, nearest, rng)
     return found if found and (found.unknown.closable or 0.0) > (size.closed or 0.0) + CLEARLY else None
-
-
-def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopgap:
-    """Return the suspect whose force mends most, or it and all of its kind, in the words that mend most.
-
-    How much a force mends also depends on how chaotic what it acts on is, so the more telling suspect, the single one
-    and the plainer description stay unless another closes more by `MENDS`. (Each of two fading motors closes 10 % of
-    the gap, and a correction of one fingertip's reading 16 %; both motors together close 83 %.)
-    """
-    near = [s for s in found if s.gain >= NEAR * found[0].gain]
-    first = _clearest([stopgap(problem, world, [s]) for s in near[:PLAYED]])
-    kinds = {s.place: [k for k in near if k.place == s.place] for s in near[:PLAYED]}
-    best = _clearest([first, *(stopgap(problem, world, kin) for kin in kinds.values() if len(kin) > 1)])
-    if len(best.suspects) > 1 or best.closed + MENDS > 1:
-        return best
-    others = otherwise(best.suspects[0], problem.parts)[:PLAYED]
-    return _clearest([best, *(stopgap(problem, world, [s]) for s in others)])
-
-
-def _clearest(played: Sequence[Stopgap]) -> Stopgap:
-    """Return what closes most, or the first where that closes less than `MENDS` more."""
-    best = max(played, key=lambda s: s.closed)
-    return best if best.closed >= played[0].closed + MENDS else played[0]
-
-
-def _some(problem: Problem) -> Problem:
-    """Return the problem on the episodes that are looked at, as many of each fold."""
-    if len(problem.recs) <= LOOKED_AT:
-        return problem
-    index = np.sort(np.concatenate([p[: LOOKED_AT // len(problem.parts)] for p in problem.parts]))
-    parts = [np.searchsorted(index, p[: LOOKED_AT // len(problem.parts)]) for p in problem.parts]
-    plan = replace(problem.plan, phase=problem.plan.phase[index])
-    return replace(
-        problem, recs=problem.recs.take(index), begin=problem.begin.take(index), plan=plan,
-        score=problem.score.take(index), parts=parts,
-    )  # fmt: skip
-
-
-def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> list[Suspect]:
-    """Return the suspects whose residual force is described better than any in null replays, the best first."""
-    scene, count = problem.replayer.scene, len(problem.recs)
-    real = residual_force(problem.replayer, problem.recs, problem.begin, world)
-    nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
-    null = residual_force(problem.replayer, nulls, starts(scene, nulls), world)
-    found = suspects(scene, real, null, problem.parts)
-    own = [_gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
-           for r in range(REPLICAS)]  # fmt: skip
-    return [s for s in found if s.gain > max(own)]
-
-
-def _gain(found: Sequence[Suspect]) -> float:
-    """Return the largest gain."""
-    return max((s.gain for s in found), default=0.0)
 
 
 def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest: str | None) -> Unknown:

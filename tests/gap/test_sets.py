@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap import sets, trials, worth
+from candata.gap import elsewhere, sets, trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
@@ -102,9 +102,9 @@ def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(a
     wrong = joint(problem, (*delay, elbow), base)
     large = replace(wrong, evidence=replace(wrong.evidence, gain=100 * wrong.evidence.gain))
     for best in (wrong, large):  # a large gap, too, of which so little is left that it is worth no other name
-        found = sets._moved(problem, best)
+        found = elsewhere.moved(problem, best)
         assert set(found.labels) == {"actuation_delay", "joint_dry_friction"}
-    assert sets._moved(problem, found) is None
+    assert elsewhere.moved(problem, found) is None
 
 
 def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
@@ -114,7 +114,7 @@ def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
     assert float(half.evidence.loss.mean()) - 1 > worth.LEFT
-    assert sets._moved(problem, half) is None
+    assert elsewhere.moved(problem, half) is None
 
 
 def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm, arm_episodes, planted):
@@ -122,7 +122,7 @@ def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.005]))
     wrong = joint(problem, (*members(arm, armature=0.0005), elbow), problem.score.loss(problem.nominal))
-    assert sets._moved(problem, wrong).labels == ("actuation_delay shoulder",)
+    assert elsewhere.moved(problem, wrong).labels == ("actuation_delay shoulder",)
 
 
 def test_few_true_names_replace_many(arm, two_causes):

@@ -10,7 +10,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
-from candata.gap.sparse import _without, pruned, sparse
+from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import typical
 
 #: Four things wrong at once, the damping most of all.
@@ -57,7 +57,7 @@ def test_values_are_near_the_true_ones(found):
 def test_slopes_promise_what_a_simulation_without_a_member_shows(found):
     fit, _, _, problem = found
     here = problem.score.loss(fit.plane.z).mean()
-    promised = [problem.score.loss(z).mean() - here for z in _without(fit)]
+    promised = [problem.score.loss(fit.plane_without([m]).z).mean() - here for m in fit.members]
     shown = [problem.score.loss(z).mean() - here for z in problem.without_each(fit.members)]
     assert promised == pytest.approx(shown, rel=0.5)
     assert np.argmax(promised) == np.argmax(shown)

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from candata.effects._residual_terms import OBJECT_TERMS
-from candata.gap import unknown
+from candata.gap import mending, unknown
 from candata.gap.floor import floor
 from candata.gap.folds import folds
 from candata.gap.recordings import Recordings, recordings
@@ -272,12 +272,12 @@ def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
 
 def played(monkeypatch, closes: dict[tuple[str, ...], float], others=()):
     """The function that chooses among suspects of which groups close what is given, by their names."""
-    monkeypatch.setattr(unknown, "otherwise", lambda suspect, parts: list(others))
+    monkeypatch.setattr(mending, "otherwise", lambda suspect, parts: list(others))
     monkeypatch.setattr(
-        unknown, "stopgap",
+        mending, "stopgap",
         lambda problem, world, some: SimpleNamespace(suspects=tuple(some), closed=closes[tuple(s.name for s in some)]),
     )  # fmt: skip
-    return lambda found: [s.name for s in unknown._best(SimpleNamespace(parts=()), (), found).suspects]
+    return lambda found: [s.name for s in mending._best(SimpleNamespace(parts=()), (), found).suspects]
 
 
 def suspect(place: str, name: str, gain: float = 1.0):

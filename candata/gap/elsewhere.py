@@ -1,0 +1,72 @@
+"""A fault taken for that of another element: of all of them, or of the one that promises most."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.added import residuals_at
+from candata.gap.candidates import Candidate, candidate, local_candidates
+from candata.gap.refine import joint
+from candata.gap.screen import respond
+from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.sparse import pruned
+from candata.gap.stage import UNSURE, is_elsewhere, is_tied
+from candata.gap.trials import sharpest
+from candata.gap.worth import LEFT, extra_of, left_by, settles, worth_adding
+
+Array = NDArray[np.float64]
+
+
+def moved(problem: Problem, best: Fit) -> Fit | None:
+    """Return the set with the fault of one element taken for one of all or of another, where that explains more.
+
+    None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
+    moves; what made up for the wrong place is dropped with it.
+    """
+    if left_by(best) < LEFT:
+        return None
+    base = problem.score.loss(problem.nominal)
+    for c, u in best.members:
+        if c.element is None:
+            continue
+        others = tuple(m for m in best.members if m[0].name != c.name)
+        places = (everywhere(problem, c, u), *neighbour(problem, others, c))
+        light = [joint(problem, (*others, place), base, widths=()) for place in places]
+        fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
+        if fit is not None and _is_better(best, fit, problem.recs.tasks):
+            return pruned(problem, fit, base)
+    return None
+
+
+def _is_better(best: Fit, other: Fit, tasks: Sequence[str]) -> bool:
+    """Tell whether another set explains clearly more: as much as one more name must, or surely most of what is left.
+
+    (Of 22 floors, the offsets of five joints in place of that of one left 0.2 of 0.9, less than a name is worth.)
+    """
+    return worth_adding(extra_of(best, other), best.gain) or settles(best, other, tasks)
+
+
+def everywhere(problem: Problem, c: Candidate, u: Array) -> tuple[Candidate, Array]:
+    """Return the effect of which `c` is the variant on one element, as strong there."""
+    whole = candidate(c.name, problem.replayer.scene)
+    at = whole.neutral.copy()
+    at[c.own[whole.own]] = u
+    return whole, at
+
+
+def neighbour(problem: Problem, others: Members, c: Candidate, apart: bool = False) -> Members:
+    """Return the same effect on the other element that promises most beside the others; nothing where none does.
+
+    Only on one that shares nothing with the element of `c`, where they are to lie `apart`.
+    """
+    scene = problem.replayer.scene
+    here = residuals_at(problem, others)
+    every = [v for v in local_candidates(candidate(c.name, scene), scene) if v.element != c.element]
+    variants = [v for v in every if not apart or is_elsewhere(v, c, scene)]
+    base = problem.score.loss(here)
+    fits = [fit_one(problem, v, response, base) for v, response in respond(problem, here, variants, others)[0]]
+    best = max(fits, key=lambda f: f.gain, default=None)
+    return best.members if best is not None and best.gain > 0 else ()
