@@ -121,7 +121,9 @@ def begun(problem: Problem, held: Members, pair: Members) -> tuple[float, Member
     return by_loss(problem, [(*held, a, b) for a, b in product(*shares)])[0]
 
 
-def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) -> tuple[Fit, list[Fit]]:
+def challenged(
+    problem: Problem, world: Problem, best: Fit, rough: Responses, remains: bool = True
+) -> tuple[Fit, list[Fit]]:
     """Return the set, or one with a member exchanged that explains more, and those that cannot be told from it.
 
     Each member was chosen beside what was held when it came. Simulated are the sets with one member exchanged to whose
@@ -134,6 +136,8 @@ def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) ->
         That the responses `rough` are of, on a few episodes.
     world : Problem
         The same in units of the floor that `best` was judged by.
+    remains : bool
+        Whether a gap remains to be looked into: then exchanges are fitted from farther off, and choices tried too.
     """
     known = {c.name for c, _ in problem.measured} & {c.name for c, _ in best.members}
     if known or not rough or not 1 < len(best.members) <= LARGEST or problem.simulated:
@@ -149,14 +153,14 @@ def challenged(problem: Problem, world: Problem, best: Fit, rough: Responses) ->
         for some in exchanged(part, rough, best.members)
         for one in some[:ADDED]
     ]
-    much = left_by(best) > LEFT
+    much = remains and left_by(best) > LEFT
     choices = _choices(best.members, rough) if much and has_room(best) else []
     light = [joint(world, members, base, widths=()) for members in _nearest(part, best.members, others, choices, much)]
     near = [joint(world, f.members, base) for f in light if is_tied(f, best, UNSURE)]
     first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
     if first is not best:
         # Beside another member the rest is challenged anew: each exchange leaves less, so this ends.
-        return challenged(problem, world, first, rough)
+        return challenged(problem, world, first, rough, remains)
     return best, [f for f in near if is_tied(f, best, UNSURE)]
 
 

@@ -91,7 +91,7 @@ def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
     return after / before if before > LEFT else 0.0, after
 
 
-def _search(problem: Problem, first: Stage, doubt: Doubt | None) -> Attribution:
+def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone, or where a doubt ends it."""
     nominal = problem.nominal
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
@@ -122,14 +122,14 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None) -> Attribution:
     chosen, world, remains = simplified(world, chosen, remains)
     chosen, world, remains = merged(world, chosen, remains)
     chosen, world, remains = widened(world, chosen, remains)
-    better, others = challenged(problem, world, chosen, rough)
+    better, others = challenged(problem, world, chosen, rough, remains)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.
         grown, world, remains = forward(world, better, first.fits, doubt=doubt)
         if grown.labels != better.labels:
-            grown, others = challenged(problem, world, grown, rough)
+            grown, others = challenged(problem, world, grown, rough, remains)
         # Beside a right one in a wrong one's place, another may be worth nothing more.
         better, world, remains = simplified(world, grown, remains)
         others = others if better.labels == grown.labels else []
     tied = aliases(world, better, others) or tied
-    return Attribution(first, better, tuple(tied), world.score, remains, tuple(others))
+    return Attribution(first, better, tuple(tied), world.score, remains, tuple(others), doubt.stands if doubt else None)

@@ -37,9 +37,7 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     """
     if len(best.members) < 2:
         return best, problem, remains
-    known = {c.name for c, _ in problem.measured}
-    free = [m for m in best.members if m[0].name not in known and not m[0].choices]
-    found = _without_some(problem, best, _spare(problem, best, free))
+    found = _without_some(problem, best, _spare(problem, best, _free(problem, best)))
     if found is None:
         return best, problem, remains
     found, world, remains = judged(problem, found)
@@ -49,17 +47,31 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
 def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
     """Return the set, refitted, without one of some members, or several of them, where it explains as much; else None.
 
-    Of a joint fit of many, all are left out at once, else half of them, and so on to one, fitted lightly until that is
-    so: sharply and one by one, each of eleven was fitted without each of the others.
+    Of a joint fit of many, all are left out at once, else half of them, and so on to one, and again of what is left,
+    fitted lightly until none can be: sharply and one by one, each of eleven was fitted without each of the others.
     """
     base = problem.score.loss(problem.nominal)
     if len(best.members) > LARGEST:
-        halves = (spare[: len(spare) >> times] for times in range(len(spare).bit_length()))
-        light = (joint(problem, without(best, left_out), base, widths=()) for left_out in halves)
-        kept = next((f.members for f in light if not is_next(f, best, problem.recs.tasks)), None)
-        return joint(problem, kept, base) if kept else None
+        fewer = _thinned(problem, best, spare, base)
+        return joint(problem, fewer.members, base) if fewer else None
     found = sharp(problem, [without(best, (left,)) for left in spare[: 1 + RIVALS]])
     return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
+
+
+def _thinned(problem: Problem, best: Fit, spare: Members, base: Array) -> Fit | None:
+    """Return a set of many without as many of some members as it can do without, fitted lightly; None of none."""
+    halves = (spare[: len(spare) >> times] for times in range(len(spare).bit_length()))
+    light = (joint(problem, without(best, left_out), base, widths=()) for left_out in halves)
+    found = next((f for f in light if not is_next(f, best, problem.recs.tasks)), None)
+    if found is None or len(found.members) <= LARGEST:
+        return found
+    return _thinned(problem, found, _spare(problem, found, _free(problem, found)), base) or found
+
+
+def _free(problem: Problem, best: Fit) -> Members:
+    """Return the members that may be left out: a choice, and what was measured without a fit, stay."""
+    known = {c.name for c, _ in problem.measured}
+    return tuple(m for m in best.members if m[0].name not in known and not m[0].choices)
 
 
 def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Members:

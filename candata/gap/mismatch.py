@@ -194,7 +194,7 @@ def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
 
 def _by_task(tasks: Sequence[str], some: NDArray[np.bool_]) -> bool:
     """Tell whether some episodes `(E,)` are all those of their tasks, two or more of each."""
-    inside, outside = ([tasks[i] for i in np.flatnonzero(kind)] for kind in (some, ~some))
+    inside, outside = ([tasks[int(i)] for i in np.flatnonzero(kind)] for kind in (some, ~some))
     return not set(inside) & set(outside) and all(inside.count(t) > 1 for t in inside)
 
 

@@ -31,6 +31,7 @@ from candata.gap.worth import (
     LARGEST,
     LEFT,
     MOST,
+    extra_of,
     has_room,
     is_full,
     is_next,
@@ -99,9 +100,9 @@ def forward(
             continue
         if grown is None or not is_next(best, grown, tasks):
             if joins_first(world, best):
-                many = jointly(world, best)
-                if many[0] is not best:
-                    return many
+                fitted = jointly(world, best)
+                if fitted[0] is not best or not fitted[-1]:
+                    return fitted
             if has_room(best):
                 world.pace.told("trying other effects in place of what was found early")
                 grown = _swapped(world, best) or moved(world, best)
@@ -325,7 +326,8 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     """Return the joint fit over all effects where it closes clearly more than `best`, which is returned otherwise.
 
     Many names that leave most of the gap open are names at random, and so are such as make up for one another: then
-    `best` stands too.
+    `best` stands too. Where more names than a set may hold explain more, but together less than one is worth, what
+    remains is many little ones: no gap to be looked into.
     """
     base = problem.score.loss(problem.nominal)
     left = left_by(best)
@@ -334,10 +336,10 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     problem.pace.say("fitting all effects together", JOINT)
     least = MOST * float((base - 1).mean())
     found = sparse(problem, best, base, least)
-    if found is None or not worth_adding(best.evidence.loss - found.evidence.loss, best.gain):
+    if found is None or found.gain < least:
         return best, problem, True
-    if found.gain < least:
-        return best, problem, True
+    if not worth_adding(extra_of(best, found), best.gain):
+        return best, problem, len(found.members) <= LARGEST
     fewest = _rebuilt(problem, found, base)
     fewest = moved(problem, fewest) or fewest
     return (best, problem, True) if _cancels(problem, fewest) else judged(problem, fewest)

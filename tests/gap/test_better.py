@@ -71,6 +71,14 @@ def test_nor_is_what_leaves_little_of_a_small_gap(found, closed):
 def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word, asked):
     monkeypatch.setattr(conclusion, "unseating", lambda problem, size, where, nearest, rng: nearest)
     monkeypatch.setattr(conclusion, "_judged", lambda f: None)
-    found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)))
+    found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None)
     some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), (), None)
     assert some == ("armature" if asked else None)
+
+
+def test_a_force_that_ended_the_search_unseats_what_was_found_until_then(monkeypatch):
+    monkeypatch.setattr(conclusion, "unseating", lambda *a: pytest.fail("it is played again"))
+    monkeypatch.setattr(conclusion, "described", lambda force, world, where, nearest: (force, nearest))
+    found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force="a pull")
+    some = conclusion._unseated(SimpleNamespace(found=found), "explained", Gap(before=3.0, after=1.2), (), None)
+    assert some == ("a pull", "armature")

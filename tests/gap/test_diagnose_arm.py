@@ -241,8 +241,8 @@ def exchanged(arm, monkeypatch):
     true = attribute.challenged
 
     def end_with(worse: np.ndarray) -> None:
-        def tied(problem, world, best, rough):
-            chosen, _ = true(problem, world, best, rough)
+        def tied(problem, world, best, rough, remains):
+            chosen, _ = true(problem, world, best, rough, remains)
             other = tuple(
                 (candidate("joint_damping", arm), np.full(1, 0.3)) if c.name == "joint_dry_friction" else (c, u)
                 for c, u in chosen.members
@@ -287,7 +287,7 @@ def test_an_alias_of_one_member_makes_a_set_ambiguous(arm, two_causes, exchanged
 def test_a_set_that_one_member_explains_is_reported_as_that_effect(arm, arm_episodes, planted, judge, monkeypatch):
     """A search that ends with damping beside the dry friction that explains all is left with the friction."""
 
-    def too_many(problem, best, alone, rough=()):
+    def too_many(problem, best, alone, rough=(), doubt=None):
         values = {"joint_dry_friction": 0.25, "joint_damping": 0.02}
         members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
         return joint(problem, members, problem.score.loss(problem.nominal)), problem, False
@@ -307,10 +307,10 @@ def test_after_an_exchange_the_search_goes_on(arm, arm_episodes, planted, judge,
     """A search that took damping for one cause of three, and ended there, loses it and finds what it hid."""
     true, begun = attribute.forward, []
 
-    def wrong_at_first(problem, best, alone, rough=()):
+    def wrong_at_first(problem, best, alone, rough=(), doubt=None):
         begun.append(set(best.labels))
         if len(begun) > 1:
-            return true(problem, best, alone, rough)
+            return true(problem, best, alone, rough, doubt)
         values = {"joint_damping": 0.3, "actuation_delay": 0.03}
         members = tuple((candidate(name, arm), np.full(1, value)) for name, value in values.items())
         return joint(problem, members, problem.score.loss(problem.nominal)), problem, True
@@ -331,7 +331,7 @@ def test_what_an_exchange_leaves_nothing_to_explain_is_left_out(arm, arm_episode
     """A right member in a wrong one's place explains what another had made up for."""
     asked = []
 
-    def exchanged(problem, world, best, rough):
+    def exchanged(problem, world, best, rough, remains):
         asked.append(best.labels)
         if len(asked) > 1:
             return best, []

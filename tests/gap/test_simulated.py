@@ -37,10 +37,10 @@ def searches(monkeypatch, *, first, second):
     """Let the search by signatures find `first`, the one by simulations `second`; return which were made."""
     made, real = [], attribution._search
 
-    def searched(problem, stage):
+    def searched(problem, stage, doubt):
         made.append(problem.simulated)
         found = second if problem.simulated else first
-        return real(problem, stage) if found is None else found
+        return real(problem, stage, doubt) if found is None else found
 
     monkeypatch.setattr(attribution, "_search", searched)
     return made

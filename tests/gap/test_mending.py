@@ -1,0 +1,112 @@
+"""A force that explains clearly more than names do ends the search for more of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from candata.gap import mending, sets
+from candata.gap.attribute import attribute
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.mending import Doubt
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+from tests.gap import hidden
+
+
+@pytest.fixture(scope="module")
+def posed(arm, arm_episodes):
+    """The function that poses the problem of an arm with some effects."""
+
+    def pose(effects, count: int = 12):
+        recs = recordings(arm, arm_episodes(effects, count=count))
+        return _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+
+    return pose
+
+
+@pytest.fixture(scope="module")
+def cogs(posed):
+    """The problem that an elbow poses which cogs: no effect of the library does."""
+    with pytest.MonkeyPatch.context() as patch:
+        cause = hidden.on_joint("elbow", lambda q, u, memory: 0.3 * np.sin(12 * q + 0.4))
+        yield posed(hidden.hider(patch)(cause))
+
+
+@pytest.fixture(scope="module")
+def named(cogs, arm):
+    """The nearest effect, fitted to it."""
+    c = candidate("joint_dry_friction", arm)
+    return joint(cogs, ((c, np.full(1, 0.1)),), cogs.score.loss(cogs.nominal))
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+def test_a_force_that_explains_clearly_more_than_a_name_stands(cogs, named):
+    doubt = Doubt(cogs, rng())
+    assert doubt.of(cogs, named.plane.z)
+    assert doubt.stands.best.suspects[0].element == "elbow"
+
+
+def test_a_force_that_explains_no_more_than_what_is_named_does_not(posed, planted):
+    """Damping is a force along the speed, which closes as much; the name says more."""
+    truth = planted("joint_damping", damping_Nms_rad=0.3)
+    problem = posed(truth)
+    doubt = Doubt(problem, rng())
+    assert doubt.of(problem, problem.nominal), "beside nothing it would"
+    doubt = Doubt(problem, rng())
+    assert not doubt.of(problem, problem.residuals([truth])[0])
+    assert doubt.stands is None
+
+
+def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, named, monkeypatch):
+    played = []
+
+    def little(problem, world, rng):
+        played.append(len(problem.recs))
+        return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="joint")]))
+
+    monkeypatch.setattr(mending, "mended", little)
+    doubt = Doubt(cogs, rng())
+    assert not doubt.of(cogs, named.plane.z)
+    assert not doubt.of(cogs, cogs.nominal)
+    assert played == [6], "once, on a few of the twelve"
+
+
+@pytest.mark.parametrize(("place", "stands"), [("fingertip", False), ("object", True), ("wrist", True)])
+def test_a_correction_of_what_fingertips_read_is_no_cause_by_itself(cogs, named, monkeypatch, place, stands):
+    force = SimpleNamespace(best=SimpleNamespace(closed=0.99, suspects=[SimpleNamespace(place=place)]))
+    monkeypatch.setattr(mending, "mended", lambda *a: force)
+    assert Doubt(cogs, rng()).of(cogs, named.plane.z) is stands
+
+
+def test_growth_ends_where_it_stands_before_effects_are_simulated_beside_what_is_found(cogs, named, monkeypatch):
+    monkeypatch.setattr(sets, "looked_into", lambda *a: pytest.fail("effects are simulated"))
+    monkeypatch.setattr(sets, "BELIEVED", np.inf)
+    doubt = Doubt(cogs, rng())
+    found, _, remains = sets.forward(cogs, named, (), doubt=doubt)
+    assert doubt.stands
+    assert remains
+    assert found.labels == named.labels
+
+
+def test_of_a_full_set_that_leaves_much_it_is_asked_before_all_effects_are_fitted(cogs, named, monkeypatch):
+    monkeypatch.setattr(sets, "is_full", lambda *a: True)
+    monkeypatch.setattr(sets, "jointly", lambda *a: pytest.fail("all effects are fitted"))
+    doubt = Doubt(cogs, rng())
+    sets.forward(cogs, named, (), doubt=doubt)
+    assert doubt.stands
+
+
+def test_a_search_that_it_ends_says_which_force_and_names_no_more(cogs):
+    found = attribute(replace(cogs, rng=rng()))
+    assert found.force.best.suspects[0].element == "elbow"
+    assert found.remains
+    assert len(found.chosen.members) <= 2
