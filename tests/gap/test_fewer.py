@@ -143,6 +143,27 @@ def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, two_causes, monkey
     assert made == [(few, {"widths": ()}), (few, {})]
 
 
+def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, two_causes, monkeypatch):
+    problem, _ = two_causes
+    named = members(arm, joint_dry_friction=0.3, actuation_delay=0.03)
+    others = members(arm, joint_damping=0.01, armature=1e-4, servo_damping=0.01)
+    made = []
+
+    def counted(problem, some, base, **widths):
+        made.append((len(some), widths))
+        return joint(problem, some, base, **widths)
+
+    def first_spare(problem, best, free):
+        return tuple(m for m in best.members if m[0].name in {c.name for c, _ in others})[:1]
+
+    monkeypatch.setattr(fewer, "joint", counted)
+    monkeypatch.setattr(fewer, "_spare", first_spare)
+    fit = blunt_fit(problem, (*named, *others))
+    found = fewer._without_some(problem, fit, first_spare(problem, fit, ()))
+    assert made == [(4, {"widths": ()}), (3, {"widths": ()}), (3, {})]
+    assert {"joint_dry_friction", "actuation_delay"} <= set(found.labels)
+
+
 def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, two_causes, monkeypatch):
     problem, _ = two_causes
     some = members(arm, joint_dry_friction=0.3, joint_damping=0.01, armature=1e-4, actuation_delay=0.03)

@@ -265,7 +265,9 @@ def test_episodes_that_are_broken_among_sound_ones_are_named(arm, arm_episodes, 
 
 @pytest.mark.parametrize(("tasks", "definite"), [("aaaabbbb", False), ("abababab", True), ("abcdeeee", True)])
 def test_joints_far_off_in_all_of_a_task_and_in_no_other_may_be_too_weak_for_it(arm, arm_episodes, tasks, definite):
-    made = [Episode(e.meta.model_copy(update={"task": t}), e.arrays) for e, t in zip(arm_episodes(), tasks, strict=True)]
+    made = [
+        Episode(e.meta.model_copy(update={"task": t}), e.arrays) for e, t in zip(arm_episodes(), tasks, strict=True)
+    ]
     far = [Episode(e.meta, dict(e.arrays) | {"joint_position": e["joint_position"] + 2.0}) for e in made[:4]]
     (one,) = (f for f in mismatch(Replayer(arm), recordings(arm, [*far, *made[4:]])) if f.kind == "broken_episodes")
     assert one.definite == definite

@@ -161,6 +161,56 @@ def test_names_that_make_up_for_one_another_are_not_taken(arm, two_causes, monke
     assert sets.jointly(problem, best) == (best, problem, True)
 
 
+@pytest.fixture
+def small(arm, two_causes, monkeypatch):
+    """Let a joint fit find so many names, which together gain so many floors beyond a full set: that set, then."""
+    problem, base = two_causes
+    best = joint(problem, members(arm, armature=0.0005), base)
+
+    def finds(names: int, more: float):
+        loss = best.evidence.loss - more
+        found = replace(
+            best, members=best.members * names, evidence=replace(best.evidence, loss=loss, gain=base - loss)
+        )
+        monkeypatch.setattr(sets, "sparse", lambda *a: found)
+        monkeypatch.setattr(sets, "MOST", -np.inf)
+        monkeypatch.setattr(sets, "is_full", lambda *a: True)
+        return problem, replace(best, evidence=replace(best.evidence, gain=base))
+
+    return finds
+
+
+@pytest.mark.parametrize(("names", "remains"), [(4, False), (3, True)])
+def test_where_many_names_explain_no_more_than_one_is_worth_many_little_things_remain(small, names, remains):
+    problem, best = small(names, 0.01)
+    found, _, left = sets.jointly(problem, best)
+    assert found is best
+    assert left is remains
+
+
+@pytest.mark.parametrize(("names", "tried"), [(4, False), (3, True)])
+def test_others_are_tried_in_the_place_of_each_of_three_only_where_no_many_are_found(small, names, tried, monkeypatch):
+    problem, best = small(names, 0.01)
+    asked = []
+    monkeypatch.setattr(sets, "_rescored", lambda world, fit: (world, fit))
+    monkeypatch.setattr(sets, "has_room", lambda fit: True)
+    monkeypatch.setattr(sets, "together", lambda *a: None)
+    for name in ("_swapped", "moved", "shared", "paired", "_retraced"):
+        monkeypatch.setattr(sets, name, lambda *a, name=name: asked.append(name))
+    assert sets.forward(problem, best, ())[0] is best
+    assert bool(asked) is tried
+
+
+def test_slopes_rule_out_the_few_without_which_far_more_would_be_left(arm, two_causes, monkeypatch):
+    problem, base = two_causes
+    true = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
+    some = (*true.members, *members(arm, armature=1e-4, joint_damping=1e-3))
+    found, made = joint(problem, some, base, widths=()), []
+    monkeypatch.setattr(sets, "joint", lambda problem, few, base: made.append(len(few)) or joint(problem, few, base))
+    assert set(sets._rebuilt(problem, found, base).labels) == {"joint_dry_friction", "actuation_delay"}
+    assert made == [2], "one alone is not fitted"
+
+
 def test_choices_beside_effects_are_simulated_there(arm, two_causes, planted):
     problem, _ = two_causes
     held = members(arm, actuation_delay=0.03)
