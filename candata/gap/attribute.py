@@ -79,6 +79,8 @@ def attribute(problem: Problem) -> Attribution:
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
     other = _search(problem, look(problem, problem.nominal, (), found.first), doubt)
+    if other.force:
+        return other
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
