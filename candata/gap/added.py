@@ -122,7 +122,7 @@ def begun(problem: Problem, held: Members, pair: Members) -> tuple[float, Member
 
 
 def challenged(
-    problem: Problem, world: Problem, best: Fit, rough: Responses, remains: bool = True
+    problem: Problem, world: Problem, best: Fit, rough: Responses, far: bool = True
 ) -> tuple[Fit, list[Fit]]:
     """Return the set, or one with a member exchanged that explains more, and those that cannot be told from it.
 
@@ -136,8 +136,8 @@ def challenged(
         That the responses `rough` are of, on a few episodes.
     world : Problem
         The same in units of the floor that `best` was judged by.
-    remains : bool
-        Whether a gap remains to be looked into: then exchanges are fitted from farther off, and choices tried too.
+    far : bool
+        Whether exchanges are fitted from farther off, and choices tried too, where much is left.
     """
     known = {c.name for c, _ in problem.measured} & {c.name for c, _ in best.members}
     if known or not rough or not 1 < len(best.members) <= LARGEST or problem.simulated:
@@ -153,14 +153,14 @@ def challenged(
         for some in exchanged(part, rough, best.members)
         for one in some[:ADDED]
     ]
-    much = remains and left_by(best) > LEFT
+    much = far and left_by(best) > LEFT
     choices = _choices(best.members, rough) if much and has_room(best) else []
     light = [joint(world, members, base, widths=()) for members in _nearest(part, best.members, others, choices, much)]
     near = [joint(world, f.members, base) for f in light if is_tied(f, best, UNSURE)]
     first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))
     if first is not best:
         # Beside another member the rest is challenged anew: each exchange leaves less, so this ends.
-        return challenged(problem, world, first, rough, remains)
+        return challenged(problem, world, first, rough, far)
     return best, [f for f in near if is_tied(f, best, UNSURE)]
 
 

@@ -14,7 +14,7 @@ from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, w
 from candata.gap.shortlist import gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
-from candata.gap.worth import LEFT, MOST, left_by
+from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals. Chosen: a sharper fit seldom gains as much.
@@ -39,7 +39,8 @@ class Attribution:
     score : Score
         In units of the floor of the chosen world.
     remains : bool
-        Whether the held-out loss of the chosen set (or of the nominal scene) lies above the nulls.
+        Whether the held-out loss of the chosen set (or of the nominal scene) lies above the nulls, and more than many
+        little things remain.
     rivals : tuple of Fit
         Sets with one member of the chosen one exchanged that the held-out episodes cannot tell from it.
     force : Mended or None
@@ -114,6 +115,7 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough, doubt)
     if doubt and doubt.stands:
         return Attribution(first, chosen, (chosen,), world.score, remains, force=doubt.stands)
+    little = not remains and leaves(world, chosen)
     if len(tied) > 1 and chosen.labels != best.labels:
         tied, (chosen, world, remains) = compared(world, chosen, tied, remains)
     chosen, world, remains = with_measured(world, chosen, remains)
@@ -121,17 +123,20 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         return Attribution(first, chosen, tuple(tied), world.score, remains)
     if remains and not joins_first(world, chosen):
         chosen, world, remains = jointly(world, chosen)
-    chosen, world, remains = simplified(world, chosen, remains)
+    # What makes up for a choice looks like many little things, as the joint fit leaves choices out.
+    chosen, world, remains = simplified(world, chosen, remains or little)
     chosen, world, remains = merged(world, chosen, remains)
     chosen, world, remains = widened(world, chosen, remains)
-    better, others = challenged(problem, world, chosen, rough, remains)
+    better, others = challenged(problem, world, chosen, rough, far=not little)
     if better.labels != chosen.labels:
         # What the wrong member hid may be seen now.
         grown, world, remains = forward(world, better, first.fits, doubt=doubt)
+        if doubt and doubt.stands:
+            return Attribution(first, grown, (grown,), world.score, remains, force=doubt.stands)
         if grown.labels != better.labels:
-            grown, others = challenged(problem, world, grown, rough, remains)
+            grown, others = challenged(problem, world, grown, rough)
         # Beside a right one in a wrong one's place, another may be worth nothing more.
         better, world, remains = simplified(world, grown, remains)
         others = others if better.labels == grown.labels else []
     tied = aliases(world, better, others) or tied
-    return Attribution(first, better, tuple(tied), world.score, remains, tuple(others), doubt.stands if doubt else None)
+    return Attribution(first, better, tuple(tied), world.score, remains and not little, tuple(others))

@@ -91,8 +91,7 @@ def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]])
 def _losses_without(problem: Problem, best: Fit, left: tuple[Candidate, Array]) -> tuple[float, float]:
     """Return the loss that slopes promise without a member as the others stand, and once they are refitted."""
     rest = best.plane_without((left,))
-    refitted = rest.read(rest.best(np.arange(len(rest.z))))
-    left_out, promised = (float(problem.score.loss(z).mean()) for z in (rest.z, refitted))
+    left_out, promised = (float(problem.score.loss(z).mean()) for z in (rest.z, rest.least()))
     return left_out, promised
 
 

@@ -48,11 +48,12 @@ class Mended(NamedTuple):
 class Doubt:
     """Whether one force explains clearly more than what is named so far: then the cause is no sum of names.
 
-    It is played in the nominal world when first asked for, once, and on all episodes only if it closes much of a few;
-    `stands` is that force once it does explain more.
+    It is played in the nominal world when first asked for, once, on few episodes, and on more only if it closes much of
+    these; `stands` is that force once it does explain more than all that it was asked about.
     """
 
     def __init__(self, problem: Problem, rng: np.random.Generator) -> None:
+        self._score, self._named = problem.score, 0.0
         self._force = cache(lambda: _promising(problem, rng))
         self.stands: Mended | None = None
 
@@ -64,14 +65,21 @@ class Doubt:
         force = self._force()
         if force is None or not _closes(force, NEARLY):
             return False
-        before, after = (float(problem.score.size(z).mean()) - 1 for z in (problem.nominal, here))
-        if force.best.closed > 1 - after / max(before, 1e-6) + CLEARLY:
-            self.stands = force
+        self._named = max(self._named, self._closed(problem, here))
+        self.stands = force if force.best.closed > self._named + CLEARLY else None
         return self.stands is not None
+
+    def _closed(self, problem: Problem, here: Compact) -> float:
+        """Return the share of the gap that a world closes, in the floors that the force is judged by."""
+        units = problem.score.sigma / np.where(self._score.mask, self._score.sigma, 1)
+        own = [(z * units).astype(np.float32) for z in (problem.nominal, here)]
+        before, after = (float(self._score.size(z).mean()) - 1 for z in own)
+        return float(np.clip(1 - after / max(before, 1e-6), -1, 1))
 
 
 def _promising(problem: Problem, rng: np.random.Generator) -> Mended | None:
     """Return the force that mends most of the nominal world; None where it closes too little of a few episodes."""
+    problem.pace.told("trying one force in place of more effects")
     part, index = brief(problem)
     few = mended(part, (), rng)
     if few is None or len(index) == len(problem.recs):
@@ -128,8 +136,9 @@ def _some(problem: Problem) -> Problem:
     """Return the problem on the episodes that are looked at, as many of each fold."""
     if len(problem.recs) <= LOOKED_AT:
         return problem
-    index = np.sort(np.concatenate([p[: LOOKED_AT // len(problem.parts)] for p in problem.parts]))
-    parts = [np.searchsorted(index, p[: LOOKED_AT // len(problem.parts)]) for p in problem.parts]
+    each = max(LOOKED_AT // len(problem.parts), 1)
+    index = np.sort(np.concatenate([p[:each] for p in problem.parts]))
+    parts = [np.searchsorted(index, p[:each]) for p in problem.parts]
     plan = replace(problem.plan, phase=problem.plan.phase[index])
     return replace(
         problem, recs=problem.recs.take(index), begin=problem.begin.take(index), plan=plan,

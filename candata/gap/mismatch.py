@@ -174,17 +174,20 @@ def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
 def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     """Return that the joints of some episodes do not belong to their commands, while those of others do.
 
-    Sure where many are such, unless it is the motion that tells: in all episodes of a task, and in none of another,
-    joints may be too weak for it. (With 0.12 N m, a heavier rotor and less damping those of fast sweeps were refused.)
+    Sure where many are such, unless they move otherwise in all episodes of some tasks that are looked at and in none of
+    another: joints may be too weak for that motion. (With 0.12 N m, a heavier rotor and less damping those of fast
+    sweeps were refused.) What is a constant off is no weakness.
     """
-    off = distances(pairs.joint - own, np.ones(len(pairs.names), bool))
+    apart, every = pairs.joint - own, np.ones(len(pairs.names), bool)
+    off, swing = distances(apart, every), distances(apart - np.nanmedian(apart, axis=1, keepdims=True), every)
     strange = (off > STRANGE) & (off > STRANGER * np.quantile(off, 0.25))
     if not strange.any():
         return []
     names = [name for name, s in zip(look.recs.ids, strange, strict=True) if s]
     more = f" and {len(names) - 6} more" if len(names) > 6 else ""
     return [Finding(
-        "broken_episodes", bool(strange.mean() >= MANY) and not _by_task(look.recs.tasks, strange),
+        "broken_episodes",
+        bool(strange.mean() >= MANY and not (_by_task(look.recs.tasks, strange) and (2 * swing > off)[strange].all())),
         "joints and commands of some episodes do not belong together",
         f"joints within {STRANGE:g} rad or m of where the commands take the scene's, as in the others",
         f"{len(names)} of {len(off)} episodes looked at: {', '.join(names[:6])}{more}",
@@ -193,9 +196,9 @@ def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
 
 
 def _by_task(tasks: Sequence[str], some: NDArray[np.bool_]) -> bool:
-    """Tell whether some episodes `(E,)` are all those of their tasks, two or more of each."""
+    """Tell whether some episodes `(E,)` are all those of their named tasks, two or more of each."""
     inside, outside = ([tasks[int(i)] for i in np.flatnonzero(kind)] for kind in (some, ~some))
-    return not set(inside) & set(outside) and all(inside.count(t) > 1 for t in inside)
+    return not set(inside) & set(outside) and all(t and inside.count(t) > 1 for t in inside)
 
 
 def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:

@@ -163,6 +163,10 @@ class Plane:
         z = self.read(np.where(own, at, self.at))
         return Plane(self.low[~own], self.high[~own], self.at[~own], z, self.slope[~own])
 
+    def least(self) -> Compact:
+        """Return `(E, K)` residuals at the best coordinates for all episodes."""
+        return self.read(self.best(np.arange(len(self.z))))
+
     def fitter(self, score: Score) -> Fitter:
         """Return the function that gives the best coordinates `(d,)` for training episodes."""
         return self.best

@@ -1,4 +1,4 @@
-"""Sets of causes: grown one by one, early members exchanged, at last a joint fit of everything."""
+"""Sets of causes: grown one by one, all fitted together where three leave a gap, early members exchanged."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from candata.gap.score import Compact, score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import sparse
-from candata.gap.stage import RIVALS, Stage, as_simulated, is_near, is_tied, look, unheld
+from candata.gap.stage import RIVALS, Stage, as_simulated, is_near, is_tied, look, standard_error, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest
@@ -61,7 +61,7 @@ NEXT = 0.5
 HOPELESS = 4.0
 #: Null replays of each episode around an accepted set.
 NULLS_AGAIN = 4
-#: A set, the problem in units of the floor of its world, and whether a gap remains.
+#: A set, the problem in units of the floor of its world, and whether a gap remains that is to be looked into.
 Grown = tuple[Fit, Problem, bool]
 
 
@@ -73,7 +73,8 @@ def forward(
     Grows while the held-out loss lies above the nulls of the world found so far and another effect passes. First tried
     is a set to whose signatures, `rough` on a few episodes, the recording adds up. Where a gap is left, what was taken
     early is looked at again beside what came later, and two of the fits `alone` together. Where signatures promise too
-    little of what is left, or a full set leaves much, a `doubt` that stands ends it.
+    little of what is left, or a full set leaves much, a `doubt` that stands ends it; beside a full set all effects are
+    fitted together first, and where many little things remain, no gap is left to be looked into.
     """
     while True:
         first = best
@@ -326,8 +327,8 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     """Return the joint fit over all effects where it closes clearly more than `best`, which is returned otherwise.
 
     Many names that leave most of the gap open are names at random, and so are such as make up for one another: then
-    `best` stands too. Where more names than a set may hold explain more, but together less than one is worth, what
-    remains is many little ones: no gap to be looked into.
+    `best` stands too. Where beside a full set more names explain more, but together surely less than one is worth, what
+    remains is many little things: no gap to be looked into.
     """
     base = problem.score.loss(problem.nominal)
     left = left_by(best)
@@ -338,11 +339,18 @@ def jointly(problem: Problem, best: Fit) -> Grown:
     found = sparse(problem, best, base, least)
     if found is None or found.gain < least:
         return best, problem, True
-    if not worth_adding(extra_of(best, found), best.gain):
-        return best, problem, len(found.members) <= LARGEST
+    extra = extra_of(best, found)
+    if not worth_adding(extra, best.gain):
+        return best, problem, not (is_full(best.members, problem.measured) and _are_little(extra, found, best))
     fewest = _rebuilt(problem, found, base)
     fewest = moved(problem, fewest) or fewest
     return (best, problem, True) if _cancels(problem, fewest) else judged(problem, fewest)
+
+
+def _are_little(extra: Array, found: Fit, best: Fit) -> bool:
+    """Tell whether many names gain something beyond a set, `extra (E,)`, and surely less than one name is worth."""
+    most = extra.mean() + standard_error(extra)
+    return len(found.members) > LARGEST and extra.mean() >= 0 and bool(most <= EXTRA * best.gain)
 
 
 def _cancels(problem: Problem, fit: Fit) -> bool:
@@ -371,8 +379,7 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
 
 def _promised_without(problem: Problem, found: Fit, left: Sequence[tuple[Candidate, Array]]) -> float:
     """Return how much more is left without some members, as slopes promise it once the others are refitted."""
-    rest = found.plane_without(left)
-    refitted = rest.read(rest.best(np.arange(len(rest.z))))
+    refitted = found.plane_without(left).least()
     return float((problem.score.loss(refitted) - problem.score.loss(found.plane.z)).mean())
 
 

@@ -137,7 +137,7 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], st
     """Return t of least `t a t / 2 + b t + penalty |t|` within bounds, by coordinate descent from `start`."""
     t, size = start.tolist(), np.maximum(np.diag(a), 1e-12).tolist()
     low, high, pull = bounds[0].tolist(), bounds[1].tolist(), penalty.tolist()
-    down = a @ start + b
+    down, columns = a @ start + b, a.T.copy()
     for _ in range(SWEEPS):
         before = list(t)
         for i, own in enumerate(size):
@@ -145,7 +145,7 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], st
             moved = max(wish - pull[i], 0.0) + min(wish + pull[i], 0.0)
             moved = min(max(moved / own, low[i]), high[i])
             if moved != t[i]:
-                down += (moved - t[i]) * a[i]
+                down += (moved - t[i]) * columns[i]
                 t[i] = moved
         if max(abs(x - y) for x, y in zip(t, before, strict=True)) <= 1e-6 * max(*map(abs, t), 1e-12):
             break

@@ -241,8 +241,8 @@ def exchanged(arm, monkeypatch):
     true = attribute.challenged
 
     def end_with(worse: np.ndarray) -> None:
-        def tied(problem, world, best, rough, remains):
-            chosen, _ = true(problem, world, best, rough, remains)
+        def tied(problem, world, best, rough, **how):
+            chosen, _ = true(problem, world, best, rough, **how)
             other = tuple(
                 (candidate("joint_damping", arm), np.full(1, 0.3)) if c.name == "joint_dry_friction" else (c, u)
                 for c, u in chosen.members
@@ -331,7 +331,7 @@ def test_what_an_exchange_leaves_nothing_to_explain_is_left_out(arm, arm_episode
     """A right member in a wrong one's place explains what another had made up for."""
     asked = []
 
-    def exchanged(problem, world, best, rough, remains):
+    def exchanged(problem, world, best, rough, **how):
         asked.append(best.labels)
         if len(asked) > 1:
             return best, []

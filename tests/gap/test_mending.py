@@ -110,3 +110,29 @@ def test_a_search_that_it_ends_says_which_force_and_names_no_more(cogs):
     assert found.force.best.suspects[0].element == "elbow"
     assert found.remains
     assert len(found.chosen.members) <= 2
+
+
+def test_what_was_named_before_counts_where_less_is_named_later(cogs, named):
+    """A second search may hold a poorer set than the first one found."""
+    doubt = Doubt(cogs, rng())
+    nearly = named.plane.z * np.float32(0.01)
+    assert not doubt.of(cogs, nearly)
+    assert not doubt.of(cogs, named.plane.z)
+    assert doubt.stands is None
+
+
+def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
+    """A world in which all is ten times as uncertain closes no more of the gap."""
+    calm = replace(cogs, score=replace(cogs.score, sigma=10 * cogs.score.sigma))
+    doubt = Doubt(cogs, rng())
+    assert doubt._closed(calm, named.plane.z / 10) == pytest.approx(doubt._closed(cogs, named.plane.z), abs=1e-3)
+
+
+def test_with_more_motions_than_episodes_are_looked_at_one_of_each_is(cogs):
+    many = [np.array([i]) for i in range(30)]
+    recs = cogs.recs.take(np.arange(30) % 12)
+    plan, score = cogs.plan.take(np.arange(30) % 12), cogs.score.take(np.arange(30) % 12)
+    some = mending._some(
+        replace(cogs, recs=recs, begin=cogs.begin.take(np.arange(30) % 12), plan=plan, score=score, parts=many)
+    )
+    assert len(some.recs) == 30

@@ -263,12 +263,26 @@ def test_episodes_that_are_broken_among_sound_ones_are_named(arm, arm_episodes, 
     assert f"{broken} of 8 episodes looked at: arm-000" in one.found
 
 
-@pytest.mark.parametrize(("tasks", "definite"), [("aaaabbbb", False), ("abababab", True), ("abcdeeee", True)])
-def test_joints_far_off_in_all_of_a_task_and_in_no_other_may_be_too_weak_for_it(arm, arm_episodes, tasks, definite):
+@pytest.mark.parametrize(
+    ("tasks", "swing", "definite"),
+    [
+        ("aaaabbbb", 1.0, False),
+        ("abababab", 1.0, True),
+        ("abcdeeee", 1.0, True),
+        (("", "", "", "", *"bbbb"), 1.0, True),
+        ("aaaabbbb", 0.0, True),
+    ],
+    ids=["by task", "in every task", "tasks of one", "unnamed", "a constant off"],
+)
+def test_joints_that_move_otherwise_in_all_of_a_task_and_in_no_other_may_be_too_weak_for_it(
+    arm, arm_episodes, tasks, swing, definite
+):
     made = [
         Episode(e.meta.model_copy(update={"task": t}), e.arrays) for e, t in zip(arm_episodes(), tasks, strict=True)
     ]
-    far = [Episode(e.meta, dict(e.arrays) | {"joint_position": e["joint_position"] + 2.0}) for e in made[:4]]
+    rows = len(made[0]["time_ns"])
+    other = 2.0 * (1 - swing) + swing * np.sin(np.arange(rows) / 10)[:, None]
+    far = [Episode(e.meta, dict(e.arrays) | {"joint_position": e["joint_position"] + other}) for e in made[:4]]
     (one,) = (f for f in mismatch(Replayer(arm), recordings(arm, [*far, *made[4:]])) if f.kind == "broken_episodes")
     assert one.definite == definite
 
