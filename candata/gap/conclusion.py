@@ -23,7 +23,8 @@ from candata.gap.replay import EffectSet
 from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
-from candata.gap.unknown import Described, describe, described, unseating
+from candata.gap.starts import is_toss
+from candata.gap.unknown import Described, describe, described, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -135,7 +136,11 @@ def _unseated(
         return described(f.found.force, (), where, nearest)
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    return unseating(_judged(f), size, where, nearest, rng)
+    found = unseating(_judged(f), size, where, nearest, rng)
+    chosen = f.found.chosen
+    if found or chosen is None or len(chosen.members) > 1 or is_toss(f.scene):
+        return found
+    return outdoing(_judged(f), size, f.problem.setting(chosen.members), where, nearest, rng)
 
 
 def _rest(

@@ -8,6 +8,7 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from candata.gap.floor import null_recordings
 from candata.gap.replay import EffectSet
@@ -19,6 +20,7 @@ from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect, otherwise, suspects
 
+Index = NDArray[np.int64]
 #: Episodes that are looked at: enough to describe a force.
 LOOKED_AT = 24
 #: Null replays of each episode.
@@ -38,9 +40,10 @@ UNSURE = 0.15
 
 
 class Mended(NamedTuple):
-    """What a force mends: the episodes that were looked at, whatever stands out on them, and what mends most."""
+    """What a force mends: the episodes looked at and which these are, whatever stands out there, what mends most."""
 
     problem: Problem
+    which: Index
     suspects: Sequence[Suspect]
     best: Stopgap
 
@@ -104,9 +107,9 @@ def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mend
     rng : numpy.random.Generator
         Noise of the null replays.
     """
-    some = _some(problem)
+    some, index = _some(problem)
     found = _standing_out(some, world, rng)
-    return Mended(some, found, _best(some, world, found)) if found else None
+    return Mended(some, index, found, _best(some, world, found)) if found else None
 
 
 def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopgap:
@@ -132,18 +135,19 @@ def _clearest(played: Sequence[Stopgap]) -> Stopgap:
     return best if best.closed >= played[0].closed + MENDS else played[0]
 
 
-def _some(problem: Problem) -> Problem:
-    """Return the problem on the episodes that are looked at, as many of each fold."""
+def _some(problem: Problem) -> tuple[Problem, Index]:
+    """Return the problem on the episodes that are looked at, as many of each fold, and which they are."""
     if len(problem.recs) <= LOOKED_AT:
-        return problem
+        return problem, np.arange(len(problem.recs))
     each = max(LOOKED_AT // len(problem.parts), 1)
     index = np.sort(np.concatenate([p[:each] for p in problem.parts]))
     parts = [np.searchsorted(index, p[:each]) for p in problem.parts]
     plan = replace(problem.plan, phase=problem.plan.phase[index])
-    return replace(
+    some = replace(
         problem, recs=problem.recs.take(index), begin=problem.begin.take(index), plan=plan,
         score=problem.score.take(index), parts=parts,
     )  # fmt: skip
+    return some, index
 
 
 def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> list[Suspect]:

@@ -71,7 +71,9 @@ def test_nor_is_what_leaves_little_of_a_small_gap(found, closed):
 def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word, asked):
     monkeypatch.setattr(conclusion, "unseating", lambda problem, size, where, nearest, rng: nearest)
     monkeypatch.setattr(conclusion, "_judged", lambda f: None)
-    found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None)
+    found = SimpleNamespace(
+        first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None, chosen=None
+    )
     some = conclusion._unseated(SimpleNamespace(found=found), word, Gap(before=3.0, after=2.0), (), None)
     assert some == ("armature" if asked else None)
 
@@ -82,3 +84,58 @@ def test_a_force_that_ended_the_search_unseats_what_was_found_until_then(monkeyp
     found = SimpleNamespace(first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force="a pull")
     some = conclusion._unseated(SimpleNamespace(found=found), "explained", Gap(before=3.0, after=1.2), (), None)
     assert some == ("a pull", "armature")
+
+
+@pytest.fixture
+def alias(monkeypatch):
+    """The function that asks whether a force that leaves so much of twelve episodes outdoes one name alone."""
+
+    def ask(left: float, closed: float, force: float, unsure: float = 0.001, place: str = "object"):
+        own = np.full(12, 1 + left)
+        after = 1 + force + unsure * np.resize([1.0, -1.0], 12)
+        best = SimpleNamespace(suspects=[SimpleNamespace(place=place)], size=after)
+        seen = []
+        monkeypatch.setattr(
+            unknown, "mended", lambda *a: seen.append(a) or SimpleNamespace(best=best, which=np.arange(12))
+        )
+        monkeypatch.setattr(unknown, "described", lambda found, *rest: "a wind")
+        score = SimpleNamespace(take=lambda which: SimpleNamespace(size=lambda z: own))
+        problem = SimpleNamespace(score=score, residuals=lambda worlds: [own])
+        gap = Gap(before=1 + left / (1 - closed), after=1 + left, closed=closed)
+        return unknown.outdoing(problem, gap, (), (), "gravity_tilt", np.random.default_rng(0)), bool(seen)
+
+    return ask
+
+
+@pytest.mark.parametrize(
+    ("how", "outdone"),
+    [
+        ({"left": 0.06, "closed": 0.83, "force": 0.0}, True),
+        ({"left": 0.06, "closed": 0.83, "force": 0.04}, False),  # it mends less than half of that
+        ({"left": 0.06, "closed": 0.83, "force": 0.0, "unsure": 0.3}, False),
+        ({"left": 0.06, "closed": 0.83, "force": 0.0, "place": "fingertip"}, False),
+    ],
+)
+def test_a_force_outdoes_one_name_where_it_surely_mends_half_of_what_that_leaves(alias, how, outdone):
+    assert alias(**how) == ("a wind" if outdone else None, True)
+
+
+@pytest.mark.parametrize("how", [{"left": 0.02, "closed": 0.83}, {"left": 0.06, "closed": 0.97}])
+def test_what_leaves_as_little_as_right_names_do_is_not_asked_about(alias, how):
+    assert alias(**how, force=0.0) == (None, False)
+
+
+@pytest.mark.parametrize(("names", "asked"), [(1, True), (2, False)])
+def test_only_one_name_alone_may_be_outdone(monkeypatch, names, asked):
+    monkeypatch.setattr(conclusion, "unseating", lambda *a: None)
+    monkeypatch.setattr(conclusion, "outdoing", lambda *a: "a wind")
+    monkeypatch.setattr(conclusion, "_judged", lambda f: None)
+    monkeypatch.setattr(conclusion, "is_toss", lambda scene: False)
+    chosen = SimpleNamespace(members=("one",) * names)
+    first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
+    some = SimpleNamespace(
+        found=SimpleNamespace(first=first, force=None, chosen=chosen),
+        problem=SimpleNamespace(setting=lambda members: ()), scene=None,
+    )  # fmt: skip
+    found = conclusion._unseated(some, "explained", Gap(before=1.4, after=1.06, closed=0.85), (), None)
+    assert found == ("a wind" if asked else None)

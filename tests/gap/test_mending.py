@@ -131,4 +131,5 @@ def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
 def test_with_more_motions_than_episodes_are_looked_at_one_of_each_is(cogs):
     index, parts = np.arange(30) % 12, [np.array([i]) for i in range(30)]
     taken = {name: getattr(cogs, name).take(index) for name in ("recs", "begin", "plan", "score")}
-    assert len(mending._some(replace(cogs, parts=parts, **taken)).recs) == 30
+    some, which = mending._some(replace(cogs, parts=parts, **taken))
+    assert len(some.recs) == len(which) == 30
