@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import merged, simplified, widened
@@ -11,7 +11,7 @@ from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
 from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
-from candata.gap.shortlist import gains_share, looked_into
+from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
 from candata.gap.worth import LEFT, MOST, leaves, left_by
@@ -79,7 +79,11 @@ def attribute(problem: Problem) -> Attribution:
     problem = looked_into(problem, here)
     if not gains_share(problem, here, unheld(problem, held), held):
         return found
-    other = _search(problem, look(problem, problem.nominal, (), found.first), doubt)
+    first = look(problem, problem.nominal, (), found.first)
+    if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
+        # What the few most telling episodes promised, the others do not keep.
+        return replace(found, first=first)
+    other = _search(problem, first, doubt)
     if other.force:
         return other
     left, _ = _left(problem, other)

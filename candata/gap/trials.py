@@ -13,7 +13,7 @@ from candata.gap.candidates import Candidate
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
-from candata.gap.stage import UNSURE, is_tied, standard_error
+from candata.gap.stage import RIVALS, UNSURE, is_tied, standard_error
 from candata.gap.worth import LARGEST, LEFT, extra_of, is_full, is_next, left_by, searched, takes, worth_adding
 
 Array = NDArray[np.float64]
@@ -48,10 +48,11 @@ def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
 
 
 def _untold(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the best fit and, where none has many numbers, those that cannot be told from it."""
+    """Return the best fit and, where none has many numbers, the first few that cannot be told from it."""
     ordered = sorted(fits, key=lambda f: -f.gain)
     many = max((len(f.plane.at) for f in ordered), default=0) > MANY
-    return [f for f in ordered if f is ordered[0] or (not many and is_tied(f, ordered[0], UNSURE))]
+    near = [f for f in ordered if f is ordered[0] or (not many and is_tied(f, ordered[0], UNSURE))]
+    return near[: 1 + RIVALS]
 
 
 def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from candata.gap.attribute import Attribution
 from candata.gap.search import Fit
 from candata.gap.shrink import REMAINING, trust
+from candata.gap.worth import LARGEST
 from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
@@ -30,11 +31,13 @@ def verdict(found: Attribution, size: Gap) -> Verdict:
         return "unknown_effect" if found.remains else "no_gap"
     closed = size.closed or 0.0
     little = size.after - size.floor <= REMAINING
-    faint = little and closed < EXPLAINED and (trust(size) < DOUBTED or closed < LARGER_PART)
+    # Many names fit what no name explains: of a friction that grows with load four took 0.70.
+    loose = trust(size) < DOUBTED or len(found.chosen.members) > LARGEST
+    faint = little and closed < EXPLAINED and (loose or closed < LARGER_PART)
     few = closed > 0 and (size.closed_elsewhere or 0.0) >= LARGER_PART
     least = LARGER_PART if len(found.chosen.members) == 1 else PARTLY
     # Where the interval of the share reaches `EXPLAINED`, the gap is too small for it: the held-out gain has decided.
-    unsure = little and closed > 0 and trust(size) >= DOUBTED and (size.high or 0.0) >= EXPLAINED
+    unsure = little and closed > 0 and not loose and (size.high or 0.0) >= EXPLAINED
     if not unsure and (faint or (closed < least and not few)):
         return "unknown_effect"
     if len(found.tied) > 1:

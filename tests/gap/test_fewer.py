@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
+from candata.gap.worth import is_next
 from tests.gap.conftest import members
 
 
@@ -162,6 +164,24 @@ def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, tw
     found = fewer._without_some(problem, fit, first_spare(problem, fit, ()))
     assert made == [(4, {"widths": ()}), (3, {"widths": ()}), (3, {})]
     assert {"joint_dry_friction", "actuation_delay"} <= set(found.labels)
+
+
+def test_a_fit_of_many_does_not_lose_step_by_step_what_it_explains(monkeypatch):
+    """Seven names of which each is worth 0.1 floors, less than a name is: some may go, not one after another."""
+
+    def of(count):
+        members = tuple((SimpleNamespace(name=f"effect {i}"), None) for i in range(count))
+        loss = np.full(12, 1.6 + 0.1 * (7 - count))
+        return SimpleNamespace(members=members, evidence=SimpleNamespace(loss=loss), gain=4.0 - float(loss.mean()))
+
+    monkeypatch.setattr(fewer, "joint", lambda problem, members, base, widths=None: of(len(members)))
+    monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: best.members[:1])
+    monkeypatch.setattr(fewer, "_free", lambda problem, best: best.members)
+    problem = SimpleNamespace(recs=SimpleNamespace(tasks=["a"] * 12))
+    whole = of(7)
+    one_less, two_less = of(6), of(5)
+    assert not is_next(one_less, whole, problem.recs.tasks) and is_next(two_less, whole, problem.recs.tasks)
+    assert len(fewer._thinned(problem, whole, whole, whole.members[:1], np.ones(12)).members) == 6
 
 
 def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, two_causes, monkeypatch):

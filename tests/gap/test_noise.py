@@ -145,6 +145,17 @@ def test_noise_is_measured_in_repeats_whatever_is_declared(plain_recordings, rng
     assert sensor_noise(None, alone, still(alone)).noise.joint_position > 0.02
 
 
+@pytest.mark.parametrize(("off", "confirmed"), [(1 / 1.05, True), (1.05, True), (0.7, False), (1.4, False)])
+def test_what_repeats_confirm_stands_as_it_is_declared(plain_recordings, rng, off, confirmed):
+    """Null replays are kept by the noise: it is the same for recordings that differ in what little they know of it."""
+    recs = played_again(plain_recordings, rng)
+    seen = sensor_noise(None, recs, still(recs)).noise.joint_position
+    declared = Noise(joint_position=float(f"{off * seen:.2g}"))
+    kind, noise, _ = sensor_noise(declared, recs, still(recs))
+    assert kind == "measured"
+    assert noise.joint_position == (declared.joint_position if confirmed else seen)
+
+
 def test_one_repeat_may_be_an_accident(plain_recordings, rng):
     recs = played_again(plain_recordings, rng).take([0, 1, 2, 3])
     assert sensor_noise(None, recs, still(recs)).kind == "assumed"

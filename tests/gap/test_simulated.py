@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,6 +76,20 @@ def test_a_small_gap_is_given_to_what_passes_when_all_is_simulated(problem, poor
     assert attribute(problem) is found
     searches(monkeypatch, first=poor, second=poor)
     assert attribute(problem) is poor
+
+
+def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(problem, poor, monkeypatch):
+    made = searches(monkeypatch, first=poor, second=poor)
+    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    promised = attribution.WORTH * float((poor.first.base - 1).mean())
+    for gain, again in ((0.9 * promised, False), (1.1 * promised, True)):
+        evidence = SimpleNamespace(gain=np.full(12, gain))
+        stage = replace(poor.first, fits=(SimpleNamespace(gain=gain, evidence=evidence),))
+        monkeypatch.setattr(attribution, "look", lambda problem, here, held, before=None, stage=stage: stage)
+        made.clear()
+        found = attribute(problem)
+        assert made == [False, True][: 1 + again]
+        assert again or found.first is stage
 
 
 def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_too(arm, problem):

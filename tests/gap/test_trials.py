@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -41,6 +42,14 @@ def test_rivals_that_stay_near_alone_are_fitted_on(arm, arm_episodes, planted, m
     assert trials.sharpest(problem, alike).labels == ("joint_damping",)
     assert [widths for _, widths in made] == [WIDTHS[:1]] * 2 + [WIDTHS[1:]] * finished
     assert trials.sharpest(problem, []) is None
+
+
+def test_of_many_that_cannot_be_told_apart_only_the_first_few_are_fitted_on():
+    fits = [
+        SimpleNamespace(plane=SimpleNamespace(at=np.zeros(1)), gain=1 - 0.001 * i, evidence=SimpleNamespace(loss=loss))
+        for i, loss in enumerate(np.full((6, 12), 1.0) + 0.001 * np.arange(6)[:, None])
+    ]
+    assert trials._untold(fits[::-1]) == fits[: 1 + trials.RIVALS]
 
 
 def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
