@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,6 +39,34 @@ def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, 
     found, _, _ = sets.forward(problem, best, [])
     assert found.labels == ("joint_dry_friction",)
     assert found.members[0][1] == pytest.approx(0.3, rel=0.02)
+
+
+@pytest.mark.parametrize(("left", "again"), [(-0.05, True), (0.05, False)])
+def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkeypatch, left, again):
+    """Its slopes were not simulated: blunt, it leaves what every further effect would seem to take."""
+
+    names = ("object_com", "contact_compliance")
+    both = tuple((SimpleNamespace(name=name), None) for name in names)
+
+    def fit(loss):
+        return SimpleNamespace(
+            labels=names, members=both,
+            evidence=SimpleNamespace(loss=np.full(12, 1 + loss)), gain=5.0 - loss, response=None,
+        )  # fmt: skip
+
+    sharp, in_its_own = fit(0.001), fit(0.3)
+    score = SimpleNamespace(loss=lambda z: np.full(12, 6.0))
+    world = SimpleNamespace(score=score, nominal=None, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
+    world.pace = SimpleNamespace(say=lambda *a: None, told=lambda *a: None)
+    looked: list[object] = []
+    monkeypatch.setattr(sets, "_rescored", lambda problem, best: (world, in_its_own))
+    monkeypatch.setattr(sets, "leaves", lambda problem, best: best is in_its_own)
+    monkeypatch.setattr(sets, "joint", lambda problem, members, base: sharp)
+    monkeypatch.setattr(sets, "together", lambda *a: None)
+    for name in ("_next", "_swapped", "moved", "shared", "paired", "_retraced"):
+        monkeypatch.setattr(sets, name, lambda *a, name=name: looked.append(name))
+    found, _, remains = sets.forward(world, fit(left), ())
+    assert (found, remains, looked == []) == ((sharp, False, True) if again else (in_its_own, True, False))
 
 
 def test_a_true_set_is_left_as_it_is(arm, two_causes):
