@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
-from candata.gap.refine import around, divided, joint, slopes_of, stepped
+from candata.gap.refine import WIDTHS, around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
 from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
@@ -65,7 +65,10 @@ def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit
     kept = world(plane.at)
     if len(kept) <= len(start.members) or float((base - problem.score.loss(plane.z)).mean()) < NEARLY * least:
         return None
-    return pruned(problem, joint(problem, kept, base), base)
+    # What is worth nothing shows by slopes over one width: no sharp fit is made of it.
+    rough = joint(problem, kept, base, WIDTHS[:1])
+    found = pruned(problem, rough, base)
+    return joint(problem, rough.members, base) if found is rough else found
 
 
 def _everything(problem: Problem, start: Fit) -> Members:
