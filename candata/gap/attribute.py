@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import merged, simplified, widened
@@ -82,7 +82,7 @@ def attribute(problem: Problem) -> Attribution:
     first = look(problem, problem.nominal, (), found.first)
     if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
         # What the few most telling episodes promised, the others do not keep.
-        return replace(found, first=first)
+        return found
     other = _search(problem, first, doubt)
     if other.force:
         return other

@@ -75,7 +75,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     chosen = f.found.chosen
     is_left = chosen is not None or f.found.remains
     size = gap(f.held.size_before, f.held.size_after, rng, gap_left=is_left, ids=f.held.recs.ids if chosen else ())
-    word = verdict(f.found, size)
+    word = verdict(f.found, size, f.problem.measured)
     heat = locate(f.problem.plan, f.problem.score, f.problem.nominal, rng)
     where = symptoms(f.problem.plan, heat) if word != "no_gap" else ()
     # A stream of its own: what is drawn here changes nothing that comes after.

@@ -71,8 +71,8 @@ class SensorNoise(NamedTuple):
 def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -> SensorNoise:
     """Return the noise by which recordings are judged: measured, else declared, else assumed.
 
-    Where a channel is clearly noisier than declared, what is seen counts: no effect explains noise. Where what is
-    measured confirms what is declared, that stands, and null replays made with it serve again.
+    Where a channel is clearly noisier than declared, what is seen counts: no effect explains noise. What is measured
+    and confirms what is declared leaves that as it is, so that null replays made with it serve again.
 
     Parameters
     ----------
@@ -104,9 +104,13 @@ def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -
     if kind == "assumed" and declared is not None and told.any():
         if not notes:
             return SensorNoise("declared", declared)
-        return SensorNoise(kind, _noise(np.where(more, seen, told), declared.force_step), notes)
-    confirmed = (kind == "measured") & (np.abs(seen - told) <= AS_DECLARED * told)
-    return SensorNoise(kind, _noise(np.where(confirmed, told, np.maximum(seen, _sizes(SMALLEST))), step), notes)
+        return SensorNoise(kind, _noise(np.where(more, _rough(seen), told), declared.force_step), notes)
+    recorded = np.array([_channel(q) in recs.readings for q, _ in QUANTITIES])
+    confirmed = (kind == "measured") & (told > 0) & ((np.abs(seen - told) <= AS_DECLARED * told) | ~recorded)
+    if declared is not None and confirmed.all() and (step == declared.force_step or not recorded[-1]):
+        return SensorNoise(kind, declared)
+    sizes = np.where(confirmed, told, _rough(np.maximum(seen, _sizes(SMALLEST))))
+    return SensorNoise(kind, _noise(sizes, step), notes)
 
 
 def repeated(recs: Recordings) -> list[tuple[int, int]]:
@@ -143,7 +147,7 @@ def variances(recs: Recordings, other: Readings | None = None) -> Array:
 
 def _windows(quantity: str, recs: Recordings, other: Readings | None) -> Array | None:
     """Return windows `(E, N, WINDOW, D)` of a quantity, or of its difference; None where it was not recorded."""
-    channel = "object_pose" if quantity.startswith("object") else quantity.replace(" ", "_")
+    channel = _channel(quantity)
     if channel not in recs.readings:
         return None
     slow = recs.sources.get(channel)
@@ -153,6 +157,11 @@ def _windows(quantity: str, recs: Recordings, other: Readings | None) -> Array |
         return difference(values[..., 3:], others[..., 3:])
     apart = values - others
     return apart[..., :3] if channel == "object_pose" else apart
+
+
+def _channel(quantity: str) -> str:
+    """Return the channel that a quantity is read from."""
+    return "object_pose" if quantity.startswith("object") else quantity.replace(" ", "_")
 
 
 def _cut(values: Array) -> Array:
@@ -226,7 +235,12 @@ def _sizes(noise: Noise) -> Array:
     return np.array([*noise.object_pose, noise.joint_position, noise.fingertip_force])
 
 
+def _rough(sizes: Array) -> Array:
+    """Return sizes `(4,)` to the digits that are known of them."""
+    return np.array([float(f"{s:.{DIGITS}g}") for s in sizes])
+
+
 def _noise(sizes: Array, step: float) -> Noise:
-    """Return noise of sizes `(4,)`, rounded."""
-    position, rotation, joint, force = (float(f"{s:.{DIGITS}g}") for s in sizes)
+    """Return noise of sizes `(4,)`."""
+    position, rotation, joint, force = map(float, sizes)
     return Noise(object_pose=(position, rotation), joint_position=joint, fingertip_force=force, force_step=step)

@@ -68,7 +68,7 @@ def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit
     # What is worth nothing shows by slopes over one width: no sharp fit is made of it.
     rough = joint(problem, kept, base, WIDTHS[:1])
     found = pruned(problem, rough, base)
-    return joint(problem, rough.members, base) if found is rough else found
+    return pruned(problem, joint(problem, kept, base, WIDTHS[1:]), base) if found is rough else found
 
 
 def _everything(problem: Problem, start: Fit) -> Members:

@@ -111,7 +111,7 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
         for f in _free(best, alone) if not f[0].choices
     ]  # fmt: skip
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
-    far = now - PROMISING * TAKEN * min(now - 1, MUCH)
+    far = now - PROMISING * TAKEN * min(max(now - 1, 0.0), MUCH)
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < far])
     return found if found is not None and is_next(best, found, problem.recs.tasks) else None
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from candata.gap.attribute import Attribution
-from candata.gap.search import Fit
+from candata.gap.search import Fit, Members
 from candata.gap.shrink import REMAINING, trust
-from candata.gap.worth import LARGEST
+from candata.gap.worth import LARGEST, searched
 from candata.schema.report import Gap, Symptom, Unknown, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
@@ -25,14 +25,14 @@ LARGER_PART = 0.5
 FEWEST = 8
 
 
-def verdict(found: Attribution, size: Gap) -> Verdict:
-    """Return the verdict word for what was found and how far the gap shrank."""
+def verdict(found: Attribution, size: Gap, measured: Members = ()) -> Verdict:
+    """Return the verdict word for what was found and how far the gap shrank; what was `measured` is not counted."""
     if found.chosen is None:
         return "unknown_effect" if found.remains else "no_gap"
     closed = size.closed or 0.0
     little = size.after - size.floor <= REMAINING
     # Many names fit what no name explains: of a friction that grows with load four took 0.70.
-    loose = trust(size) < DOUBTED or len(found.chosen.members) > LARGEST
+    loose = trust(size) < DOUBTED or searched(found.chosen.members, measured) > LARGEST
     faint = little and closed < EXPLAINED and (loose or closed < LARGER_PART)
     few = closed > 0 and (size.closed_elsewhere or 0.0) >= LARGER_PART
     least = LARGER_PART if len(found.chosen.members) == 1 else PARTLY

@@ -23,7 +23,10 @@ PHRASES: dict[str, tuple[str, str]] = {
         "multiply kv of the <position> actuator by {raw}",
     ),
     "torque_limit": ("Limit the torque of {servo} to {x}", 'forcerange="-{raw} {raw}" of the actuator'),
-    "object_mass": ("Multiply the object's mass and inertia by {x}", "multiply mass of its <geom>s or <inertial>"),
+    "object_mass": (
+        "Multiply the object's mass and inertia by {x}",
+        "multiply mass or density of its <geom>s, or mass and diaginertia of its <inertial>",
+    ),
     "object_com": ("Move the object's centre of mass by {x}, in its own frame", "add {raw} to pos of its <inertial>"),
     "object_size": ("Multiply the object's lengths by {x}, its mass unchanged", "multiply size and pos of its <geom>s"),
     "object_inertia": (
@@ -49,7 +52,7 @@ PHRASES: dict[str, tuple[str, str]] = {
     ),
     "contact_compliance": (
         "Set the time constant of contacts at {surface} to {x}",
-        "{raw} as the first number of solref of the <geom>s that touch",
+        "{raw} as the first number of solref of the <geom>s that touch, the second as it is",
     ),
     "contact_damping": (
         "Set the damping ratio of contacts at {surface} to {x}",
@@ -136,11 +139,12 @@ def next_step(report: Report) -> str:
 
 
 def untested(report: Report) -> list[tuple[str, str]]:
-    """Return what could not be tested and why, as (what, why)."""
+    """Return what could not be tested and why, as (what, why); what is named was tested beside the others."""
     rows = []
     grouped: dict[str, list[str]] = {}
+    named = {effect.name for effect in report.effects}
     for one in report.ranking:
-        if one.reason:
+        if one.reason and one.name not in named:
             grouped.setdefault(one.reason, []).append(words.plain(one.name))
     rows += [(words.listed(names), REASONS.get(reason, reason)) for reason, names in grouped.items()]
     if not report.ranking:

@@ -40,7 +40,11 @@ def effects(report: Report, ranges: Mapping[tuple[str, str], Range]) -> str:
             body.append(f"<tr>{''.join((*plain[:4], searched, *plain[4:]))}</tr>")
     head = ("effect", "parameter", "value", "90 % interval", "range searched", "share of closed gap", "support")
     top = "".join(f"<th{NUMERIC if i in (2, 3, 5, 6) else ''}>{escape(text)}</th>" for i, text in enumerate(head))
-    note = '<p class="note">A mark inside a range is the value without the effect.</p>' if ranges else ""
+    note = (
+        '<p class="note">A mark inside a range, where there is one, is the value without the effect.</p>'
+        if ranges
+        else ""
+    )
     return (
         "<h2>Named effects</h2>"
         f'<div class="scroll" tabindex="0"><table><thead><tr>{top}</tr></thead>'
@@ -159,7 +163,7 @@ def data(report: Report) -> str:
         ("dataset", used.dataset),
         (
             "episodes",
-            f"{count.total}, of which {count.held_out} held out in {count.folds} folds",
+            f"{count.total}, of which {count.held_out} held out, each once, in {count.folds} folds",
         ),
         ("floor", floor.get(used.floor or "", "none")),
         ("channels", ", ".join(used.channels)),

@@ -25,9 +25,9 @@ HEADLINES: dict[Verdict, str] = {
 _MEANINGS: dict[Verdict, str] = {
     "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
     "explained": "The named effects pass the held-out test and close at least 80 % of the gap, "
-    "or leave 0.30 floors of it or less, and less than half or perhaps nothing, with a support of at least one half.",
-    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap, one alone half, "
-    "of all episodes or of all but a few, but something else remains.",
+    "or leave next to nothing of a small one.",
+    "partly_explained": "The named effects pass the held-out test and close a good part of the gap, "
+    "but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
@@ -38,7 +38,8 @@ TERMS = {
     "floor": "the mismatch that sensor noise and luck alone give; 1 floor is as good as it can get",
     "held out": "episodes that took no part in the fit they judge, so a gain there is no accident of fitting",
     "gain": "how much the robust loss falls on held-out episodes, in floors",
-    "share": "how much of the gain is lost when this effect alone is left out",
+    "share": "how much of the gain is lost when this effect alone is left out; of effects that need one another the "
+    "shares add up to more than 100 %",
     "support": "how often a candidate comes first when episodes are resampled, in a set before what was tried in its "
     "place; less where the named set leaves much",
     "p": "how likely chance alone would show a cell as strong, over all cells",

@@ -185,6 +185,22 @@ def test_a_fit_of_many_does_not_lose_step_by_step_what_it_explains(monkeypatch):
     assert len(fewer._thinned(problem, whole, whole, whole.members[:1], np.ones(12)).members) == 6
 
 
+@pytest.mark.parametrize(("left", "times"), [(4, 1), (3, 2)])
+def test_a_fit_that_is_still_of_many_is_thinned_once(monkeypatch, left, times):
+    made = []
+
+    def fewer_of(problem, best, spare):
+        made.append(best)
+        return SimpleNamespace(members=(None,) * left) if len(made) == 1 else None
+
+    monkeypatch.setattr(fewer, "_without_some", fewer_of)
+    monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: ())
+    monkeypatch.setattr(fewer, "_free", lambda problem, best: ())
+    monkeypatch.setattr(fewer, "judged", lambda problem, fit: (fit, "its world", True))
+    found, world, remains = fewer.simplified("a world", SimpleNamespace(members=(None,) * 6), True)
+    assert (len(found.members), world, remains, len(made)) == (left, "its world", True, times)
+
+
 def test_of_a_fit_of_many_what_is_needed_stays_though_it_seemed_spare(arm, two_causes, monkeypatch):
     problem, _ = two_causes
     some = members(arm, joint_dry_friction=0.3, joint_damping=0.01, armature=1e-4, actuation_delay=0.03)

@@ -145,15 +145,29 @@ def test_noise_is_measured_in_repeats_whatever_is_declared(plain_recordings, rng
     assert sensor_noise(None, alone, still(alone)).noise.joint_position > 0.02
 
 
-@pytest.mark.parametrize(("off", "confirmed"), [(1 / 1.05, True), (1.05, True), (0.7, False), (1.4, False)])
+@pytest.mark.parametrize(("off", "confirmed"), [(0.953, True), (1.047, True), (0.7, False), (1.4, False)])
 def test_what_repeats_confirm_stands_as_it_is_declared(plain_recordings, rng, off, confirmed):
     """Null replays are kept by the noise: it is the same for recordings that differ in what little they know of it."""
     recs = played_again(plain_recordings, rng)
     seen = sensor_noise(None, recs, still(recs)).noise.joint_position
-    declared = Noise(joint_position=float(f"{off * seen:.2g}"))
+    # What was not recorded counts as declared, and so do all digits.
+    declared = Noise(
+        object_pose=(0.00123, 0.0087266), joint_position=off * seen, fingertip_force=0.0234, force_step=0.01
+    )
     kind, noise, _ = sensor_noise(declared, recs, still(recs))
     assert kind == "measured"
     assert noise.joint_position == (declared.joint_position if confirmed else seen)
+    assert noise.object_pose == declared.object_pose
+    assert (noise == declared) is confirmed
+
+
+def test_no_declared_noise_confirms_none(plain_recordings, rng):
+    """Played again without noise: what good sensors cannot resolve is left, not nothing."""
+    recs = played_again(plain_recordings, rng)
+    quiet = replace(recs, readings={n: np.zeros_like(v) for n, v in recs.readings.items()})
+    for declared in (None, Noise(), Noise(fingertip_force=0.02)):
+        kind, noise, _ = sensor_noise(declared, quiet, still(quiet))
+        assert (kind, noise.joint_position, noise.object_pose) == ("measured", SMALLEST.joint_position, (2e-4, 1e-3))
 
 
 def test_one_repeat_may_be_an_accident(plain_recordings, rng):

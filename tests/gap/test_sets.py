@@ -51,12 +51,12 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
     def fit(loss):
         return SimpleNamespace(
             labels=names, members=both,
-            evidence=SimpleNamespace(loss=np.full(12, 1 + loss)), gain=5.0 - loss, response=None,
+            evidence=SimpleNamespace(loss=np.full(12, 1 + loss)), gain=5.0 - loss, plane=SimpleNamespace(z=1 + loss),
         )  # fmt: skip
 
     sharp, in_its_own = fit(0.001), fit(0.3)
-    score = SimpleNamespace(loss=lambda z: np.full(12, 6.0))
-    world = SimpleNamespace(score=score, nominal=None, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
+    score = SimpleNamespace(loss=lambda z: np.full(12, z))
+    world = SimpleNamespace(score=score, nominal=6.0, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
     world.pace = SimpleNamespace(say=lambda *a: None, told=lambda *a: None)
     looked: list[object] = []
     monkeypatch.setattr(sets, "_rescored", lambda problem, best: (world, in_its_own))

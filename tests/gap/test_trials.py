@@ -68,6 +68,29 @@ def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_ep
     assert trials.shared(problem, found, fits) is None  # nothing left to explain
 
 
+@pytest.mark.parametrize(("left", "fitted"), [(1.45, False), (1.4, True)])
+def test_what_takes_too_little_of_a_few_episodes_is_not_fitted_on_all(monkeypatch, left, fitted):
+    """Of half a floor an eighth is asked for there: half of the quarter that the next effect must take."""
+
+    def fit(name):
+        c = SimpleNamespace(name=name, label=name, choices=(), neutral=np.zeros(1))
+        gain = np.ones(12)
+        return SimpleNamespace(members=((c, np.ones(1)),), gain=1.0, evidence=SimpleNamespace(gain=gain))
+
+    best, made = fit("servo_gain"), []
+    score = SimpleNamespace(loss=lambda z: np.full(6, z))
+    part = SimpleNamespace(score=score, nominal=2.0)
+    problem = SimpleNamespace(measured=())
+    monkeypatch.setattr(trials, "left_by", lambda best: 0.5)
+    monkeypatch.setattr(trials, "brief", lambda problem: (part, np.arange(1)))
+    monkeypatch.setattr(trials, "here_of", lambda problem, best: np.full(1, 1.5))
+    plane = SimpleNamespace(z=left)
+    monkeypatch.setattr(trials, "joint", lambda part, members, *a: SimpleNamespace(members=members, plane=plane))
+    monkeypatch.setattr(trials, "sharp", lambda problem, sets: made.extend(sets))
+    assert trials.shared(problem, best, [best, fit("armature")]) is None
+    assert len(made) == fitted
+
+
 def test_in_a_full_set_the_one_that_shares_takes_the_place_of_what_made_up_for_it(
     arm, arm_episodes, planted, monkeypatch
 ):

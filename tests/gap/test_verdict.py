@@ -17,7 +17,7 @@ SYMPTOMS = (
 
 
 def fit(*labels: str):
-    return SimpleNamespace(labels=labels, members=labels)
+    return SimpleNamespace(labels=labels, members=tuple((SimpleNamespace(name=label), None) for label in labels))
 
 
 def found(chosen=None, tied: int = 1, remains: bool = False, names: int = 1):
@@ -83,6 +83,11 @@ def closing(share: float, before: float = 11.0, elsewhere: float | None = None, 
 )
 def test_the_table_of_verdicts(attribution, size, word):
     assert verdict(attribution, size) == word
+
+
+def test_what_was_measured_is_no_name_too_many():
+    four, small = found(True, names=4), closing(0.7, before=1.3)
+    assert verdict(four, small, four.chosen.members[:1]) == "explained"
 
 
 @pytest.mark.parametrize("word", ["no_gap", "explained", "ambiguous", "too_little_data"])

@@ -28,7 +28,7 @@ def named(name: str, element: str | None = None, **values) -> NamedEffect:
         (
             named("contact_compliance", timeconst_s=[0.0304, 0.0298, 0.0305]),
             "Set the time constant of contacts at object, fingertips and support to 30.4 ms (29.8 to 30.5)",
-            "0.0304 as the first number of solref of the <geom>s that touch",
+            "0.0304 as the first number of solref of the <geom>s that touch, the second as it is",
         ),
         (named("torque_limit", "ring1", limit_Nm=1.25), "Limit the torque of the servo of ring1 to 1.25 N m",
          'forcerange="-1.25 1.25" of the actuator'),
@@ -75,6 +75,17 @@ def test_what_could_not_be_tested_and_why(make_report):
     assert "tactile lag" in rows["fingertip force was not recorded"]
     assert "tactile gain" not in str(rows), "it was ranked"
     assert advice.missing_channels(report) == ["fingertip_force"]
+
+
+def test_what_is_named_is_not_said_to_be_untested(make_report):
+    """Beside the others it was tested, though alone it gained little."""
+    report = make_report()
+    alone = Ranked(
+        name=report.effects[0].name, support=0, held_out_gain=0, reason="gains little on the episodes looked at"
+    )
+    for named, said in (((), True), (report.effects, False)):
+        some = report.model_copy(update={"ranking": (alone,), "effects": named})
+        assert ("gains little on the episodes looked at" in dict(map(reversed, advice.untested(some)))) is said
 
 
 def test_too_few_episodes_say_how_many_are_missing(make_report):
