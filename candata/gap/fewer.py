@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from candata.gap.added import ADDED, by_loss, residuals_at
 from candata.gap.candidates import Candidate
 from candata.gap.elsewhere import everywhere, neighbour
+from candata.gap.own_floor import Grown, judged
 from candata.gap.refine import joint
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
-from candata.gap.sets import Grown, judged
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.trials import least_worth, sharp, without

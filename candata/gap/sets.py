@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,12 +11,11 @@ from numpy.typing import NDArray
 from candata.gap.added import ADDED, ALIKE, here_of, pieces_of, residuals_at, together
 from candata.gap.candidates import Candidate
 from candata.gap.elsewhere import moved
-from candata.gap.floor import floor
-from candata.gap.folds import cross_fit
 from candata.gap.mending import Doubt
+from candata.gap.own_floor import Grown, judged, refitted, rescored
 from candata.gap.pace import ANOTHER, BESIDE, JOINT
-from candata.gap.refine import SHARP, joint
-from candata.gap.score import Compact, score
+from candata.gap.refine import joint
+from candata.gap.score import Compact
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import sparse
@@ -59,10 +57,6 @@ NEXT = 0.5
 #: Times what a name is worth that slopes may promise members to be worth, for the others to be fitted without them.
 #: Chosen: slopes of what makes up for one another promise too much.
 HOPELESS = 4.0
-#: Null replays of each episode around an accepted set.
-NULLS_AGAIN = 4
-#: A set, the problem in units of the floor of its world, and whether a gap remains that is to be looked into.
-Grown = tuple[Fit, Problem, bool]
 
 
 def forward(
@@ -78,11 +72,11 @@ def forward(
     """
     while True:
         first = best
-        world, best = _rescored(problem, best)
+        world, best = rescored(problem, best)
         remains = leaves(world, best)
-        refitted = _refitted(problem, first, world, best) if remains else None
-        if refitted is not None:
-            best, remains = refitted, leaves(world, refitted)
+        sharper = refitted(problem, first, world, best) if remains else None
+        if sharper is not None:
+            best, remains = sharper, leaves(world, sharper)
         if not remains or not (has_room(best) or left_by(best) > FAINT):
             return best, world, remains
         other, rough = together(problem, first, rough) if has_room(best) else None, ()
@@ -143,12 +137,6 @@ def compared(problem: Problem, chosen: Fit, tied: list[Fit], remains: bool) -> t
     best = pairs[0][1]
     left = [f for f, fit in pairs if is_tied(fit, best)]
     return left, (chosen, problem, remains) if best is chosen else judged(problem, best)
-
-
-def judged(problem: Problem, fit: Fit) -> Grown:
-    """Return a fit and the problem in units of the floor of its world, and whether a gap remains."""
-    world, fit = _rescored(problem, fit)
-    return fit, world, leaves(world, fit)
 
 
 def is_doubted(problem: Problem, best: Fit, doubt: Doubt | None) -> bool:
@@ -251,22 +239,6 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
     if float(problem.score.loss(residuals_at(problem, own)).mean()) >= before:
         return None
     found = joint(problem, own, problem.score.loss(problem.nominal))
-    return found if found.gain > best.gain else None
-
-
-def _refitted(problem: Problem, first: Fit, world: Problem, best: Fit) -> Fit | None:
-    """Return a set refitted in units of the floor of its own world; None where that gains nothing.
-
-    Only one that seemed to leave nothing in units of the `problem` before, so that no slopes were simulated. (An
-    object's mass centre and softer contact left -0.07 floors in those of the nominal world and 0.07 in their own; a
-    look at all other effects took 44 CPU s, and then the two, refitted, left nothing.)
-    """
-    if len(best.members) < 2:
-        return None
-    left = float(problem.score.loss(first.plane.z).mean()) - 1
-    if left >= SHARP * (float(problem.score.loss(problem.nominal).mean()) - 1 - left):
-        return None
-    found = joint(world, best.members, world.score.loss(world.nominal))
     return found if found.gain > best.gain else None
 
 
@@ -400,16 +372,3 @@ def _promised_without(problem: Problem, found: Fit, left: Sequence[tuple[Candida
     """Return how much more is left without some members, as slopes promise it once the others are refitted."""
     refitted = found.plane_without(left).least()
     return float((problem.score.loss(refitted) - problem.score.loss(found.plane.z)).mean())
-
-
-def _rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
-    """Return problem and fit in units of the floor of the fitted world."""
-    world = problem.setting(best.members)
-    spread = floor(
-        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, NULLS_AGAIN, world
-    )
-    new = replace(problem, score=score(problem.raw, spread, problem.plan))
-    factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
-    response = best.response.rescaled(factor)
-    evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
-    return new, replace(best, response=response, evidence=evidence)

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import elsewhere, sets, trials, worth
+from candata.gap import elsewhere, own_floor, sets, trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
@@ -59,9 +59,9 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
     world = SimpleNamespace(score=score, nominal=6.0, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
     world.pace = SimpleNamespace(say=lambda *a: None, told=lambda *a: None)
     looked: list[object] = []
-    monkeypatch.setattr(sets, "_rescored", lambda problem, best: (world, in_its_own))
+    monkeypatch.setattr(sets, "rescored", lambda problem, best: (world, in_its_own))
     monkeypatch.setattr(sets, "leaves", lambda problem, best: best is in_its_own)
-    monkeypatch.setattr(sets, "joint", lambda problem, members, base: sharp)
+    monkeypatch.setattr(own_floor, "joint", lambda problem, members, base: sharp)
     monkeypatch.setattr(sets, "together", lambda *a: None)
     for name in ("_next", "_swapped", "moved", "shared", "paired", "_retraced"):
         monkeypatch.setattr(sets, name, lambda *a, name=name: looked.append(name))
@@ -221,7 +221,7 @@ def test_where_many_names_explain_no_more_than_one_is_worth_many_little_things_r
 def test_others_are_tried_in_the_place_of_each_of_three_only_where_no_many_are_found(small, names, tried, monkeypatch):
     problem, best = small(names, 0.01)
     asked = []
-    monkeypatch.setattr(sets, "_rescored", lambda world, fit: (world, fit))
+    monkeypatch.setattr(sets, "rescored", lambda world, fit: (world, fit))
     monkeypatch.setattr(sets, "has_room", lambda fit: True)
     monkeypatch.setattr(sets, "together", lambda *a: None)
     for name in ("_swapped", "moved", "shared", "paired", "_retraced"):
