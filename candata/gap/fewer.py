@@ -40,11 +40,9 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     found = _without_some(problem, best, _spare(problem, best, _free(problem, best)))
     if found is None:
         return best, problem, remains
-    fewer = judged(problem, found)
-    if len(found.members) > LARGEST:
-        return fewer
-    found, world, remains = fewer
-    return simplified(world, found, remains)
+    found, world, remains = judged(problem, found)
+    # Of what is still many, all that can be was left out.
+    return (found, world, remains) if len(found.members) > LARGEST else simplified(world, found, remains)
 
 
 def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
@@ -64,10 +62,7 @@ def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
 
 
 def _thinned(problem: Problem, whole: Fit, best: Fit, spare: Members, base: Array) -> Fit | None:
-    """Return a set without as many of some members as explains about as much as a `whole`; None of none.
-
-    It is fitted lightly.
-    """
+    """Return the smallest set found, fitted lightly, without some members that explains as much as `whole`; or None."""
     halves = (spare[: len(spare) >> times] for times in range(len(spare).bit_length()))
     light = (joint(problem, without(best, left_out), base, widths=()) for left_out in halves)
     found = next((f for f in light if not is_next(f, whole, problem.recs.tasks)), None)

@@ -370,5 +370,5 @@ def _rebuilt(problem: Problem, found: Fit, base: Array) -> Fit:
 
 def _promised_without(problem: Problem, found: Fit, left: Sequence[tuple[Candidate, Array]]) -> float:
     """Return how much more is left without some members, as slopes promise it once the others are refitted."""
-    refitted = found.plane_without(left).least()
-    return float((problem.score.loss(refitted) - problem.score.loss(found.plane.z)).mean())
+    others = found.plane_without(left).least()
+    return float((problem.score.loss(others) - problem.score.loss(found.plane.z)).mean())

@@ -35,8 +35,8 @@ MANY = 8
 #: Standard errors by which an effect alone must gain to be tried in a pair. (Of one split of cube tosses, inertia and
 #: compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
 SURELY = 2.0
-#: Share of what another effect must take that a set must take of a few episodes to be fitted on all. Chosen: a cause in
-#: no library left three such sets that took a tenth of it at most, for 13 to 24 CPU s each.
+#: Share of what another effect must take that a set must take of a few episodes to be fitted on all. Chosen: of two
+#: causes in no library such sets took a hundredth of what was left, for 15 and 24 CPU s.
 PROMISING = 0.5
 #: Where two that do much alike begin: at half of what each is alone. Chosen.
 HALF = 0.5

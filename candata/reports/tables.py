@@ -154,6 +154,7 @@ def verdicts(report: Report) -> str:
 def data(report: Report) -> str:
     """Return what the diagnosis saw and where it came from."""
     used, count = report.data, report.data.episodes
+    held_out = "each held out once" if count.held_out == count.total else f"of which {count.held_out} held out"
     floor = {
         "measured": "measured from repeated episodes",
         "declared": "declared in the scene",
@@ -163,7 +164,7 @@ def data(report: Report) -> str:
         ("dataset", used.dataset),
         (
             "episodes",
-            f"{count.total}, of which {count.held_out} held out, each once, in {count.folds} folds",
+            f"{count.total}, {held_out} in {count.folds} folds",
         ),
         ("floor", floor.get(used.floor or "", "none")),
         ("channels", ", ".join(used.channels)),

@@ -25,9 +25,9 @@ HEADLINES: dict[Verdict, str] = {
 _MEANINGS: dict[Verdict, str] = {
     "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
     "explained": "The named effects pass the held-out test and close at least 80 % of the gap, "
-    "or leave next to nothing of a small one.",
-    "partly_explained": "The named effects pass the held-out test and close a good part of the gap, "
-    "but something else remains.",
+    "or at least half of one of which 0.30 floors or less remain.",
+    "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap (one name alone "
+    "half), of all episodes or of all but a few, but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",

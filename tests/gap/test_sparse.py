@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from candata.gap import sparse as module
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
-from candata.gap.refine import joint
+from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import typical
@@ -37,6 +38,22 @@ def found(arm, arm_episodes, planted):
 def test_all_that_is_wrong_is_in_the_set_and_nothing_else(found):
     fit, *_ = found
     assert {c.name for c, _ in fit.members} == set(WRONG)
+
+
+@pytest.mark.parametrize("spare", [True, False])
+def test_what_is_worth_nothing_is_left_out_before_the_sharp_fit(found, monkeypatch, spare):
+    """Slopes over one width tell; where all are worth something, the sharp fit goes on from the next width."""
+    _, start, base, problem = found
+    made = []
+
+    def counted(problem, members, base, widths=WIDTHS):
+        made.append(widths)
+        return joint(problem, members, base, ())
+
+    monkeypatch.setattr(module, "joint", counted)
+    monkeypatch.setattr(module, "_worthy", lambda problem, fit, base: fit.members[: 2 if spare else None])
+    module.sparse(problem, start, base)
+    assert made == [WIDTHS[:1], (), WIDTHS] if spare else made == [WIDTHS[:1], WIDTHS[1:]]
 
 
 def test_the_set_closes_what_one_cause_could_not(found):
