@@ -138,7 +138,7 @@ def _unseated(
         return None
     found = unseating(_judged(f), size, where, nearest, rng)
     chosen = f.found.chosen
-    if found or chosen is None or len(chosen.members) > 1 or is_toss(f.scene):
+    if found or chosen is None or is_toss(f.scene):
         return found
     return outdoing(_judged(f), size, f.problem.setting(chosen.members), where, nearest, rng)
 
