@@ -181,6 +181,23 @@ def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
     assert [c.name for c, _ in fitted[0]] == ["actuation_delay", "time_step"]
 
 
+def test_beside_a_choice_what_is_held_moves_by_simulated_slopes(tmp_path, played, planted):
+    """Beside a pyramidal cone signatures of an `impratio`, made beside an elliptic one, move it nowhere."""
+    scene = write_scene(tmp_path, roles=ROLES + NOISE)
+    effects = (*planted("friction_cone", cone="pyramidal"), *planted("impratio", impratio=0.1))
+    recs = recordings(scene, played(scene, effects, policies=("grasp_lift_shake", "push")))
+    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    impratio, cone = (candidate(name, scene) for name in ("impratio", "friction_cone"))
+    alone = joint(problem, ((impratio, np.log([0.1])),), base)
+    now = float(problem.score.loss(alone.plane.z).mean())
+    both = Sum((*alone.members, (cone, 1 - cone.neutral)), np.inf)
+    found = sets._along(problem, alone, problem, now, [both])
+    assert set(found.labels) == {"impratio", "friction_cone"}
+    assert found.members[0][1] == pytest.approx(np.log([0.1]), abs=0.2)
+    assert found.gain > alone.gain
+
+
 @pytest.fixture(scope="module")
 def slippery(tmp_path_factory, played, planted):
     """The problem that a gripper with slippery fingertips poses."""

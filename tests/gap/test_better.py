@@ -125,12 +125,14 @@ def test_what_leaves_as_little_as_right_names_do_is_not_asked_about(alias, how):
     assert alias(**how, force=0.0) == (None, False)
 
 
-@pytest.mark.parametrize(("names", "asked"), [(1, True), (2, False)])
-def test_only_one_name_alone_may_be_outdone(monkeypatch, names, asked):
+@pytest.mark.parametrize(("toss", "asked"), [(False, True), (True, False)])
+@pytest.mark.parametrize("names", [1, 2])
+def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeypatch, names, toss, asked):
+    """A wind was named as a leaning table and a mass centre, that made up for the rest."""
     monkeypatch.setattr(conclusion, "unseating", lambda *a: None)
     monkeypatch.setattr(conclusion, "outdoing", lambda *a: "a wind")
     monkeypatch.setattr(conclusion, "_judged", lambda f: None)
-    monkeypatch.setattr(conclusion, "is_toss", lambda scene: False)
+    monkeypatch.setattr(conclusion, "is_toss", lambda scene: toss)
     chosen = SimpleNamespace(members=("one",) * names)
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(

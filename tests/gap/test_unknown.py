@@ -291,6 +291,13 @@ def test_what_acts_in_several_places_is_not_lost_to_one_place_that_closes_more_t
     assert played(monkeypatch, closes | {("a", "b"): 0.24})(found) == ["tip"]
 
 
+def test_the_most_telling_suspect_of_each_place_is_played(monkeypatch):
+    """A wind on what three fingers hold changes what each of them reads, and stood behind all three."""
+    tips = [suspect("fingertip", name, gain) for name, gain in (("a", 1.0), ("b", 0.98), ("c", 0.98))]
+    closes = {("a",): 0.05, ("b",): 0.03, ("wind",): 0.9, ("a", "b", "c"): 0.13}
+    assert played(monkeypatch, closes)([*tips, suspect("object", "wind", 0.87)]) == ["wind"]
+
+
 def test_a_plainer_description_is_taken_where_it_closes_more(monkeypatch):
     found = [suspect("object", "steady")]
     for closable, taken in ((0.6, "fading"), (0.52, "steady")):
