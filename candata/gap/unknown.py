@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 #: Share of the gap below which a force that was fitted tells nothing of where a cause acts. Chosen: commands that get
 #: lost are no force, and what was fitted to three of them closed 0.2 % at most; the least of 22 others closed 4.8 %.
 LITTLE = 0.02
-#: What one name alone must leave, in floors and of the gap, for a force to be tried in its place, what share of that
-#: the force must mend, and by how many standard errors. Chosen: of 24 right names alone those that left more floors
-#: left 0.04 of the gap at most, two winds that were named as a leaning table 0.09 and 0.17.
+#: What is named must leave this, in floors and of the gap, for a force to be tried in its place, what share of that
+#: the force must mend, and by how many standard errors. Chosen: of 24 right names alone and 50 right sets those that
+#: left more floors left 0.04 of the gap at most, four winds that were named as a leaning table 0.09 to 0.24.
 SOMETHING, SELDOM, HALF, SURELY = 0.03, 0.05, 0.5, 2.0
 #: Share of its largest size above which a force counts as acting.
 ACTS = 0.25
@@ -110,11 +110,12 @@ def unseating(
 def outdoing(
     problem: Problem, size: Gap, named: EffectSet, where: Sequence[Symptom], nearest: str, rng: np.random.Generator
 ) -> Described | None:
-    """Return a described force that surely mends half of what one name alone leaves; None where none does.
+    """Return a described force that surely mends half of what is named leaves; None where none does.
 
-    Asked where the name leaves more than right ones do: an alias is nearly, but not quite, what it stands for. (A wind
-    was named as a leaning table that closes 0.83 or 0.91 of the gap.) The name is judged where it was fitted, the force
-    on episodes that took no part in its fit. Parameters are those of `unseating`, and the effect that is `named`.
+    Asked where that is more than right names leave: an alias is nearly, but not quite, what it stands for. (A wind
+    was named as a leaning table, with or without a mass centre, that closes 0.76 to 0.91 of the gap.) What is named is
+    judged where it was fitted, the force on episodes that took no part in its fit. Parameters are those of `unseating`,
+    and the effects that are `named`.
     """
     left = size.after - size.floor
     if left < SOMETHING or 1 - (size.closed or 0.0) < SELDOM:
