@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 #: lost are no force, and what was fitted to three of them closed 0.2 % at most; the least of 22 others closed 4.8 %.
 LITTLE = 0.02
 #: What is named must leave this, in floors and of the gap, for a force to be tried in its place, what share of that
-#: the force must mend, and by how many standard errors. Chosen: of 24 right names alone and 50 right sets those that
+#: the force must mend, and by how many standard errors. Chosen: of 24 right names alone and 59 right sets those that
 #: left more floors left 0.04 of the gap at most, four winds that were named as a leaning table 0.09 to 0.24.
 SOMETHING, SELDOM, HALF, SURELY = 0.03, 0.05, 0.5, 2.0
 #: Share of its largest size above which a force counts as acting.
