@@ -39,6 +39,10 @@ HALFWAY = 0.5
 #: episodes to be fitted on all. Chosen: beside damping of contacts, that of the servos explained 5 % less than the
 #: joints' own; what was no alias, 13 % and more.
 ALIKE = 0.12
+#: Share of the member worth most that one must be worth for its aliases to leave the whole set ambiguous. Chosen: of
+#: two worlds where everything is a little wrong nothing was named, for two dampings, worth a fifth, or two readings of
+#: a height that did alike.
+MINOR = 0.25
 
 
 def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
@@ -212,13 +216,17 @@ def _nearest(
 def aliases(problem: Problem, best: Fit, rivals: Sequence[Fit]) -> list[Fit]:
     """Return the set and those that have an alias in place of one of its members, which each lead; nothing without one.
 
-    An alias leaves more by next to nothing of what the member is worth, less than fits are sharp.
+    An alias leaves more by next to nothing of what the member is worth, less than fits are sharp. A member that is
+    worth little beside the others is named although it has one, as its rival: what most of the gap is due to is known.
     """
     if not rivals:
         return []
     own = float(problem.score.loss(best.plane.z).mean())
-    for label, z in zip(best.labels, problem.without_each(best.members), strict=True):
-        blunt = BLUNT * (float(problem.score.loss(z).mean()) - own)
+    worths = [float(problem.score.loss(z).mean()) - own for z in problem.without_each(best.members)]
+    for label, worth in zip(best.labels, worths, strict=True):
+        if worth < MINOR * max(worths):
+            continue
+        blunt = BLUNT * worth
         instead = [(f, name) for f in rivals if label not in f.labels for name in f.labels if name not in best.labels]
         same = [f.led_by(name) for f, name in instead if float((f.evidence.loss - best.evidence.loss).mean()) <= blunt]
         if same:

@@ -284,6 +284,17 @@ def test_an_alias_of_one_member_makes_a_set_ambiguous(arm, two_causes, exchanged
     assert report.next_motion.file
 
 
+def test_an_alias_of_a_member_worth_little_leaves_the_others_named(arm, arm_episodes, planted, exchanged, judge):
+    effects = (*planted("joint_dry_friction", frictionloss_Nm=0.05), *planted("actuation_delay", delay_s=0.06))
+    exchanged(np.full(12, 0.001))
+    report = judge(arm, arm_episodes(effects, count=12)).report
+    assert report.verdict == "explained"
+    delay, dry = report.effects
+    assert (delay.name, delay.rivals) == ("actuation_delay", ())
+    assert (dry.name, dry.rivals) == ("joint_dry_friction", ("joint_damping",))
+    assert delay.support > 0.9 > dry.support
+
+
 def test_a_set_that_one_member_explains_is_reported_as_that_effect(arm, arm_episodes, planted, judge, monkeypatch):
     """A search that ends with damping beside the dry friction that explains all is left with the friction."""
 
