@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.locate import acts_on, locate, slides, symptoms
+from candata.gap.mending import mended
 from candata.gap.origin import data_used, provenance, title
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings
@@ -136,11 +138,12 @@ def _unseated(
         return described(f.found.force, (), where, nearest)
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    found = unseating(_judged(f), size, where, nearest, rng)
-    chosen = f.found.chosen
+    problem, chosen = _judged(f), f.found.chosen
+    force = cache(lambda: mended(problem, (), rng))
+    found = unseating(force, size, where, nearest)
     if found or chosen is None or is_toss(f.scene):
         return found
-    return outdoing(_judged(f), size, f.problem.setting(chosen.members), where, nearest, rng)
+    return outdoing(problem, force, size, f.problem.setting(chosen.members), where, nearest)
 
 
 def _rest(

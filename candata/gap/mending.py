@@ -25,7 +25,8 @@ Index = NDArray[np.int64]
 LOOKED_AT = 24
 #: Null replays of each episode.
 REPLICAS = 2
-#: Suspects that are played in the simulator, and the share of the best one's gain that they must have.
+#: Suspects that are played in the simulator, if not one of every place alone is more, and the share of the best one's
+#: gain that they must have.
 PLAYED, NEAR = 3, 0.2
 #: Share of the gap that a choice must close more than the plainer one.
 MENDS = 0.05
@@ -125,7 +126,7 @@ def _best(problem: Problem, world: EffectSet, found: Sequence[Suspect]) -> Stopg
     kinds: dict[str, list[Suspect]] = {}
     for s in near:
         kinds.setdefault(s.place, []).append(s)
-    front = sorted(near, key=lambda s: s is not kinds[s.place][0])[:PLAYED]
+    front = sorted(near, key=lambda s: s is not kinds[s.place][0])[: max(PLAYED, len(kinds))]
     first = _clearest([stopgap(problem, world, [s]) for s in front])
     best = _clearest([first, *(stopgap(problem, world, kin) for kin in kinds.values() if len(kin) > 1)])
     if len(best.suspects) > 1 or best.closed + MENDS > 1:

@@ -224,11 +224,11 @@ def _along(problem: Problem, best: Fit, part: Problem, now: float, sums: Sequenc
     `now` and `sums` are those of `_moved_along`, on the episodes of `part`.
     """
     tried = [one for i, one in enumerate(sums) if (i < ADDED and one.loss < now) or one.members[-1][0].choices]
-    losses, few = _lightly(part, [one.members for one in tried])
-    light = sorted(zip(losses, few, strict=True), key=lambda pair: pair[0])
+    light = sorted(zip(*_lightly(part, [one.members for one in tried]), strict=True), key=lambda pair: pair[0])
     choices = {members[-1][0].name: members for _, members in reversed(light) if members[-1][0].choices}
+    others = [pair for pair in light if pair[1] is not choices.get(pair[1][-1][0].name)]
     sharper = zip(*_lightly(part, list(choices.values()), WIDTHS[:1]), strict=True)
-    front = sorted((*light, *sharper), key=lambda pair: pair[0])[: 1 + RIVALS]
+    front = sorted((*others, *sharper), key=lambda pair: pair[0])[: 1 + RIVALS]
     base = problem.score.loss(problem.nominal)
     grown = [joint(problem, members, base, widths=()) for loss, members in front if loss < now]
     return sharpest(problem, [f for f in grown if is_next(best, f, problem.recs.tasks)])

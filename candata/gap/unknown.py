@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,8 @@ from candata.gap.verdict import DOUBTED
 from candata.schema.report import Gap, Symptom, Unknown
 
 Array = NDArray[np.float64]
+#: Gives a force when it is first asked for.
+Force = Callable[[], Mended | None]
 #: Share of the gap below which a force that was fitted tells nothing of where a cause acts. Chosen: commands that get
 #: lost are no force, and what was fitted to three of them closed 0.2 % at most; the least of 22 others closed 4.8 %.
 LITTLE = 0.02
@@ -83,9 +85,7 @@ def described(found: Mended, world: EffectSet, where: Sequence[Symptom], nearest
     return Described(_unknown(some, best, where, nearest), best.settings if best.closed > 0 else ())
 
 
-def unseating(
-    problem: Problem, size: Gap, where: Sequence[Symptom], nearest: str, rng: np.random.Generator
-) -> Described | None:
+def unseating(force: Force, size: Gap, where: Sequence[Symptom], nearest: str) -> Described | None:
     """Return a described force that closes clearly more by itself than what is named: then that is not the cause.
 
     Asked only where what is named leaves much, in floors and of the gap; None where it stands. (A wind was named as a
@@ -94,33 +94,35 @@ def unseating(
 
     Parameters
     ----------
-    problem : Problem
-        In units of the floor of the world with what is named.
+    force : callable
+        Gives the force that mends most of the nominal world, judged in units of the floor of the world with what is
+        named; None where none stands out.
     size : Gap
         What is named closes.
-    where, nearest, rng
+    where, nearest
         As for `describe`.
     """
     if trust(size) >= DOUBTED:
         return None
-    found = describe(problem, (), where, nearest, rng)
+    alone = force()
+    found = described(alone, (), where, nearest) if alone else None
     return found if found and (found.unknown.closable or 0.0) > (size.closed or 0.0) + CLEARLY else None
 
 
 def outdoing(
-    problem: Problem, size: Gap, named: EffectSet, where: Sequence[Symptom], nearest: str, rng: np.random.Generator
+    problem: Problem, force: Force, size: Gap, named: EffectSet, where: Sequence[Symptom], nearest: str
 ) -> Described | None:
     """Return a described force that surely mends half of what is named leaves; None where none does.
 
     Asked where that is more than right names leave: an alias is nearly, but not quite, what it stands for. (A wind
     was named as a leaning table, with or without a mass centre, that closes 0.76 to 0.91 of the gap.) What is named is
     judged where it was fitted, the force on episodes that took no part in its fit. Parameters are those of `unseating`,
-    and the effects that are `named`.
+    the problem in the same units, and the effects that are `named`.
     """
     left = size.after - size.floor
     if left < SOMETHING or 1 - (size.closed or 0.0) < SELDOM:
         return None
-    found = mended(problem, (), rng)
+    found = force()
     if found is None or found.best.suspects[0].place == "fingertip":
         return None
     own = problem.score.take(found.which).size(problem.residuals([named])[0][found.which])

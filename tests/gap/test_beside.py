@@ -181,6 +181,21 @@ def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
     assert [c.name for c, _ in fitted[0]] == ["actuation_delay", "time_step"]
 
 
+def test_a_choice_that_is_fitted_again_takes_no_other_effects_place(late, arm, monkeypatch):
+    problem, delay = late
+    loss = {"time_step": 1.5, "armature": 1.6, "joint_damping": 1.7}
+    sums = [Sum((*delay.members, (c, c.low)), 1.0) for c in (candidate(name, arm) for name in loss)]
+    tried = []
+
+    def lightly(part, sets, widths=()):
+        return [loss[m[-1][0].name] - 0.1 * len(widths) for m in sets], list(sets)
+
+    monkeypatch.setattr(sets, "_lightly", lightly)
+    monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: tried.append(members[-1][0].name) or delay)
+    sets._along(problem, delay, problem, 2.0, sums)
+    assert tried == list(loss)
+
+
 def test_beside_a_choice_what_is_held_moves_by_simulated_slopes(tmp_path, played, planted):
     """Beside a pyramidal cone signatures of an `impratio`, made beside an elliptic one, move it nowhere."""
     scene = write_scene(tmp_path, roles=ROLES + NOISE)

@@ -18,13 +18,14 @@ def found(monkeypatch):
     def ask(closed: float, closable: float | None, before: float = 3.0):
         seen = []
 
-        def described(problem, world, where, nearest, rng):
-            seen.append((problem, world, nearest))
-            return None if closable is None else SimpleNamespace(unknown=SimpleNamespace(closable=closable))
+        def described(force, world, where, nearest):
+            seen.append((force, world, nearest))
+            return SimpleNamespace(unknown=SimpleNamespace(closable=closable))
 
-        monkeypatch.setattr(unknown, "describe", described)
+        monkeypatch.setattr(unknown, "described", described)
         size = Gap(before=before, after=before - (before - 1) * closed, closed=closed)
-        return unknown.unseating("problem", size, (), "joint_offset ring1", np.random.default_rng(0)), seen
+        force = None if closable is None else "a force"
+        return unknown.unseating(lambda: force, size, (), "joint_offset ring1"), seen
 
     return ask
 
@@ -46,7 +47,7 @@ def test_what_closes_clearly_more_unseats(found, closed, closable, unseated):
 
 def test_it_is_judged_by_itself(found):
     _, seen = found(0.37, 0.98)
-    assert seen == [("problem", (), "joint_offset ring1")]
+    assert seen == [("a force", (), "joint_offset ring1")]
 
 
 def test_what_explains_is_not_questioned(found):
@@ -69,7 +70,7 @@ def test_nor_is_what_leaves_little_of_a_small_gap(found, closed):
     ],
 )
 def test_whatever_would_be_named_or_left_tied_may_be_unseated(monkeypatch, word, asked):
-    monkeypatch.setattr(conclusion, "unseating", lambda problem, size, where, nearest, rng: nearest)
+    monkeypatch.setattr(conclusion, "unseating", lambda force, size, where, nearest: nearest)
     monkeypatch.setattr(conclusion, "_judged", lambda f: None)
     found = SimpleNamespace(
         first=SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),)), force=None, chosen=None
@@ -95,14 +96,16 @@ def alias(monkeypatch):
         after = 1 + force + unsure * np.resize([1.0, -1.0], 12)
         best = SimpleNamespace(suspects=[SimpleNamespace(place=place)], size=after)
         seen = []
-        monkeypatch.setattr(
-            unknown, "mended", lambda *a: seen.append(a) or SimpleNamespace(best=best, which=np.arange(12))
-        )
         monkeypatch.setattr(unknown, "described", lambda found, *rest: "a wind")
         score = SimpleNamespace(take=lambda which: SimpleNamespace(size=lambda z: own))
         problem = SimpleNamespace(score=score, residuals=lambda worlds: [own])
         gap = Gap(before=1 + left / (1 - closed), after=1 + left, closed=closed)
-        return unknown.outdoing(problem, gap, (), (), "gravity_tilt", np.random.default_rng(0)), bool(seen)
+
+        def mended():
+            seen.append(True)
+            return SimpleNamespace(best=best, which=np.arange(12))
+
+        return unknown.outdoing(problem, mended, gap, (), (), "gravity_tilt"), bool(seen)
 
     return ask
 
@@ -141,3 +144,18 @@ def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeyp
     )  # fmt: skip
     found = conclusion._unseated(some, "explained", Gap(before=1.4, after=1.06, closed=0.85), (), None)
     assert found == ("a wind" if asked else None)
+
+
+def test_a_force_is_played_once_in_the_nominal_world_for_both_questions(monkeypatch):
+    played = []
+    monkeypatch.setattr(conclusion, "mended", lambda *a: played.append(a))
+    monkeypatch.setattr(conclusion, "_judged", lambda f: "in the named world's floors")
+    monkeypatch.setattr(conclusion, "is_toss", lambda scene: False)
+    first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
+    some = SimpleNamespace(
+        found=SimpleNamespace(first=first, force=None, chosen=SimpleNamespace(members=("one", "other"))),
+        problem=SimpleNamespace(setting=lambda members: ()), scene=None,
+    )  # fmt: skip
+    half = Gap(before=3.0, after=2.0, closed=0.5)
+    assert conclusion._unseated(some, "explained", half, (), "rng") is None
+    assert played == [("in the named world's floors", (), "rng")]

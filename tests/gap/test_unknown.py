@@ -296,6 +296,8 @@ def test_the_most_telling_suspect_of_each_place_is_played(monkeypatch):
     tips = [suspect("fingertip", name, gain) for name, gain in (("a", 1.0), ("b", 0.98), ("c", 0.98))]
     closes = {("a",): 0.05, ("b",): 0.03, ("wind",): 0.9, ("a", "b", "c"): 0.13}
     assert played(monkeypatch, closes)([*tips, suspect("object", "wind", 0.87)]) == ["wind"]
+    others = [suspect("joint", "hinge", 0.9), suspect("wrist", "rail", 0.89), suspect("object", "wind", 0.87)]
+    assert played(monkeypatch, closes | {("hinge",): 0.1, ("rail",): 0.1})([*tips, *others]) == ["wind"]
 
 
 def test_a_plainer_description_is_taken_where_it_closes_more(monkeypatch):
