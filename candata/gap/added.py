@@ -39,9 +39,9 @@ HALFWAY = 0.5
 #: episodes to be fitted on all. Chosen: beside damping of contacts, that of the servos explained 5 % less than the
 #: joints' own; what was no alias, 13 % and more.
 ALIKE = 0.12
-#: Share of the member worth most that one must be worth for its aliases to leave the whole set ambiguous. Chosen: of
-#: two worlds where everything is a little wrong nothing was named, for two dampings, worth a fifth, or two readings of
-#: a height that did alike.
+#: Share of the member worth most that one must be worth for its aliases to leave the whole set ambiguous. Chosen: where
+#: everything is a little wrong nothing had been named for joint damping, worth a fifth, that servo damping does as
+#: well, or a tracker's scale, worth less than a tenth, that its bias does.
 MINOR = 0.25
 
 
