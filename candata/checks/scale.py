@@ -15,6 +15,8 @@ from candata.checks._signal import UNITS, spread, unit_of
 from candata.checks._view import View, rounded
 
 Array = NDArray[np.float64]
+#: An episode's id and a channel of it.
+_Key = tuple[str, str]
 #: Fewest episodes that have a scale, and spreads (of the logarithm) by which one is apart from them.
 FEWEST, SPREADS = 5, 5.0
 #: Smallest factor that is looked at; nearness to a unit's factor, as a difference of logarithms.
@@ -29,41 +31,64 @@ class _Scales:
     """Sizes of what moves in an episode, by `channel/element`."""
 
     id: str
-    task: str
     sizes: dict[str, float]
 
 
 def _gather(view: View) -> _Scales | None:
     """Return the sizes of an episode; None where nothing moves."""
     found = scales(view)
-    return _Scales(view.id, (view.meta.task if view.meta else None) or "", found) if found else None
+    return _Scales(view.id, found) if found else None
 
 
 def _judge(seen: Sequence[_Scales]) -> Iterator[Finding]:
-    """Yield the channels of episodes that are a unit's factor away from the others."""
-    apart: dict[tuple[str, str], list[float]] = defaultdict(list)
-    counts: dict[tuple[str, str], int] = defaultdict(int)
+    """Yield the channels of episodes that are a unit's factor away from the others.
+
+    Commands as far away as the positions of their joints ask for less motion, no more: they are in another unit only
+    where those positions are found to be.
+    """
+    sizes, apart = _compare(seen)
+    judged = {key: found for key in sizes if (found := _unit(sizes[key], apart[key], key[1]))}
+    for name, channel in sizes:
+        if channel == "action" and (name, channel) in judged and (name, "joint_position") not in judged:
+            moved = sizes.get((name, "joint_position"), {})
+            alike = {k for k in apart[name, channel] if abs(sizes[name, channel][k] - moved.get(k, np.inf)) < NEAR}
+            if not _unit(sizes[name, channel], apart[name, channel] - alike, channel):
+                del judged[name, channel]
+    for (name, channel), (ratio, unit) in judged.items():
+        problem = f"{channel} is on another scale than in the other episodes"
+        yield Finding(
+            "warning", "scale", f"{problem}: {ratio:.3g} times, as in {unit}", name, channel, None, problem, (),
+            rounded({"ratio": ratio, "as": unit, "elements": len(apart[name, channel])}), REMEDY,
+        )  # fmt: skip
+
+
+def _compare(seen: Sequence[_Scales]) -> tuple[dict[_Key, dict[str, float]], dict[_Key, set[str]]]:
+    """Return logarithms of the elements' sizes over those of most episodes, and the elements that are apart."""
+    sizes: dict[_Key, dict[str, float]] = defaultdict(dict)
+    apart: dict[_Key, set[str]] = defaultdict(set)
     for key in sorted({k for one in seen for k in one.sizes}):
         mine = [one for one in seen if key in one.sizes]
         if len(mine) < FEWEST:
             continue
-        sizes = np.log([one.sizes[key] for one in mine])
-        off = sizes - np.median(sizes)
+        channel, _, element = key.partition("/")
+        logs = np.log([one.sizes[key] for one in mine])
+        off = logs - np.median(logs)
         # Half the set may be wrong: the spread is that of the half that lies closest together.
-        scale = max(_closest_half(sizes), 0.5 * spread(sizes), 0.05)
+        scale = max(_closest_half(logs), 0.5 * spread(logs), 0.05)
         for one, ratio in zip(mine, off, strict=True):
-            counts[one.id, key.split("/")[0]] += 1
+            sizes[one.id, channel][element] = float(ratio)
             if abs(ratio) > max(np.log(FACTOR), SPREADS * scale):
-                apart[one.id, key.split("/")[0]].append(float(np.exp(ratio)))
-    for (name, channel), ratios in apart.items():
-        ratio = float(np.exp(np.median(np.log(ratios))))
-        unit = unit_of(ratio, NEAR)
-        if unit and len(ratios) >= MOST * counts[name, channel] and _possible(channel, unit):
-            problem = f"{channel} is on another scale than in the other episodes"
-            yield Finding(
-                "warning", "scale", f"{problem}: {ratio:.3g} times, as in {unit}", name, channel, None, problem, (),
-                rounded({"ratio": ratio, "as": unit, "elements": len(ratios)}), REMEDY,
-            )  # fmt: skip
+                apart[one.id, channel].add(element)
+    return sizes, apart
+
+
+def _unit(sizes: dict[str, float], apart: set[str], channel: str) -> tuple[float, str] | None:
+    """Return the ratio of the elements apart and its unit; None where they are too few, or the ratio is of none."""
+    if not apart or len(apart) < MOST * len(sizes):
+        return None
+    ratio = float(np.exp(np.median([sizes[k] for k in apart])))
+    unit = unit_of(ratio, NEAR)
+    return (ratio, unit) if unit and _possible(channel, unit) else None
 
 
 def _closest_half(values: Array) -> float:

@@ -108,6 +108,27 @@ def test_commands_of_single_episodes_logged_a_row_late_are_found_without_a_scene
     assert [f.episode for f in judged(raws, rules=["command_lag"])] == [sweeps[3].meta.id]
 
 
+@pytest.mark.parametrize(("commands", "joints", "found"), [
+    (180 / np.pi, 180 / np.pi, {"action", "joint_position"}),
+    (180 / np.pi, 1.0, {"action"}),
+])  # fmt: skip
+def test_commands_in_degrees_are_found_beside_joints_in_either(hand, judged, commands, joints, found):
+    raws = [defects.stored(e) for e in hand]
+    arrays = raws[2].arrays
+    columns = {
+        name: (arrays[name] * factor).astype(arrays[name].dtype)
+        for name, factor in (("action", commands), ("joint_position", joints))
+    }
+    raws[2] = defects.with_arrays(raws[2], {**arrays, **columns})
+    assert {f.channel for f in judged(raws, rules=["scale"])} == found
+
+
+def test_commands_for_as_little_motion_as_their_joints_make_are_in_no_other_unit(hand_scene, judged):
+    # A push moves the closed fingers 0.03 times as far as a grasp: nearly a degree to a radian.
+    late = simulated(hand_scene, 10, effects=[EffectSetting(name="actuation_delay", parameters={"delay_s": 0.015})])
+    assert judged(map(defects.stored, late), rules=["scale"]) == []
+
+
 def test_a_duplicate_is_found_and_names_its_original(hand, judged):
     (found,) = judged([*map(defects.stored, hand), defects.repeated(defects.stored(hand[3]), "again")])
     assert (found.rule, found.episode, found.evidence["same_as"]) == ("duplicates", "again", hand[3].meta.id)
