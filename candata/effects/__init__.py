@@ -2,9 +2,9 @@
 
 from candata.effects._contract import Bounds, Effect, Forces, Hook, Parameter
 from candata.effects._file import read_effects, scene_of
-from candata.effects._lookup import active, effect, effect_names, flatten, setting, turn
+from candata.effects._lookup import active, effect, effect_names, flatten, parameters_on, rail_units, setting, turn
 
 __all__ = [
-    "Bounds", "Effect", "Forces", "Hook", "Parameter", "active", "effect", "effect_names", "flatten", "read_effects",
-    "scene_of", "setting", "turn",
+    "Bounds", "Effect", "Forces", "Hook", "Parameter", "active", "effect", "effect_names", "flatten",
+    "parameters_on", "rail_units", "read_effects", "scene_of", "setting", "turn",
 ]  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import mujoco
@@ -15,6 +15,10 @@ from candata.scenes.assemble import Scene
 Array = NDArray[np.float64]
 Elements = Sequence[str | None]
 Readings = dict[str, Array]
+
+
+#: Units of joints that turn, to those of joints that slide.
+RAILS = {"rad": "m", "N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
 
 
 class Bounds(NamedTuple):
@@ -52,6 +56,11 @@ class Parameter:
         Whether nothing lies between the probes: they are all the values there are.
     owners : callable, optional
         `scene -> names (size,)`: the element each number of a vector belongs to, where every element has its own.
+    whole : callable, optional
+        `scene -> names`: the owners whose numbers act where no element is named; all by default.
+    rails : callable, optional
+        `(scene, element) -> factor` by which its values are larger on an element that slides than on the fingers as a
+        whole. Its unit is `RAILS[unit]` there.
     """
 
     name: str
@@ -66,6 +75,24 @@ class Parameter:
     choices: tuple[str, ...] = ()
     enumerated: bool = False
     owners: Callable[[Scene], tuple[str, ...]] | None = None
+    whole: Callable[[Scene], tuple[str, ...]] | None = None
+    rails: Callable[[Scene, str | None], float] | None = None
+
+    def on_rails(self, factor: float) -> Parameter:
+        """Return the parameter on joints that slide, its values `factor` times as large."""
+
+        def longer(scene: Scene) -> Bounds:
+            low, high = self.bounds(scene)
+            return Bounds(factor * low, factor * high)
+
+        own = self.neutral
+        return replace(
+            self, unit=RAILS[self.unit], bounds=longer,
+            probes=lambda scene: tuple(factor * v for v in self.probes(scene)),
+            draws=lambda scene: tuple((factor * a, factor * b) for a, b in self.draws(scene)),
+            identity=lambda scene: factor * self.identity(scene),
+            neutral=(lambda scene: factor * own(scene)) if own else None,
+        )  # fmt: skip
 
 
 class Forces(NamedTuple):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import _select
 from candata.effects._contract import Array, Effect, Parameter
 from candata.errors import UnknownNameError, UsageError
 from candata.plugins import load, names
@@ -31,6 +32,26 @@ def effect(name: str) -> Effect:
     return found
 
 
+def parameters_on(name: str, scene: Scene, element: str | None = None) -> tuple[Parameter, ...]:
+    """Return an effect's parameters with the ranges that they have on an element: in m and N where that slides.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such effect, or the effect no such element.
+    """
+    return tuple(
+        p.on_rails(p.rails(scene, element)) if p.rails and _select.on_rails(scene, element) else p
+        for p in effect(name).parameters
+    )
+
+
+def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:
+    """Return the units of an effect's parameters that are others than their names say, on joints that slide."""
+    pairs = zip(effect(name).parameters, parameters_on(name, scene, element), strict=True)
+    return {p.name: there.unit for p, there in pairs if there.unit != p.unit}
+
+
 def flatten(given: EffectSetting, scene: Scene) -> Array:
     """Return the parameters of a setting as one vector `(d,)`, identities where not given.
 
@@ -46,7 +67,7 @@ def flatten(given: EffectSetting, scene: Scene) -> Array:
     for name in given.parameters:
         if name not in known:
             raise UnknownNameError(f"parameter of {given.name}:", name, known)
-    parts = [_numbers(given, p, scene) for p in kind.parameters]
+    parts = [_numbers(given, p, scene) for p in parameters_on(given.name, scene, given.element)]
     return np.concatenate(parts)
 
 
@@ -86,10 +107,13 @@ def _whole(array: Array, parameter: Parameter, scene: Scene, element: str | None
 
 
 def _owned(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
-    """Return `(size,)` whether each number acts on `element`."""
-    if element is None or parameter.owners is None:
+    """Return `(size,)` whether each number acts on `element`, or where none is named."""
+    if parameter.owners is None or (element is None and parameter.whole is None):
         return np.ones(parameter.size(scene), bool)
-    own = scene.file.groups.get(element, (element,))
+    if element is None:
+        own = parameter.whole(scene) if parameter.whole else ()
+    else:
+        own = scene.file.groups.get(element, (element,))
     return np.array([owner in own for owner in parameter.owners(scene)], bool)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import mujoco
@@ -12,11 +13,8 @@ from candata.errors import UnknownNameError
 from candata.scenes.assemble import Scene, subtree
 
 Ids = NDArray[np.int64]
-
-
-def has_driven_hinges(scene: Scene) -> bool:
-    """Tell whether the scene has hinge joints with an actuator."""
-    return len(scene.driven_hinges) > 0
+#: Usual turn of a finger's hinge [rad], and usual travel of a jaw without limits [m]. Chosen.
+TURN, TRAVEL_M = 1.5, 0.05
 
 
 def has_drives(scene: Scene) -> bool:
@@ -34,79 +32,118 @@ def has_forces(scene: Scene) -> bool:
     return len(scene.force_sensors) > 0
 
 
+def fingers(scene: Scene) -> Ids:
+    """Return indices into `scene.file.joints` of what joint and drive effects act on everywhere: the driven hinges.
+
+    Where no hinge is driven, the jaws on rails; of slides that are no jaws, all.
+    """
+    if len(scene.driven_hinges):
+        return scene.driven_hinges
+    return jaws(scene) if len(jaws(scene)) else _driven(scene)
+
+
+def jaws(scene: Scene) -> Ids:
+    """Return indices of driven slides that move some of the fingertips and not all: jaws on rails, no wrist."""
+    found = []
+    for i in _driven(scene):
+        joint = scene.joint_ids[i]
+        moved = subtree(scene.model, int(scene.model.jnt_bodyid[joint]))
+        own = np.isin(scene.fingertip_bodies, list(moved))
+        if _slides(scene, i) and own.any() and not own.all():
+            found.append(i)
+    return np.array(found, int)
+
+
+def _slides(scene: Scene, index: int) -> bool:
+    """Tell whether a joint of `scene.file.joints` slides."""
+    return bool(scene.model.jnt_type[scene.joint_ids[index]] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def finger_joints(scene: Scene) -> Ids:
+    """Return indices of all joints that joint and drive effects may act on: `fingers`, and jaws on rails beside."""
+    return np.union1d(fingers(scene), jaws(scene)).astype(int)
+
+
+def on_rails(scene: Scene, element: str | None) -> bool:
+    """Tell whether the joints of `element`, or those of all fingers, slide: effects are in m and N there."""
+    chosen = joints(scene, element)
+    return len(chosen) > 0 and all(_slides(scene, i) for i in chosen)
+
+
 def joints(scene: Scene, element: str | None) -> Ids:
-    """Return indices into `scene.file.joints`: all driven hinges, or the one or the group named.
+    """Return indices into `scene.file.joints`: all of `fingers`, or the one, the jaw or the group named.
 
     Raises
     ------
     UnknownNameError
-        When `element` is no driven hinge and no group of them.
+        When `element` is no driven hinge or jaw and no group of either.
     """
-    return _picked(scene, scene.driven_hinges, scene.driven_hinges, element)
+    return _picked(scene, fingers(scene), finger_joints(scene), element)
 
 
-def _picked(scene: Scene, usual: Ids, possible: Ids, element: str | None) -> Ids:
+def _picked(scene: Scene, usual: Ids, possible: Ids, element: str | None, mixed: bool = False) -> Ids:
     """Return the usual joints, or those of the possible joint or group named."""
     if element is None:
         return usual
-    known = {scene.file.joints[i]: np.array([i]) for i in usual} | _groups(scene, possible)
+    single = np.union1d(usual, np.intersect1d(possible, jaws(scene))).astype(int)
+    known = {scene.file.joints[i]: np.array([i]) for i in single} | _groups(scene, possible, mixed)
     if element not in known:
         raise UnknownNameError("joint or group", element, known)
     return known[element]
 
 
-def _groups(scene: Scene, possible: Ids) -> dict[str, Ids]:
-    """Return the indices of each group that holds possible joints only."""
+def _groups(scene: Scene, possible: Ids, mixed: bool) -> dict[str, Ids]:
+    """Return the indices of each group that holds possible joints only, and of one kind if not `mixed`."""
     found = {name: np.array([scene.file.joints.index(j) for j in own], int) for name, own in scene.file.groups.items()}
-    return {name: ids for name, ids in found.items() if len(ids) and np.isin(ids, possible).all()}
+    alike = {name: mixed or len({_slides(scene, i) for i in ids}) == 1 for name, ids in found.items()}
+    return {name: ids for name, ids in found.items() if len(ids) and alike[name] and np.isin(ids, possible).all()}
 
 
-def _places(scene: Scene, usual: Ids, possible: Ids) -> tuple[str, ...]:
-    """Return the names of the usual joints and of the groups that are not one of these or all.
+def _places(scene: Scene, usual: Ids, beside: Ids, possible: Ids, mixed: bool = False) -> tuple[str, ...]:
+    """Return the names of the usual joints, of jaws `beside` them, and of the groups that are not one of these or all.
 
-    Beside groups of slides a lone usual joint is left out: the effect touches it anyway, so it is the same cause twice.
+    Beside slides a lone usual joint is left out: the effect touches it anyway, so it is the same cause twice. So is a
+    jaw that is in a group.
     """
-    groups = [
-        n for n, ids in _groups(scene, possible).items() if np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)
-    ]
-    lone = len(usual) == 1 and groups
-    return (*(() if lone else (scene.file.joints[i] for i in usual)), *groups)
+    groups = {
+        n: ids for n, ids in _groups(scene, possible, mixed).items()
+        if np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)
+    }  # fmt: skip
+    grouped = np.concatenate([np.zeros(0, int), *groups.values()])
+    rails = np.setdiff1d(beside, np.union1d(usual, grouped)).astype(int)
+    lone = len(usual) == 1 and (len(groups) or len(rails))
+    return (*(() if lone else (scene.file.joints[i] for i in usual)), *(scene.file.joints[i] for i in rails), *groups)
 
 
-def moving_hinges(scene: Scene) -> Ids:
-    """Return indices of the hinges that resist motion: the driven ones, or all where nothing drives (a toss)."""
+def moving(scene: Scene) -> Ids:
+    """Return indices of the joints that resist motion: `fingers`, or all hinges where nothing drives (a toss)."""
     if len(scene.actuator_ids):
-        return scene.driven_hinges
+        return fingers(scene)
     hinge = mujoco.mjtJoint.mjJNT_HINGE
     return np.flatnonzero([scene.model.jnt_type[j] == hinge for j in scene.joint_ids]).astype(int)
 
 
-def has_moving_hinges(scene: Scene) -> bool:
-    """Tell whether the scene has hinges that resist motion."""
-    return len(moving_hinges(scene)) > 0
+def has_moving(scene: Scene) -> bool:
+    """Tell whether the scene has joints that resist motion."""
+    return len(moving(scene)) > 0
 
 
 def moving_places(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the hinges that resist motion, in the order of `joint_position`, and of groups of them."""
-    return _places(scene, moving_hinges(scene), moving_hinges(scene))
-
-
-def joint_names(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the driven hinges, in the order of `joint_position`."""
-    return tuple(scene.file.joints[i] for i in scene.driven_hinges)
+    """Return the names of the joints that resist motion, in the order of `joint_position`, and of groups of them."""
+    return _places(scene, moving(scene), jaws(scene), np.union1d(moving(scene), jaws(scene)).astype(int))
 
 
 def joint_places(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the driven hinges, in the order of `joint_position`, and of groups of them."""
-    return _places(scene, scene.driven_hinges, scene.driven_hinges)
+    """Return the names of the driven hinges and jaws, in the order of `joint_position`, and of groups of them."""
+    return _places(scene, fingers(scene), jaws(scene), finger_joints(scene))
 
 
 def motor_places(scene: Scene) -> tuple[str, ...]:
-    """Return the names of the hinges that have a motor each, and of groups of driven hinges.
+    """Return the names of the hinges and jaws that have a motor each, and of groups of them.
 
     Of several joints on one tendon the first stands for their motor.
     """
-    return _places(scene, _leading(scene, scene.driven_hinges), scene.driven_hinges)
+    return _places(scene, _leading(scene, fingers(scene)), _leading(scene, jaws(scene)), finger_joints(scene))
 
 
 def servo_places(scene: Scene) -> tuple[str, ...]:
@@ -114,7 +151,7 @@ def servo_places(scene: Scene) -> tuple[str, ...]:
 
     Where no hinge is driven, as of jaws that slide, the slides stand for the hinges.
     """
-    return _places(scene, _leading(scene, _usual(scene)), _driven(scene))
+    return _places(scene, _leading(scene, _usual(scene)), _leading(scene, jaws(scene)), _driven(scene), mixed=True)
 
 
 def _leading(scene: Scene, chosen: Ids) -> Ids:
@@ -141,18 +178,19 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 
 def dofs(scene: Scene, element: str | None) -> Ids:
-    """Return addresses in qvel of the hinges that resist motion, or of the one or the group named."""
-    return scene.joint_dof[_picked(scene, moving_hinges(scene), moving_hinges(scene), element)]
+    """Return addresses in qvel of the joints that resist motion, or of the one or the group named."""
+    possible = np.union1d(moving(scene), jaws(scene)).astype(int)
+    return scene.joint_dof[_picked(scene, moving(scene), possible, element)]
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:
-    """Return actuator ids that drive the hinges, or the one or the group named."""
+    """Return actuator ids that drive the fingers, or the joint or the group named."""
     return _drives(scene, joints(scene, element))
 
 
 def servos(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids as `actuators` does; a group may hold slides too, for what has the same unit there."""
-    return _drives(scene, _picked(scene, _usual(scene), _driven(scene), element))
+    return _drives(scene, _picked(scene, _usual(scene), _driven(scene), element, mixed=True))
 
 
 def _drives(scene: Scene, chosen: Ids) -> Ids:
@@ -194,34 +232,35 @@ def collide(scene: Scene, first: int, second: int) -> bool:
     return bool((kind[first] & affinity[second]) | (kind[second] & affinity[first]))
 
 
-def drive_torque(scene: Scene) -> float:
-    """Return the median torque limit of the driven hinges [N m]: what joint torques are measured against.
+def drive_torque(scene: Scene, element: str | None = None) -> float:
+    """Return the median torque limit of the fingers' motors [N m; N of jaws on rails], the measure of torques.
 
-    Unlimited servos count as kp x 0.3 rad, a usual steady error under full load.
+    Of `element` where one is given. Unlimited servos count as kp x 0.3 rad, a usual steady error under full load.
     """
-    return float(np.median(_drive_limits(scene)))
+    return float(np.median(_drive_limits(scene, element)))
 
 
 def largest_drive_torque(scene: Scene) -> float:
-    """Return the largest torque limit of the driven hinges [N m]."""
-    return float(np.max(_drive_limits(scene)))
+    """Return the largest torque limit of the fingers' motors [N m; N of jaws on rails]."""
+    return float(np.max(_drive_limits(scene, None)))
 
 
-def _drive_limits(scene: Scene) -> NDArray[np.float64]:
-    """Return the torque limits of the driven hinges [N m]; one entry of 1 without any."""
-    ids = actuators(scene, None)
+def _drive_limits(scene: Scene, element: str | None) -> NDArray[np.float64]:
+    """Return the torque limits of the fingers' motors [N m; N of jaws on rails]; one entry of 1 without any."""
+    ids = actuators(scene, element)
     if not len(ids):
         return np.ones(1)
     limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    return np.where(limited, scene.model.actuator_forcerange[ids, 1], 0.3 * scene.stiffness(ids))
+    usual = 0.3 * drive_reach(scene, element) * scene.stiffness(ids)
+    return np.where(limited, scene.model.actuator_forcerange[ids, 1], usual)
 
 
-def drive_damping(scene: Scene) -> float:
-    """Return the median damping of the driven hinges, joint and servo together [N m s/rad].
+def drive_damping(scene: Scene, element: str | None = None) -> float:
+    """Return the median damping of the fingers' joints, joint and servo together [N m s/rad; N s/m of jaws on rails].
 
-    A joint without any counts as a tenth of critical damping, 0.2 sqrt(kp M).
+    Those of `element` where one is given. A joint without any counts as a tenth of critical damping, 0.2 sqrt(kp M).
     """
-    ids = actuators(scene, None)
+    ids = actuators(scene, element)
     if not len(ids):
         return 1.0
     model, firsts = scene.model, [next(iter(scene.levers[a].items())) for a in ids.tolist()]
@@ -231,10 +270,29 @@ def drive_damping(scene: Scene) -> float:
     return float(np.median(np.maximum(own, critical)))
 
 
-def drive_inertia(scene: Scene) -> float:
-    """Return the median inertia that the driven hinges see at rest pose [kg m^2] (`dof_M0`)."""
-    dof = dofs(scene, None)
+def drive_inertia(scene: Scene, element: str | None = None) -> float:
+    """Return the median inertia that the fingers' joints see at rest pose [kg m^2; kg of jaws on rails] (`dof_M0`)."""
+    dof = dofs(scene, element)
     return float(np.median(scene.model.dof_M0[dof])) if len(dof) else 1.0
+
+
+def drive_reach(scene: Scene, element: str | None = None) -> float:
+    """Return what a radian of a hinge is: 1, or of joints that slide the part of their travel [m].
+
+    Chosen: a hinge of a hand turns by 1.5 rad, so that a slide's travel over `TURN` is as much to it; without limits it
+    travels `TRAVEL_M`.
+    """
+    if not on_rails(scene, element):
+        return 1.0
+    ids = scene.joint_ids[joints(scene, element)]
+    limited = scene.model.jnt_limited[ids].astype(bool)
+    travel = np.where(limited, np.ptp(scene.model.jnt_range[ids], axis=1), TRAVEL_M)
+    return float(np.median(travel) / TURN)
+
+
+def per_rail(reference: Callable[..., float]) -> Callable[[Scene, str | None], float]:
+    """Return by how much more a quantity is on an element than on the fingers as a whole."""
+    return lambda scene, element: reference(scene, element) / reference(scene)
 
 
 def object_size(scene: Scene) -> float:

@@ -7,7 +7,17 @@ from typing import NamedTuple
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, always, fixed, spans, values
+from candata.effects._contract import (
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    always,
+    scaled,
+    scaled_bounds,
+    scaled_spans,
+)
 from candata.scenes.assemble import Scene
 
 
@@ -54,15 +64,16 @@ EFFECT = Effect(
         Parameter(
             "gap_rad",
             "rad",
-            fixed(0.0, 0.3),
-            values(0.01, 0.03, 0.08, 0.16),
-            spans((0.03, 0.12)),
+            scaled_bounds(_select.drive_reach, 0.0, 0.3),
+            scaled(_select.drive_reach, 0.01, 0.03, 0.08, 0.16),
+            scaled_spans(_select.drive_reach, (0.03, 0.12)),
             "small gear trains and tendons: 0.5 to 5 degrees at the joint",
             always(0.0),
+            rails=_select.per_rail(_select.drive_reach),
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
+    possible=_select.has_drives,
     elements=_select.motor_places,
     command=Hook(_start, _apply),
 )

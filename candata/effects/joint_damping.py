@@ -33,10 +33,11 @@ EFFECT = Effect(
             scaled_spans(_select.drive_damping, (0.8, 3.0)),
             "grease and back-EMF, up to a few times the modelled damping",
             always(0.0),
+            rails=_select.per_rail(_select.drive_damping),
         ),
     ),
     acts_on="joint",
-    possible=_select.has_moving_hinges,
+    possible=_select.has_moving,
     elements=_select.moving_places,
     edit=_edit,
 )

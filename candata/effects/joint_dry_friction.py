@@ -33,10 +33,11 @@ EFFECT = Effect(
             scaled_spans(_select.drive_torque, (0.04, 0.15)),
             "geared servos lose 2 to 20 % of their torque to dry friction",
             always(0.0),
+            rails=_select.per_rail(_select.drive_torque),
         ),
     ),
     acts_on="joint",
-    possible=_select.has_moving_hinges,
+    possible=_select.has_moving,
     elements=_select.moving_places,
     edit=_edit,
 )

@@ -6,14 +6,25 @@ import mujoco
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    scaled,
+    scaled_bounds,
+    scaled_spans,
+)
 from candata.scenes.assemble import Scene
 
 
 def _of_joints(scene: Scene, x: Array, element: str | None) -> Array:
-    """Return the offsets `(J,)` [rad]: zero where there is no driven hinge, or another one is named."""
+    """Return the offsets `(J,)` [rad, or m]: zero where no finger is driven, or another joint is named."""
     out, chosen = np.zeros(len(scene.file.joints)), _select.joints(scene, element)
-    out[chosen] = x[np.isin(scene.driven_hinges, chosen)]
+    out[chosen] = x[np.isin(_select.finger_joints(scene), chosen)]
     return out
 
 
@@ -26,7 +37,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:
-    """Return the offsets `(n, J)` [rad]."""
+    """Return the offsets `(n, J)` [rad, or m]."""
     rows = [_of_joints(scene, row, element) for row, element in zip(x, elements, strict=True)]
     return np.stack(rows)
 
@@ -49,17 +60,19 @@ EFFECT = Effect(
         Parameter(
             "offset_rad",
             "rad",
-            fixed(-0.3, 0.3),
-            values(0.03),
-            spans((-0.09, -0.03), (0.03, 0.09)),
+            scaled_bounds(_select.drive_reach, -0.3, 0.3),
+            scaled(_select.drive_reach, 0.03),
+            scaled_spans(_select.drive_reach, (-0.09, -0.03), (0.03, 0.09)),
             "a joint zeroed by eye or against a soft stop is off by 1 to 5 degrees",
             always(0.0),
-            size=lambda scene: len(scene.driven_hinges),
-            owners=_select.joint_names,
+            size=lambda scene: len(_select.finger_joints(scene)),
+            owners=lambda scene: tuple(scene.file.joints[i] for i in _select.finger_joints(scene)),
+            whole=lambda scene: tuple(scene.file.joints[i] for i in _select.fingers(scene)),
+            rails=_select.per_rail(_select.drive_reach),
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
+    possible=_select.has_drives,
     elements=_select.joint_places,
     edit=_edit,
     reading=Hook(_start, _apply),

@@ -33,10 +33,11 @@ EFFECT = Effect(
             scaled_spans(_select.drive_torque, (0.12, 0.3)),
             "data sheets state stall torque; current limits cut it to a fraction",
             neutral=_select.largest_drive_torque,
+            rails=_select.per_rail(_select.drive_torque),
         ),
     ),
     acts_on="joint",
-    possible=_select.has_driven_hinges,
+    possible=_select.has_drives,
     elements=_select.motor_places,
     edit=_edit,
 )

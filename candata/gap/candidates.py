@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import active, effect, effect_names, setting
+from candata.effects import active, effect, effect_names, parameters_on, setting
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
@@ -85,7 +85,7 @@ class Candidate:
 def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     """Return the candidate for one effect in a scene, everywhere or on one element."""
     rows: list[tuple[float, float, float, float, bool]] = []
-    for p in effect(name).parameters:
+    for p in parameters_on(name, scene, element):
         bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
         is_log = not p.choices and bounds.low > 0 and own > 0
@@ -120,8 +120,14 @@ def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
 
 def on_slides(c: Candidate, scene: Scene) -> list[Candidate]:
     """Return the variants of a candidate on groups of joints where it does not act as a whole: on slides."""
-    joints = set(effect(c.name).elements(scene))
-    return [v for v in local_candidates(c, scene) if not joints.issuperset(elements_of(v, scene))]
+    return [v for v in local_candidates(c, scene) if is_on_slides(v, scene)]
+
+
+def is_on_slides(c: Candidate, scene: Scene) -> bool:
+    """Tell whether a candidate acts on joints that its effect as a whole spares: slides beside hinges."""
+    hinges = {scene.file.joints[i] for i in scene.driven_hinges}
+    beside = c.element is not None and len(hinges) > 0 and effect(c.name).acts_on == "joint"
+    return beside and not hinges.issuperset(elements_of(c, scene))
 
 
 def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:
@@ -137,7 +143,8 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
     nearest of them, where that is far: a limit acts near its neutral value at other times than farther out. A single
     number of a vector takes both signs of its probes, where its bounds do. What lies beyond bounds counts as on them.
     """
-    numbers = [np.array(p.probes(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
+    numbers = [np.array(p.probes(scene), float) for p in parameters_on(c.name, scene, c.element)
+               for _ in range(p.size(scene))]  # fmt: skip
     mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
     if c.size == 1 and len(c.own) > 1 and c.low[0] < 0 < c.high[0]:
         mine = [np.unique(np.concatenate([-n, n])) for n in mine]
@@ -156,9 +163,8 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
 
 def _plausible_ends(c: Candidate, scene: Scene, known: Array) -> Array:
     """Return the smallest and the largest value worth drawing, where they lie clearly beyond the known probes."""
-    (parameter,) = [p for p in effect(c.name).parameters if p.size(scene) == len(c.own)] or effect(c.name).parameters[
-        :1
-    ]
+    found = parameters_on(c.name, scene, c.element)
+    (parameter,) = [p for p in found if p.size(scene) == len(c.own)] or found[:1]
     ends = np.array(parameter.draws(scene), float)
     low, high = float(ends.min()), float(ends.max())
     beyond = [v for v, far in ((low, known.min() - low), (high, high - known.max())) if far > BEYOND * (high - low)]
@@ -178,7 +184,8 @@ def _halfway(c: Candidate, known: Array) -> Array:
 
 def typical_size(c: Candidate, scene: Scene) -> Array:
     """Return `(d,)` how far from neutral a plausible effect of this kind lies, between a faint and a strong one."""
-    ends = [np.array(p.draws(scene), float) for p in effect(c.name).parameters for _ in range(p.size(scene))]
+    found = parameters_on(c.name, scene, c.element)
+    ends = [np.array(p.draws(scene), float) for p in found for _ in range(p.size(scene))]
     mine = [e for e, own in zip(ends, c.own, strict=True) if own]
     rows = zip(mine, c.logarithmic, c.neutral, strict=True)
     away = [np.abs((np.log(e) if log else e) - at) for e, log, at in rows]

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
+from candata.effects import rail_units
 from candata.gap.attribute import Attribution
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
@@ -183,8 +184,9 @@ def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[Named
     pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng, f.found.rivals), strict=True)
     for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
         at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
-        settings = [c.setting(point, f.scene).parameters for point in (u, lower, upper)]
-        estimates = {name: _estimate(*(at[name] for at in settings)) for name in settings[0]}
+        at, least, most = (c.setting(point, f.scene).parameters for point in (u, lower, upper))
+        units = rail_units(c.name, f.scene, c.element)
+        estimates = {name: _estimate(at[name], least[name], most[name], units.get(name)) for name in at}
         out.append(
             NamedEffect(
                 name=c.name,
@@ -204,11 +206,11 @@ def _instead(fit: Fit, other: Fit) -> str:
     return next(name for name in other.labels if name not in fit.labels)
 
 
-def _estimate(value: Value, low: Value, high: Value) -> Estimate:
+def _estimate(value: Value, low: Value, high: Value, unit: str | None) -> Estimate:
     """Return a parameter with its interval; a choice has none."""
     if isinstance(low, str) or isinstance(high, str):
         return Estimate(value=value)
-    return Estimate(value=value, low=low, high=high)
+    return Estimate(value=value, low=low, high=high, unit=unit)
 
 
 def _one_sided(neutral: Array, u: Array) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.added import residuals_at
-from candata.gap.candidates import Candidate, candidate, local_candidates
+from candata.gap.candidates import Candidate, candidate, is_on_slides, local_candidates
 from candata.gap.refine import joint
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
@@ -33,7 +33,8 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
         if c.element is None:
             continue
         others = tuple(m for m in best.members if m[0].name != c.name)
-        places = (everywhere(problem, c, u), *neighbour(problem, others, c))
+        all_over = () if is_on_slides(c, problem.replayer.scene) else (everywhere(problem, c, u),)
+        places = (*all_over, *neighbour(problem, others, c))
         light = [joint(problem, (*others, place), base, widths=()) for place in places]
         fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
         if fit is not None and _is_better(best, fit, problem.recs.tasks):

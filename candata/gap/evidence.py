@@ -148,7 +148,7 @@ class Range:
 class Evidence:
     """Everything the figures need.
 
-    `ranges` holds the ranges of the named effects' numbers by (effect, parameter).
+    `ranges` holds the ranges of the named effects' numbers by (effect, element, parameter).
     """
 
     heat: HeatMap | None = None
@@ -156,4 +156,4 @@ class Evidence:
     losses: EpisodeLosses | None = None
     elements: Elements | None = None
     collinearity: Collinearity | None = None
-    ranges: Mapping[tuple[str, str], Range] = field(default_factory=dict)
+    ranges: Mapping[tuple[str, str | None, str], Range] = field(default_factory=dict)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect
+from candata.effects import parameters_on
 from candata.gap.evidence import Collinearity, Course, Element, Elements, Range
 from candata.gap.example import element_values
 from candata.gap.residuals import Layout, residual
@@ -111,13 +111,13 @@ def change(fit: Fit) -> Compact:
     return response.read(u) - response.neutral()
 
 
-def ranges(named: Iterable[NamedEffect], scene: Scene) -> dict[tuple[str, str], Range]:
-    """Return where each number of the named effects was searched, by (effect, parameter); choices have no range."""
+def ranges(named: Iterable[NamedEffect], scene: Scene) -> dict[tuple[str, str | None, str], Range]:
+    """Return where each number of the named effects was searched, by (effect, element, parameter); no choices."""
     found = {}
     for one in named:
-        for p in effect(one.name).parameters:
+        for p in parameters_on(one.name, scene, one.element):
             if not p.choices:
                 low, high = p.bounds(scene)
-                at = p.identity(scene)
-                found[one.name, p.name] = Range(float(low), float(high), None if np.isnan(at) else float(at))
+                at = float(p.identity(scene))
+                found[one.name, one.element, p.name] = Range(float(low), float(high), None if np.isnan(at) else at)
     return found

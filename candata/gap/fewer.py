@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.added import ADDED, by_loss, residuals_at
-from candata.gap.candidates import Candidate
+from candata.gap.candidates import Candidate, is_on_slides
 from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.own_floor import Grown, judged
 from candata.gap.refine import joint
@@ -105,7 +105,7 @@ def widened(problem: Problem, best: Fit, remains: bool) -> Grown:
     friction of one of two fingertips that held a box explained as much as that of both, which was true.)
     """
     for member in best.members if len(best.members) > 1 else ():
-        if member[0].element is None:
+        if member[0].element is None or is_on_slides(member[0], problem.replayer.scene):
             continue
         whole = everywhere(problem, *member)
         if whole[0].size != member[0].size:

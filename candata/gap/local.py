@@ -78,7 +78,7 @@ def promises(
     An element without readings (a fingertip where no forces were recorded, the support) promises what all of them do.
     """
     whole = fit_one(problem, c, response, base).gain if any(_columns(problem, v) is None for v in variants) else 0.0
-    gains = [(_screened(problem, v, response, base, whole), v) for v in variants]
+    gains = [(_screened(problem, c, v, response, base, whole), v) for v in variants]
     return sorted(gains, key=lambda pair: -pair[0])
 
 
@@ -101,15 +101,19 @@ def _own_loss(problem: Problem, here: Compact, channel: str, element: str) -> fl
     return size[0] / max(float(np.mean(size[1:])), 1e-9)
 
 
-def _screened(problem: Problem, variant: Candidate, response: Curve | Plane, base: Array, whole: float) -> float:
-    """Return the held-out gain that a variant on one element promises, from the response of its effect."""
+def _screened(
+    problem: Problem, c: Candidate, variant: Candidate, response: Curve | Plane, base: Array, whole: float
+) -> float:
+    """Return the held-out gain that a variant on one element promises, from the response of its effect `c`."""
     columns = _columns(problem, variant)
     if columns is None:
         return whole
     if isinstance(response, Curve):
         kept = np.where(columns, response.z, response.neutral())
         return fit_one(problem, variant, replace(response, z=kept), base).gain
-    mine = np.flatnonzero(variant.own)
+    mine = np.flatnonzero(variant.own[c.own])
+    if len(mine) < variant.size:  # numbers that the effect as a whole has not: of jaws on rails
+        return 0.0
     slope = response.slope[mine] * columns
     plane = Plane(variant.low, variant.high, variant.neutral, response.z, slope)
     return fit_one(problem, variant, plane, base).gain

@@ -189,7 +189,7 @@ def _parts(problem: Problem, best: Fit, stage: Stage) -> list[Fit]:
     """
     (c, u) = best.members[0]
     variants = local_candidates(c, problem.replayer.scene) if c.size > 1 else []
-    points = [(v, u[v.own]) for v in variants if v.size < c.size]
+    points = [(v, u[v.own[c.own]]) for v in variants if v.size < c.size and c.own[v.own].all()]
     if not points:
         return []
     part, index = brief(problem)
@@ -198,7 +198,7 @@ def _parts(problem: Problem, best: Fit, stage: Stage) -> list[Fit]:
     order = [i for i in np.argsort(gains)[::-1] if gains[i] > PROMISE * most][:RIVALS]
     zs = problem.residuals([problem.setting([points[i]]) for i in order]) if order else []
     planes = [
-        (v, Plane(v.low, v.high, at, z, best.plane.slope[v.own]))
+        (v, Plane(v.low, v.high, at, z, best.plane.slope[v.own[c.own]]))
         for (v, at), z in zip((points[i] for i in order), zs, strict=True)
     ]
     return _fits(problem, planes, stage.base)

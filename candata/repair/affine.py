@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import active, effect, flatten, setting
+from candata.effects import active, effect, flatten, parameters_on, setting
 from candata.repair.fields import OPTIONS, differences, read
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -85,7 +85,7 @@ def free_parameters(scene: Scene, effects: Sequence[EffectSetting], which: int, 
     if any(p.choices for p in kind.parameters):
         return []
     owned, out, first = active(s.name, scene, s.element), [], 0
-    for p in kind.parameters:
+    for p in parameters_on(s.name, scene, s.element):
         ids = np.flatnonzero(owned[first : first + p.size(scene)]) + first
         first += p.size(scene)
         low, high = p.bounds(scene)

@@ -168,7 +168,7 @@ def _value(named: NamedEffect, parameter: str, estimate: Estimate) -> tuple[str,
     """Return a parameter for people, with its interval, and as the SI number that a file takes."""
     if isinstance(estimate.value, str):
         return estimate.value, estimate.value
-    unit = unit_of(named.name, parameter)
+    unit = unit_of(named.name, parameter, estimate)
     if isinstance(estimate.value, tuple):
         if len(estimate.value) > MOST_NUMBERS:
             return f"the {len(estimate.value)} values of effects.yaml", "the values of effects.yaml"

@@ -43,8 +43,10 @@ class Reading:
         return f"{text} (90 % interval {self.interval})" if self.interval else text
 
 
-def unit_of(effect: str, parameter: str) -> str:
-    """Return the SI unit of an effect's parameter: the effect's word, else its name's ending."""
+def unit_of(effect: str, parameter: str, estimate: Estimate | None = None) -> str:
+    """Return the SI unit of an effect's parameter: the estimate's or the effect's word, else its name's ending."""
+    if estimate is not None and estimate.unit:
+        return estimate.unit
     try:
         known = plugins.load("candata.effects", "EFFECT", effect).parameters
     except UnknownNameError:

@@ -17,15 +17,15 @@ NBSP = "\N{NO-BREAK SPACE}"
 NOW, NUMERIC = ' class="now"', ' class="n"'
 
 
-def effects(report: Report, ranges: Mapping[tuple[str, str], Range]) -> str:
+def effects(report: Report, ranges: Mapping[tuple[str, str | None, str], Range]) -> str:
     """Return the named effects: value, 90 % interval, the range searched with bounds marked, share and support."""
     if not report.effects:
         return ""
     body = []
     for effect in report.effects:
         for name, estimate in effect.parameters.items():
-            unit = unit_of(effect.name, name)
-            read, where = reading(estimate, unit), ranges.get((effect.name, name))
+            unit = unit_of(effect.name, name, estimate)
+            read, where = reading(estimate, unit), ranges.get((effect.name, effect.element, name))
             bound = ' <span class="tag">at bound</span>' if effect.at_bound else ""
             cells = (
                 (words.title(effect.name, effect.element), "u"),

@@ -60,7 +60,8 @@ def _several(name: str, texts: list[str], most: int) -> list[str]:
 def _effect(effect: NamedEffect) -> str:
     """Return name, element, parameters with intervals and units, and share."""
     values = ", ".join(
-        f"{name} {reading(estimate, unit_of(effect.name, name))}" for name, estimate in effect.parameters.items()
+        f"{name} {reading(estimate, unit_of(effect.name, name, estimate))}"
+        for name, estimate in effect.parameters.items()
     )
     element = f" on {effect.element}" if effect.element else ""
     bound = ", at its bound" if effect.at_bound else ""

@@ -236,7 +236,7 @@ def title(name: str, element: str | None) -> str:
 def effect_phrase(effect: NamedEffect) -> str:
     """Return the effect with its parameters, intervals and units."""
     values = [
-        f"{label(parameter)}{reading(estimate, unit_of(effect.name, parameter))}"
+        f"{label(parameter)}{reading(estimate, unit_of(effect.name, parameter, estimate))}"
         for parameter, estimate in effect.parameters.items()
     ]
     return title(effect.name, effect.element) + (f", {listed(values)}" if values else "")

@@ -14,11 +14,15 @@ Bound = float | tuple[float, ...] | None
 
 
 class Estimate(Record):
-    """A parameter with its 90 % interval; lists for vectors, a word for a discrete choice."""
+    """A parameter with its 90 % interval; lists for vectors, a word for a discrete choice.
+
+    `unit` is that of joints that slide (m, N), where its name says that of joints that turn.
+    """
 
     value: Value
     low: Bound = None
     high: Bound = None
+    unit: str | None = None
 
 
 class NamedEffect(Record):

@@ -127,7 +127,7 @@ def test_ranges_are_the_effects_own_in_this_scene(arm):
 
     found = ranges([named("servo_gain", kp_scale=0.5), named("friction_cone", cone="elliptic"),
                     named("torque_limit", limit_Nm=1.0)], arm)  # fmt: skip
-    assert set(found) == {("servo_gain", "kp_scale"), ("torque_limit", "limit_Nm")}
-    gain = found["servo_gain", "kp_scale"]
+    assert set(found) == {("servo_gain", None, "kp_scale"), ("torque_limit", None, "limit_Nm")}
+    gain = found["servo_gain", None, "kp_scale"]
     assert (gain.low, gain.high, gain.identity) == (0.15, 4.0, 1.0)
-    assert found["torque_limit", "limit_Nm"].identity is None
+    assert found["torque_limit", None, "limit_Nm"].identity is None

@@ -169,7 +169,7 @@ def alike() -> Collinearity:
 
 def evidence(model: mujoco.MjModel) -> Evidence:
     """All parts."""
-    ranges = {("joint_dry_friction", "frictionloss_Nm"): Range(0.0, 0.3, 0.0)}
+    ranges = {("joint_dry_friction", "index2", "frictionloss_Nm"): Range(0.0, 0.3, 0.0)}
     return Evidence(heat(), example(model), losses(), elements(), alike(), ranges)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import Parameter, active, effect, effect_names, setting
+from candata.effects import Parameter, active, effect, effect_names, parameters_on, setting
 from candata.gap.blind.outside import draw_outside, possible_outside
 from candata.scenes import Scene
 from candata.schema.bench import Kind, Label
@@ -77,20 +77,18 @@ def _turns(names: Sequence[str], count: int, rng: np.random.Generator) -> list[s
 def draw_setting(scene: Scene, name: str, rng: np.random.Generator, element: str | None = None) -> EffectSetting:
     """Return an effect with values clearly away from the model's own, drawn as the effect's file says."""
     own, mine = neutral(name, scene), active(name, scene, element)
+    found = parameters_on(name, scene, element)
     while True:
-        x = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
+        x = np.concatenate([draw_parameter(p, scene, rng) for p in found])
         # Of a vector's farthest number, an element's own must be half as far at least.
         away = np.abs(x - np.nan_to_num(own))
-        if element is None or len(x) == 1 or away[mine].max() >= 0.5 * _farthest(name, scene):
+        if element is None or len(x) == 1 or away[mine].max() >= 0.5 * _farthest(found, scene):
             return setting(name, x, scene, element)
 
 
-def _farthest(name: str, scene: Scene) -> float:
+def _farthest(found: Sequence[Parameter], scene: Scene) -> float:
     """Return how far from the identity a vector's number can be drawn."""
-    return max(
-        float(np.abs(np.array(p.draws(scene)) - np.nan_to_num(p.identity(scene))).max())
-        for p in effect(name).parameters
-    )
+    return max(float(np.abs(np.array(p.draws(scene)) - np.nan_to_num(p.identity(scene))).max()) for p in found)
 
 
 def neutral(name: str, scene: Scene) -> Array:
@@ -106,7 +104,7 @@ def _own(p: Parameter, scene: Scene) -> float:
 def weakened(scene: Scene, given: EffectSetting, part: float) -> EffectSetting:
     """Return an effect at a part of its distance from the identity; scales and times in their logarithm."""
     values = {}
-    for p in effect(given.name).parameters:
+    for p in parameters_on(given.name, scene, given.element):
         own, x = _own(p, scene), np.asarray(given.parameters[p.name], float)
         is_log = own > 0 and p.bounds(scene).low > 0
         near = own * (x / own) ** part if is_log else own + part * (x - own)
