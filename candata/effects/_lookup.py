@@ -46,6 +46,12 @@ def parameters_on(name: str, scene: Scene, element: str | None = None) -> tuple[
     )
 
 
+def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
+    """Return indices into `scene.file.joints` of the joints on which an effect of joints or drives acts as a whole."""
+    measured = any(p.rails for p in effect(name).parameters)
+    return _select.fingers(scene) if measured else _select.usual(scene)
+
+
 def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:
     """Return the units of an effect's parameters that are others than their names say, on joints that slide."""
     pairs = zip(effect(name).parameters, parameters_on(name, scene, element), strict=True)

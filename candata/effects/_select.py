@@ -85,8 +85,7 @@ def _picked(scene: Scene, usual: Ids, possible: Ids, element: str | None, mixed:
     """Return the usual joints, or those of the possible joint or group named."""
     if element is None:
         return usual
-    single = np.union1d(usual, np.intersect1d(possible, jaws(scene))).astype(int)
-    known = {scene.file.joints[i]: np.array([i]) for i in single} | _groups(scene, possible, mixed)
+    known = {scene.file.joints[i]: np.array([i]) for i in possible} | _groups(scene, possible, mixed)
     if element not in known:
         raise UnknownNameError("joint or group", element, known)
     return known[element]
@@ -100,14 +99,19 @@ def _groups(scene: Scene, possible: Ids, mixed: bool) -> dict[str, Ids]:
 
 
 def _places(scene: Scene, usual: Ids, beside: Ids, possible: Ids, mixed: bool = False) -> tuple[str, ...]:
-    """Return the names of the usual joints, of jaws `beside` them, and of the groups that are not one of these or all.
+    """Return the names of the usual joints, of slides `beside` them, and of groups that are not one of these or all.
 
     Beside slides a lone usual joint is left out: the effect touches it anyway, so it is the same cause twice. So is a
-    jaw that is in a group.
+    slide that is in a group.
     """
+
+    def is_one(ids: Ids) -> bool:
+        """Tell whether one motor, named by its first joint, is all that pulls a group."""
+        return len(ids) > 1 and len(np.intersect1d(ids, np.union1d(usual, beside))) == 1
+
     groups = {
         n: ids for n, ids in _groups(scene, possible, mixed).items()
-        if np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)
+        if (np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)) and not is_one(ids)
     }  # fmt: skip
     grouped = np.concatenate([np.zeros(0, int), *groups.values()])
     rails = np.setdiff1d(beside, np.union1d(usual, grouped)).astype(int)
@@ -147,11 +151,12 @@ def motor_places(scene: Scene) -> tuple[str, ...]:
 
 
 def servo_places(scene: Scene) -> tuple[str, ...]:
-    """Return the names as `motor_places` does, and of groups of driven slides: a wrist on rails.
+    """Return the names as `motor_places` does, and of groups of other driven slides, or of those in none: a wrist's.
 
     Where no hinge is driven, as of jaws that slide, the slides stand for the hinges.
     """
-    return _places(scene, _leading(scene, _usual(scene)), _leading(scene, jaws(scene)), _driven(scene), mixed=True)
+    slides = np.array([i for i in _driven(scene) if _slides(scene, i)], int)
+    return _places(scene, _leading(scene, usual(scene)), _leading(scene, slides), _driven(scene), mixed=True)
 
 
 def _leading(scene: Scene, chosen: Ids) -> Ids:
@@ -161,9 +166,9 @@ def _leading(scene: Scene, chosen: Ids) -> Ids:
     return np.array(sorted(firsts - {-1}), int)
 
 
-def _usual(scene: Scene) -> Ids:
-    """Return indices of the driven hinges; of all driven joints where there are none."""
-    return scene.driven_hinges if len(scene.driven_hinges) else _driven(scene)
+def usual(scene: Scene) -> Ids:
+    """Return indices of the driven hinges and jaws, whose shares and times mean the same; of all where no hinge is."""
+    return np.union1d(scene.driven_hinges, jaws(scene)).astype(int) if len(scene.driven_hinges) else _driven(scene)
 
 
 def _driven(scene: Scene) -> Ids:
@@ -190,7 +195,7 @@ def actuators(scene: Scene, element: str | None) -> Ids:
 
 def servos(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids as `actuators` does; a group may hold slides too, for what has the same unit there."""
-    return _drives(scene, _picked(scene, _usual(scene), _driven(scene), element, mixed=True))
+    return _drives(scene, _picked(scene, usual(scene), _driven(scene), element, mixed=True))
 
 
 def _drives(scene: Scene, chosen: Ids) -> Ids:

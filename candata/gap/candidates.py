@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import active, effect, effect_names, parameters_on, setting
+from candata.effects import active, effect, effect_names, parameters_on, setting, together_on
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
@@ -113,9 +113,14 @@ def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
 
 
 def local_candidates(c: Candidate, scene: Scene) -> list[Candidate]:
-    """Return the variants of a candidate that act on one joint, fingertip or geom alone; none for a lone element."""
-    elements = effect(c.name).elements(scene)
-    return [candidate(c.name, scene, e) for e in elements] if c.element is None and len(elements) > 1 else []
+    """Return the variants of a candidate that act on one joint, fingertip or geom alone.
+
+    Not a lone element that the candidate touches anyway.
+    """
+    if c.element is not None:
+        return []
+    found = [candidate(c.name, scene, e) for e in effect(c.name).elements(scene)]
+    return found if len(found) > 1 else [v for v in found if is_on_slides(v, scene)]
 
 
 def on_slides(c: Candidate, scene: Scene) -> list[Candidate]:
@@ -125,9 +130,10 @@ def on_slides(c: Candidate, scene: Scene) -> list[Candidate]:
 
 def is_on_slides(c: Candidate, scene: Scene) -> bool:
     """Tell whether a candidate acts on joints that its effect as a whole spares: slides beside hinges."""
-    hinges = {scene.file.joints[i] for i in scene.driven_hinges}
-    beside = c.element is not None and len(hinges) > 0 and effect(c.name).acts_on == "joint"
-    return beside and not hinges.issuperset(elements_of(c, scene))
+    if c.element is None or effect(c.name).acts_on != "joint" or not len(scene.driven_hinges):
+        return False
+    whole = {scene.file.joints[i] for i in together_on(c.name, scene)}
+    return not whole.issuperset(elements_of(c, scene))
 
 
 def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:

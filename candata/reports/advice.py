@@ -112,8 +112,9 @@ def change(named: NamedEffect) -> Change:
     """Return what to change for one named effect."""
     values = [_value(named, parameter, estimate) for parameter, estimate in named.parameters.items()]
     shown, raw = words.listed([v for v, _ in values]), " ".join(r for _, r in values)
+    every = "every jaw" if any(estimate.unit for estimate in named.parameters.values()) else "every driven joint"
     places = {
-        "joint": f"joint {named.element}" if named.element else "every driven joint",
+        "joint": f"joint {named.element}" if named.element else every,
         "servo": f"the servo of {named.element}" if named.element else "every servo",
         "tip": f"fingertip {named.element}" if named.element else "every fingertip",
         "surface": f"{named.element}" if named.element else "object, fingertips and support",

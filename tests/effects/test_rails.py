@@ -61,16 +61,25 @@ def test_where_all_that_is_driven_slides_the_jaws_stand_for_hinges(jaws):
 
 
 def test_beside_hinges_each_jaw_is_a_place_of_its_own(turned):
-    for name in (*JOINT, *MOTOR, "servo_gain", "actuation_delay"):
+    for name in (*JOINT, *MOTOR):
         assert effect(name).elements(turned) == ("left", "right"), name
         # The whole is the hinge; on jaws it does nothing, so that no screen by it speaks of them.
         assert all(is_on_slides(v, turned) for v in local_candidates(candidate(name, turned), turned)), name
+    assert local_candidates(candidate("joint_damping", turned, "left"), turned) == []
     for name, field in FIELD.items():
         for element, own in ((None, [0]), ("left", [1]), ("right", [2])):
             x = np.array(parameters_on(name, turned, element)[0].probes(turned)[-1:])
             model = build_worlds(turned, [(setting(name, x, turned, element),)]).models[0]
             changed = np.flatnonzero(getattr(model, field) != getattr(turned.model, field))
             assert changed.tolist() == turned.joint_dof[own].tolist(), (name, element)
+
+
+def test_shares_and_times_are_those_of_hinges_and_jaws_together(turned):
+    for name in ("servo_gain", "servo_damping", "actuation_delay"):
+        assert effect(name).elements(turned) == ("lift", "left", "right"), name
+        assert not any(is_on_slides(v, turned) for v in local_candidates(candidate(name, turned), turned)), name
+    model = build_worlds(turned, [(setting("servo_gain", np.array([0.5]), turned),)]).models[0]
+    assert np.allclose(model.actuator_biasprm[:, 1] / turned.model.actuator_biasprm[:, 1], 0.5)
 
 
 @pytest.mark.usefixtures("turned")
@@ -81,7 +90,7 @@ def test_jaws_in_a_group_are_named_by_it(tmp_path):
     mixed = write_scene(tmp_path, xml, roles + "groups: {odd: [lift, left]}\n")
     # What is N m here and N there has no number for both; a share has.
     assert effect("joint_damping").elements(mixed) == ("left", "right")
-    assert effect("servo_gain").elements(mixed) == ("right", "odd")
+    assert effect("servo_gain").elements(mixed) == ("lift", "left", "right", "odd")
 
 
 def test_numbers_on_rails_are_in_metres_and_newtons(jaws, turned):

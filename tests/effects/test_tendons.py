@@ -7,6 +7,7 @@ import pytest
 
 from candata.effects import _select as select
 from candata.effects import effect, flatten, setting
+from candata.gap.candidates import candidate, local_candidates
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
 from candata.simulate.world import build_worlds
@@ -123,7 +124,10 @@ def test_a_lone_hinge_beside_groups_of_slides_is_no_place(tmp_path):
     turned = JAWS.replace('<joint name="lift" type="slide"', '<joint name="lift" type="hinge"')
     assert turned != JAWS
     scene = write_scene(tmp_path, turned, JAWS_ROLES + "groups: {jaws: [left, right]}\n")
-    assert effect("servo_gain").elements(scene) == ("jaws",)
     assert effect("joint_damping").elements(scene) == ("jaws",)
+    # The jaws have one motor, which is named by its first joint: their group would be the same twice.
+    assert effect("torque_limit").elements(scene) == ("left",)
+    assert [v.label for v in local_candidates(candidate("torque_limit", scene), scene)] == ["torque_limit left"]
+    assert effect("servo_gain").elements(scene) == ("lift", "left")
     world = build_worlds(scene, [(planted("servo_gain", scene, 0.5, "lift"),)]).models[0]
     assert np.allclose(world.actuator_biasprm[:, 1] / scene.model.actuator_biasprm[:, 1], [1, 0.5])
