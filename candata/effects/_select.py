@@ -42,6 +42,7 @@ def fingers(scene: Scene) -> Ids:
     return jaws(scene) if len(jaws(scene)) else _driven(scene)
 
 
+@lru_cache(maxsize=64)
 def jaws(scene: Scene) -> Ids:
     """Return indices of driven slides that move some of the fingertips and not all: jaws on rails, no wrist."""
     found = []
@@ -66,7 +67,7 @@ def finger_joints(scene: Scene) -> Ids:
 
 def on_rails(scene: Scene, element: str | None) -> bool:
     """Tell whether the joints of `element`, or those of all fingers, slide: effects are in m and N there."""
-    chosen = joints(scene, element)
+    chosen = _resisting(scene, element)
     return len(chosen) > 0 and all(_slides(scene, i) for i in chosen)
 
 
@@ -184,8 +185,12 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints that resist motion, or of the one or the group named."""
-    possible = np.union1d(moving(scene), jaws(scene)).astype(int)
-    return scene.joint_dof[_picked(scene, moving(scene), possible, element)]
+    return scene.joint_dof[_resisting(scene, element)]
+
+
+def _resisting(scene: Scene, element: str | None) -> Ids:
+    """Return indices of the joints that resist motion, or of the one or the group named."""
+    return _picked(scene, moving(scene), np.union1d(moving(scene), jaws(scene)).astype(int), element)
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:

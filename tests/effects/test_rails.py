@@ -140,3 +140,16 @@ def test_an_encoder_of_a_jaw_is_off_and_no_other(turned):
     # The servo brings what is read to the command; the jaw stands beside it.
     assert read.readings["joint_position"][0, -1, 1:] == pytest.approx([0.01, 0.01], abs=2e-4)
     assert read.qpos[0, -1, at] == pytest.approx([0.008, 0.01], abs=2e-4)
+
+
+def test_a_thrown_hinge_that_nothing_drives_is_on_no_rails(tmp_path):
+    thrown = """<mujoco><worldbody><geom name="floor" type="plane" size="1 1 .1"/>
+      <body name="elbow" pos="0 0 1"><freejoint/><geom type="box" size=".03 .02 .02" mass=".1"/>
+        <body pos=".05 0 0"><joint name="hinge" axis="0 1 0"/><geom type="box" size=".03 .02 .02" mass=".1"/></body>
+      </body></worldbody></mujoco>"""
+    scene = write_scene(
+        tmp_path, thrown, "model: scene.xml\nrate_hz: 100\nobject: elbow\njoints: [hinge]\nsupport: floor\n"
+    )
+    assert effect("joint_damping").elements(scene) == ("hinge",)
+    assert rail_units("joint_damping", scene, "hinge") == rail_units("joint_damping", scene) == {}
+    assert local_candidates(candidate("joint_damping", scene), scene) == []
