@@ -62,7 +62,12 @@ def _slides(scene: Scene, index: int) -> bool:
 
 def finger_joints(scene: Scene) -> Ids:
     """Return indices of all joints that joint and drive effects may act on: `fingers`, and jaws on rails beside."""
-    return np.union1d(fingers(scene), jaws(scene)).astype(int)
+    return _with_jaws(scene, fingers(scene))
+
+
+def _with_jaws(scene: Scene, chosen: Ids) -> Ids:
+    """Return the joints chosen and the jaws on rails, in the order of `joint_position`."""
+    return np.union1d(chosen, jaws(scene)).astype(int)
 
 
 def on_rails(scene: Scene, element: str | None) -> bool:
@@ -135,7 +140,7 @@ def has_moving(scene: Scene) -> bool:
 
 def moving_places(scene: Scene) -> tuple[str, ...]:
     """Return the names of the joints that resist motion, in the order of `joint_position`, and of groups of them."""
-    return _places(scene, moving(scene), jaws(scene), np.union1d(moving(scene), jaws(scene)).astype(int))
+    return _places(scene, moving(scene), jaws(scene), _with_jaws(scene, moving(scene)))
 
 
 def joint_places(scene: Scene) -> tuple[str, ...]:
@@ -169,7 +174,7 @@ def _leading(scene: Scene, chosen: Ids) -> Ids:
 
 def usual(scene: Scene) -> Ids:
     """Return indices of the driven hinges and jaws, whose shares and times mean the same; of all where no hinge is."""
-    return np.union1d(scene.driven_hinges, jaws(scene)).astype(int) if len(scene.driven_hinges) else _driven(scene)
+    return _with_jaws(scene, scene.driven_hinges) if len(scene.driven_hinges) else _driven(scene)
 
 
 def _driven(scene: Scene) -> Ids:
@@ -190,7 +195,7 @@ def dofs(scene: Scene, element: str | None) -> Ids:
 
 def _resisting(scene: Scene, element: str | None) -> Ids:
     """Return indices of the joints that resist motion, or of the one or the group named."""
-    return _picked(scene, moving(scene), np.union1d(moving(scene), jaws(scene)).astype(int), element)
+    return _picked(scene, moving(scene), _with_jaws(scene, moving(scene)), element)
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:
