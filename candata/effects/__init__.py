@@ -7,6 +7,7 @@ from candata.effects._lookup import (
     effect,
     effect_names,
     flatten,
+    members_of,
     parameters_on,
     rail_units,
     setting,
@@ -16,5 +17,5 @@ from candata.effects._lookup import (
 
 __all__ = [
     "Bounds", "Effect", "Forces", "Hook", "Parameter", "active", "effect", "effect_names", "flatten",
-    "parameters_on", "rail_units", "read_effects", "scene_of", "setting", "together_on", "turn",
+    "members_of", "parameters_on", "rail_units", "read_effects", "scene_of", "setting", "together_on", "turn",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -14,35 +15,63 @@ from candata.errors import UnknownNameError
 from candata.scenes.assemble import Scene, subtree
 
 Ids = NDArray[np.int64]
+#: The element that is all fingertips together, as worn or dusty pads are, where the object meets other things too.
+FINGERTIPS = "fingertips"
 
 
 def names(scene: Scene) -> tuple[str, ...]:
-    """Return what can be slippery or soft on its own: every fingertip, and the support."""
+    """Return what can be slippery or soft on its own: every fingertip, all of them together, and the support."""
     if scene.object_id is None:
         return ()
-    return (*scene.file.fingertips, *((scene.file.support,) if scene.file.support else ()))
+    return (*scene.file.fingertips, *((FINGERTIPS,) if _is_element(scene) else ()), *_support(scene))
+
+
+def members(scene: Scene, element: str) -> tuple[str, ...]:
+    """Return the fingertips, or the support, that an element of `names` is."""
+    return scene.file.fingertips if element == FINGERTIPS and _is_element(scene) else (element,)
+
+
+def _support(scene: Scene) -> tuple[str, ...]:
+    """Return the name of the support, where the scene has one."""
+    return (scene.file.support,) if scene.file.support else ()
+
+
+@lru_cache(maxsize=64)
+def _is_element(scene: Scene) -> bool:
+    """Tell whether all fingertips together are an element: several, and not all that the object can touch."""
+    tips = scene.file.fingertips
+    if scene.object_id is None or len(tips) < 2 or FINGERTIPS in (*tips, *_support(scene)):
+        return False
+    own = [g for tip in tips for g in _own(scene, tip)]
+    ends = np.stack([scene.model.pair_geom1, scene.model.pair_geom2], axis=1)[pairs(scene, None)]
+    return bool(np.setdiff1d([*_select.contact_geoms(scene), *ends.ravel()], [*own, *scene.object_geoms]).size)
 
 
 def geoms(scene: Scene, element: str | None) -> Ids:
-    """Return ids of the geoms that meet the object, its own among them; of one fingertip or the support alone.
+    """Return ids of the geoms that meet the object, its own among them; of fingertips or the support alone.
 
     Raises
     ------
     UnknownNameError
-        When `element` is neither a fingertip nor the support.
+        When `element` is none of `names`.
     """
     touching = np.array(_select.contact_geoms(scene), int)
     if element is None:
         return touching
     if element not in names(scene):
         raise UnknownNameError("fingertip or support", element, names(scene))
-    return touching[np.isin(touching, _own(scene, element))]
+    return touching[np.isin(touching, _owned(scene, element))]
 
 
 def fingertip_geoms(scene: Scene, element: str | None) -> Ids:
     """Return ids of the geoms of all fingertips, or of the one named, that meet the object."""
     tips = [scene.file.fingertips[i] for i in _select.fingertips(scene, element)]
     return np.concatenate([np.zeros(0, int), *(geoms(scene, tip) for tip in tips)])
+
+
+def _owned(scene: Scene, element: str) -> list[int]:
+    """Return ids of the geoms of an element of `names`."""
+    return [g for name in members(scene, element) for g in _own(scene, name)]
 
 
 def _own(scene: Scene, element: str) -> list[int]:
@@ -56,12 +85,12 @@ def _own(scene: Scene, element: str) -> list[int]:
 
 
 def pairs(scene: Scene, element: str | None) -> Ids:
-    """Return ids of the explicit contact pairs of the object; of those with one fingertip or the support."""
+    """Return ids of the explicit contact pairs of the object; of those with fingertips or the support alone."""
     model, own = scene.model, subtree(scene.model, scene.object_id or 0) if scene.object_id is not None else set()
     ends = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
     with_object = np.isin(model.geom_bodyid[ends], list(own)).any(1)
     if element is not None:
-        with_object &= np.isin(ends, _own(scene, element)).any(1)
+        with_object &= np.isin(ends, _owned(scene, element)).any(1)
     return np.flatnonzero(with_object)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import _select
+from candata.effects import _contact, _select
 from candata.effects._contract import Array, Effect, Parameter
 from candata.errors import UnknownNameError, UsageError
 from candata.plugins import load, names
@@ -50,6 +50,13 @@ def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
     """Return indices into `scene.file.joints` of the joints on which an effect of joints or drives acts as a whole."""
     measured = any(p.rails for p in effect(name).parameters)
     return _select.fingers(scene) if measured else _select.usual(scene)
+
+
+def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
+    """Return the joints of a group, or the fingertips where an element is all of them; else the element alone."""
+    if effect(name).acts_on == "joint":
+        return scene.file.groups.get(element, (element,))
+    return _contact.members(scene, element)
 
 
 def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import active, effect, effect_names, parameters_on, setting, together_on
+from candata.effects import active, effect, effect_names, members_of, parameters_on, setting, together_on
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
@@ -137,9 +137,8 @@ def is_on_slides(c: Candidate, scene: Scene) -> bool:
 
 
 def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:
-    """Return the joints of a candidate on a group; else its element alone."""
-    element = str(c.element)
-    return scene.file.groups.get(element, (element,))
+    """Return the joints of a candidate on a group, or all fingertips; else its element alone."""
+    return members_of(c.name, scene, str(c.element))
 
 
 def probes(c: Candidate, scene: Scene) -> list[Array]:

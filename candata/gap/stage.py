@@ -330,9 +330,10 @@ def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     return min(sharp, key=lambda f: _breadth(f.members[0][0], scene))
 
 
-def _breadth(c: Candidate, scene: Scene) -> float:
-    """Return on how many elements a candidate acts; infinite for all."""
-    return inf if c.element is None else len(elements_of(c, scene))
+def _breadth(c: Candidate, scene: Scene) -> tuple[float, bool]:
+    """Return on how many elements a candidate acts; infinite for all, and for all fingertips, which come after all."""
+    together = elements_of(c, scene) == scene.file.fingertips
+    return inf if c.element is None or together else len(elements_of(c, scene)), c.element is not None
 
 
 def standard_error(values: Array) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import mujoco
@@ -13,7 +14,7 @@ from candata.errors import UnknownNameError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.world import build_worlds
-from tests.effects.gripper import XML, play_grip, write_scene
+from tests.effects.gripper import ROLES, XML, play_grip, write_scene
 
 #: A joint of the hand, and the fingertip that it moves.
 JOINT = "index2"
@@ -222,6 +223,41 @@ def test_one_fingertip_can_be_more_slippery_than_the_object(scene):
     for b, a in zip(contacts(scene, ()), contacts(scene, (half,)), strict=True):
         assert a[1] == pytest.approx(b[1] * (0.5 if a[0] == JOINT else 1.0), rel=1e-12)
         assert a[3:] == b[3:], "nothing else moves"
+
+
+@pytest.mark.parametrize("name", CONTACT)
+def test_all_fingertips_together_are_an_element_beside_each_and_the_support(scene, gripper, name):
+    tips = name == "torsional_friction"  # acts on nothing else anyway
+    assert effect(name).elements(gripper) == ("left", "right", *(() if tips else ("fingertips", "table")))
+    assert "fingertips" in effect(name).elements(scene) or tips
+
+
+def test_what_touches_nothing_but_fingertips_has_no_element_of_all(tmp_path):
+    held = re.sub("<pair[^>]*table[^>]*>|<geom name=.table[^>]*>", "", XML)
+    scene = write_scene(tmp_path, held, ROLES.replace("support: table\n", ""))
+    assert effect("sliding_friction").elements(scene) == ("left", "right")
+
+
+def test_a_support_may_have_that_name(tmp_path):
+    scene = write_scene(tmp_path, XML.replace("table", "fingertips"), ROLES.replace("table", "fingertips"))
+    assert effect("sliding_friction").elements(scene) == ("left", "right", "fingertips")
+    model = build_worlds(scene, [(probe("sliding_friction", scene, "fingertips"),)]).models[0]
+    changed = (model.pair_friction != scene.model.pair_friction).any(1)
+    assert changed.tolist() == ((model.pair_geom1 == 0) | (model.pair_geom2 == 0)).tolist(), "the support's own"
+
+
+def test_all_fingertips_are_scaled_and_the_support_is_not(scene, gripper):
+    half = EffectSetting(name="sliding_friction", element="fingertips", parameters={"scale": 0.5})
+    for b, a in zip(contacts(scene, ()), contacts(scene, (half,)), strict=True):
+        assert a[1] == pytest.approx(0.5 * b[1], rel=1e-12)
+        assert a[3:] == b[3:], "nothing else moves"
+    model, table = build_worlds(scene, [(half,)]).models[0], scene.model.geom("table").id
+    assert model.geom_friction[table].tolist() == scene.model.geom_friction[table].tolist()
+    assert model.geom_priority[table] == scene.model.geom_priority[table]
+    model = build_worlds(gripper, [(half,)]).models[0]
+    scale = model.pair_friction[:, 0] / gripper.model.pair_friction[:, 0]
+    assert scale.tolist() == [1.0 if model.geom("table").id in ends else 0.5
+                              for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)]  # fmt: skip
 
 
 @pytest.mark.parametrize("name", LOCAL)

@@ -1,4 +1,4 @@
-"""End to end on a gripper whose jaws slide: a fault of one jaw is named there, in newtons."""
+"""End to end on a gripper whose jaws slide: a fault of one jaw is named there, in newtons, and one of both pads."""
 
 from __future__ import annotations
 
@@ -67,6 +67,15 @@ def test_a_dry_jaw_is_named(gripper, planted, judge):
     text = summary(report)
     assert " N (90 %" in text
     assert "N m" not in text
+
+
+def test_slippery_fingertips_are_named_and_the_floor_is_not(gripper, planted, judge):
+    true = planted("sliding_friction", "fingertips", scale=0.3)
+    report = judge(gripper, recorded(gripper, true), only=ONLY).report
+    assert report.verdict == "explained"
+    (named,) = report.effects
+    assert (named.name, named.element) == ("sliding_friction", "fingertips")
+    assert named.parameters["scale"].value == pytest.approx(0.3, rel=0.05)
 
 
 def test_without_it_no_jaw_is(gripper, judge):

@@ -252,3 +252,18 @@ def test_where_either_element_would_do_all_are_named(arm, other, found):
     losses = {None: 0.94 + spread, "elbow": 0.92 - spread, "shoulder": other + spread}
     fits = [fit(candidate("joint_damping", arm, element), loss) for element, loss in losses.items()]
     assert staging._simplest(fits[1], fits, arm).members[0][0].element == found
+
+
+@pytest.mark.parametrize(
+    ("everywhere", "tips", "one", "found"),
+    [
+        (1.5, 0.92, 1.5, "fingertips"),
+        (0.92, 0.92, 1.5, None),  # the support may be as slippery: not told, so not said to be spared
+        (1.5, 0.922, 0.92, "index2"),  # one would do
+    ],
+)
+def test_all_fingertips_are_named_where_one_is_too_few_and_everything_too_much(hand, everywhere, tips, one, found):
+    losses = {None: everywhere, "fingertips": tips, "index2": one, "thumb_rota2": 1.5}
+    fits = [fit(candidate("sliding_friction", hand, e), np.full(8, loss)) for e, loss in losses.items()]
+    best = min(fits, key=lambda f: f.evidence.loss.mean())
+    assert staging._simplest(best, fits, hand).members[0][0].element == found

@@ -1,0 +1,49 @@
+"""A fault of one element gives way to that of all, where in a world of its own spread that leaves less."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import elsewhere, worth
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.refine import joint
+from candata.gap.replay import Replayer
+
+
+@pytest.fixture(scope="module")
+def one_joint(arm, arm_episodes, planted):
+    """The problem that another cause beside a late joint poses, and the fit of that joint."""
+    effects = (*planted("joint_damping", damping_Nms_rad=0.3), *planted("actuation_delay", "elbow", delay_s=0.03))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
+    return problem, joint(problem, (elbow,), problem.score.loss(problem.nominal))
+
+
+@pytest.mark.parametrize(("share", "near", "taken"), [(0.4, True, True), (0.6, True, False), (0.4, False, False)])
+def test_what_leaves_half_by_its_own_spread_is_taken_where_it_is_as_good_by_the_other(
+    one_joint, monkeypatch, share, near, taken
+):
+    problem, best = one_joint
+    assert elsewhere.moved(problem, best) is None
+    asked = []
+
+    def rescored(problem, fit):
+        asked.append(fit.labels)
+        loss = np.full(len(problem.recs), 1 + share * worth.left_by(best))
+        return problem, replace(fit, evidence=replace(fit.evidence, loss=loss))
+
+    monkeypatch.setattr(elsewhere, "rescored", rescored)
+    monkeypatch.setattr(elsewhere, "is_tied", lambda *a: near)
+    monkeypatch.setattr(elsewhere, "_is_better", lambda *a: False)
+    found = elsewhere.moved(problem, best)
+    assert (found is not None) is taken
+    if near:
+        assert asked == [("actuation_delay",)]
+    if taken:
+        assert found.labels == ("actuation_delay",)
