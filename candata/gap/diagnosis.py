@@ -33,6 +33,7 @@ from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, held_out
 from candata.gap.signatures import library
+from candata.gap.sized import with_sizes
 from candata.gap.starts import is_toss, starts
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST
@@ -95,7 +96,7 @@ def diagnose(
     if problem is None:
         return too_little(dataset, scene, everything)
     say_outlook(problem)
-    found = attribute(problem)
+    found = with_sizes(problem, attribute(problem))
     problem.pace.say("measuring on held-out episodes", REST)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)

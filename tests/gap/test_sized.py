@@ -1,0 +1,74 @@
+"""Names beside others whose size nobody could tell from none are left out at the end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from candata.gap import sized
+from candata.gap.attribute import Attribution
+from candata.gap.refine import joint
+from candata.gap.stage import look
+from tests.gap.conftest import members
+
+
+@pytest.fixture(scope="module")
+def found(arm, two_causes):
+    """A set of two true causes and one that is worth nothing."""
+    problem, base = two_causes
+    fit = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03, servo_gain=0.005), base)
+    first = look(problem, problem.nominal, ())
+    return problem, Attribution(first, fit, (fit,), problem.score, True, (fit,))
+
+
+def reaching(**reach):
+    """Intervals that reach so many times as far as the neutral value, by member."""
+
+    def ends(problem, fit):
+        own = np.concatenate([u for _, u in fit.members])
+        away = own - np.concatenate([c.neutral for c, _ in fit.members])
+        far = np.abs(away) * [reach.get(c.name, 0.1) for c, _ in fit.members]
+        return own - far, own + far
+
+    return ends
+
+
+@pytest.mark.parametrize(("times", "left"), [(4.0, False), (1.5, True)])
+def test_what_may_as_well_be_neutral_is_left_out_and_the_others_fitted_again(found, monkeypatch, times, left):
+    problem, before = found
+    monkeypatch.setattr(sized, "intervals", reaching(servo_gain=times))
+    after = sized.with_sizes(problem, before)
+    if left:
+        assert after is before
+        return
+    assert after.chosen.labels == ("joint_dry_friction", "actuation_delay")
+    assert after.chosen.members[0][1] == pytest.approx(0.3, rel=0.05)
+    assert (after.tied, after.rivals) == ((after.chosen,), ())
+    assert after.score is not before.score, "in units of the floor of its own world"
+    assert not after.remains
+
+
+def test_what_is_worth_much_stays_however_wide_its_interval(found, monkeypatch):
+    problem, before = found
+    monkeypatch.setattr(sized, "intervals", reaching(joint_dry_friction=9.0, actuation_delay=9.0))
+    assert sized.with_sizes(problem, before) is before
+
+
+def test_what_was_measured_stays(found, monkeypatch):
+    problem, before = found
+    (gain,) = [m for m in before.chosen.members if m[0].name == "servo_gain"]
+    monkeypatch.setattr(sized, "intervals", reaching(servo_gain=9.0))
+    assert sized.with_sizes(replace(problem, measured=(gain,)), before) is before
+
+
+def test_one_cause_tied_ones_and_none_stay(found, two_causes, arm):
+    problem, before = found
+    alone = joint(problem, members(arm, joint_dry_friction=0.3), two_causes[1])
+    for one in (
+        replace(before, chosen=alone, tied=(alone,)),
+        replace(before, tied=(before.chosen, alone)),
+        replace(before, chosen=None, tied=()),
+    ):
+        assert sized.with_sizes(problem, one) is one
