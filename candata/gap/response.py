@@ -168,8 +168,18 @@ class Plane:
         return self.read(self.best(np.arange(len(self.z))))
 
     def fitter(self, score: Score) -> Fitter:
-        """Return the function that gives the best coordinates `(d,)` for training episodes."""
-        return self.best
+        """Return the function that gives the best coordinates `(d,)` for training episodes, or the reference.
+
+        The latter where reweighting ends higher than it began, as it may where the loss has several least places.
+        """
+        here = score.loss(self.z)
+
+        def fit(train: Index) -> Array:
+            found = self.best(train)
+            end = score.loss(self.read(found))
+            return found if end[train].mean() <= here[train].mean() else self.at
+
+        return fit
 
     def best(self, train: Index) -> Array:
         """Return the coordinates `(d,)` with the least robust loss over the training episodes.

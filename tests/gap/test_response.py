@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from candata.gap import response as module
 from candata.gap.candidates import Candidate
 from candata.gap.response import Curve, Plane
+from candata.gap.score import rho
 
 E, K = 6, 300
 
@@ -144,6 +147,18 @@ def test_graduated_weights_find_a_far_optimum(white_score, rng, monkeypatch):
     assert found > 35
     monkeypatch.setattr(module, "SCALES", (1.0,) * len(module.SCALES))
     assert plane.best(np.arange(E))[0] < 30, "without them, far values count as outliers and stay where they are"
+
+
+@pytest.mark.parametrize("seed", [247, 273, 428])
+def test_a_plane_is_left_where_it_is_rather_than_made_worse(seed):
+    """Of these few readings, half of them gross errors, reweighting ends where the robust loss is higher."""
+    draw = np.random.default_rng(seed)
+    z = (draw.standard_normal((1, 12)) * draw.choice([0.3, 20], 12)).astype(np.float32)
+    slope = (draw.standard_normal((2, 1, 12)) * 10).astype(np.float32)
+    plane = Plane(np.full(2, -9.0), np.full(2, 9.0), np.zeros(2), z, slope)
+    score = SimpleNamespace(loss=lambda z: rho(z).mean(-1))
+    assert score.loss(plane.read(plane.best(np.arange(1))))[0] > score.loss(z)[0]
+    assert plane.fitter(score)(np.arange(1)).tolist() == [0.0, 0.0]
 
 
 def test_points_that_are_the_same_count_once(curve):

@@ -15,6 +15,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.folds import CrossFit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
+from candata.gap.response import Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.shortlist import (
@@ -110,6 +111,19 @@ def test_gains_on_a_few_episodes_are_held_out(posed, arm):
     gains = _gains(part, responses, base)
     assert "joint_damping" in [c.name for _, c in gains[:2]]  # a servo that damps does much the same
     assert gains[-1][0] < 0
+
+
+def test_a_vector_gains_what_it_does_where_it_was_simulated(posed, arm):
+    """Of so few episodes, fitted without each, slopes may lead anywhere; what was simulated stands."""
+    part, _ = brief(posed)
+    c, here = candidate("joint_offset", arm), part.nominal
+    better, wild = 0.5 * here, np.stack([here[::-1], here[:, ::-1]]) * np.float32(50)
+    plane = Plane(c.low, c.high, c.neutral + 0.01, better, wild)
+    base = part.score.loss(here)
+    there = float((base - part.score.loss(better)).mean())
+    fitted = _gains(part, [(c, plane)], base)[0][0]
+    assert fitted < there
+    assert _gains(replace(part, simulated=True), [(c, plane)], base)[0][0] == pytest.approx(there)
 
 
 def test_what_gains_most_where_it_is_fitted_comes_along(posed, arm, monkeypatch):

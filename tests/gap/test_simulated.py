@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,11 +12,11 @@ import pytest
 from candata.gap import attribute as attribution
 from candata.gap import search, shortlist
 from candata.gap.attribute import Attribution, attribute
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, first_probes
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, name_of
-from candata.gap.screen import respond, screening
+from candata.gap.screen import _places, respond, screening
 from candata.gap.sets import _swapped
 from candata.gap.shortlist import SIMULATED, screened
 from candata.gap.stage import look, unheld
@@ -92,19 +93,31 @@ def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(probl
         assert again or found is poor
 
 
-def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_too(arm, problem):
+def test_alone_on_the_recording_a_scalar_is_looked_at_nearer_and_between(arm, problem):
     c = candidate("joint_dry_friction", arm)
     usual = {float(u[0]) for u in screening(c, problem)}
     nearest = min(usual - {0.0})
     simulated = replace(problem, simulated=True)
     (_, curve), *_ = respond(simulated, problem.nominal, [c])[0]
-    assert sorted(set(curve.at) - usual - {0.0}) == pytest.approx([nearest / 4])
+    first = sorted({float(u[0]) for u in screening(c, replace(problem, brief=True))})
+    assert len(first) == 3
+    between = [(a + b) / 2 for a, b in pairwise(first)]
+    assert sorted(set(curve.at) - usual - {0.0}) == pytest.approx([nearest / 4, *between])
     held = ((candidate("actuation_delay", arm), np.full(1, 0.01)),)
     (_, curve), *_ = respond(simulated, problem.nominal, [c], held)[0]
     assert not set(curve.at) - usual - {0.0}
-    first = sorted({float(u[0]) for u in screening(c, replace(problem, brief=True))})
-    assert len(first) == 3
     assert sorted(set(curve.at) - {0.0}) == pytest.approx(first[1:])  # beside others the middle and the farthest
+
+
+def test_alone_on_the_recording_a_few_numbers_are_looked_at_nearer(cube, hand):
+    c = candidate("object_com", cube)
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=cube), simulated=True)
+    far = first_probes(c, cube)
+    assert [u.tolist() for u in _places(c, problem, ())] == [u.tolist() for u in (*far, *(u / 4 for u in far))]
+    assert len(_places(c, problem, ((c, far[0]),))) == len(far)
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=hand), simulated=True)
+    many = candidate("joint_offset", hand)
+    assert len(_places(many, problem, ())) == len(first_probes(many, hand))
 
 
 def test_only_the_newest_of_what_was_simulated_is_kept(problem, monkeypatch):
