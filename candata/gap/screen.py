@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 LIVELY = 0.05
 #: Share of the nearest probes' distances at which a scalar is looked at nearer: a quarter of a clear effect. Chosen.
 NEARER = 0.25
-#: Farther than any probe.
-FAR_AWAY = 1e9
 #: Width over which slopes are read off signatures: this share of the distance from neutral, within these shares of the
 #: range.
 WIDTH, NARROWEST, WIDEST = 0.1, 0.002, 0.02
@@ -153,13 +151,14 @@ def _farthest(sides: Array) -> Array:
 def _secant(c: Candidate, i: int, points: Sequence[Array], moves: Sequence[Compact], side: float) -> Compact:
     """Return `(E, K)` the change of the residuals with coordinate i, to the probe next to a `side`; 0: across both.
 
-    Across both, too, where none lies on that side.
+    To the farthest one where the side is infinite; across both, too, where none lies there.
     """
     steps = [(float(u[i] - c.neutral[i]), m) for u, m in zip(points, moves, strict=True) if u[i] != c.neutral[i]]
     own = [(a, m) for a, m in steps if a * side > 0]
     if own:
-        far, move = min(own, key=lambda s: abs(s[0] - np.clip(side, -FAR_AWAY, FAR_AWAY)))
-        return -move / np.float32(far)
+        far = np.isinf(side)
+        step, move = max(own, key=lambda s: abs(s[0])) if far else min(own, key=lambda s: abs(s[0] - side))
+        return -move / np.float32(step)
     (a, low), (b, high) = min(steps, key=lambda s: s[0]), max(steps, key=lambda s: s[0])
     if a * b < 0:
         return (low - high) / np.float32(b - a)

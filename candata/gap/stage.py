@@ -332,8 +332,9 @@ def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
 
 def _breadth(c: Candidate, scene: Scene) -> tuple[float, bool]:
     """Return on how many elements a candidate acts; infinite for all, and for all fingertips, which come after all."""
-    together = elements_of(c, scene) == scene.file.fingertips
-    return inf if c.element is None or together else len(elements_of(c, scene)), c.element is not None
+    some = elements_of(c, scene)
+    together = len(some) > 1 and some == scene.file.fingertips
+    return inf if c.element is None or together else len(some), c.element is not None
 
 
 def standard_error(values: Array) -> float:
