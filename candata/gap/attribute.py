@@ -14,6 +14,7 @@ from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, w
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
+from candata.gap.uneven import recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
@@ -73,6 +74,9 @@ def attribute(problem: Problem) -> Attribution:
     little = found.chosen is not None and (share <= MOST or floors < SETTLED)
     if is_toss(problem.replayer.scene) or not found.remains or little:
         return found
+    uneven = _uneven(problem, found.first, found.chosen)
+    if uneven:
+        return uneven
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
     held = found.first.fits[0].members if found.chosen else ()
     here = problem.residuals([problem.setting(held)])[0]
@@ -86,9 +90,21 @@ def attribute(problem: Problem) -> Attribution:
     other = _search(problem, first, doubt)
     if other.force:
         return other
+    uneven = None if found.chosen else _uneven(problem, first, other.chosen)
+    if uneven:
+        return uneven
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
+
+
+def _uneven(problem: Problem, first: Stage, chosen: Fit | None) -> Attribution | None:
+    """Return what a scalar explains in a chaotic world whose floor leaves no gap; None where none does."""
+    found = recentred(problem, first, chosen)
+    if found is None:
+        return None
+    best, world = found
+    return Attribution(first, best, (best,), world.score, False)
 
 
 def _left(problem: Problem, found: Attribution) -> tuple[float, float]:

@@ -10,7 +10,7 @@ from candata.gap.floor import floor
 from candata.gap.folds import cross_fit
 from candata.gap.refine import SHARP, joint
 from candata.gap.score import score
-from candata.gap.search import Fit, Problem
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.worth import leaves
 
 #: Null replays of each episode around an accepted set.
@@ -27,15 +27,20 @@ def judged(problem: Problem, fit: Fit) -> Grown:
 
 def rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
     """Return problem and fit in units of the floor of the fitted world."""
-    world = problem.setting(best.members)
-    spread = floor(
-        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, NULLS_AGAIN, world
-    )
-    new = replace(problem, score=score(problem.raw, spread, problem.plan))
+    new = in_world(problem, best.members)
     factor = np.where(new.score.mask, problem.score.sigma / new.score.sigma, 0).astype(np.float32)
     response = best.response.rescaled(factor)
     evidence = cross_fit(response, new.score, new.parts, new.score.loss(new.nominal))
     return new, replace(best, response=response, evidence=evidence)
+
+
+def in_world(problem: Problem, members: Members) -> Problem:
+    """Return the problem in units of the floor of a set's world."""
+    world = problem.setting(members)
+    spread = floor(
+        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, NULLS_AGAIN, world
+    )
+    return replace(problem, score=score(problem.raw, spread, problem.plan))
 
 
 def refitted(problem: Problem, first: Fit, world: Problem, best: Fit) -> Fit | None:

@@ -111,6 +111,22 @@ class Curve:
         offset = np.float32(0) if base is None else base - self.neutral()
         return np.stack([score.loss(self.read(np.array([u])) + offset) for u in self.grid()])
 
+    def least_around(self, u: Array, score: Score) -> float:
+        """Return the bound below which the mean loss cannot fall between the points around `u (1,)`, if it is convex.
+
+        A convex function lies above the line through its two points on one side, continued beyond them.
+        """
+        loss = np.array([score.loss(z).mean() for z in self.z])
+        bounds = []
+        for i in {int(np.clip(np.searchsorted(self.at, u[0] + d), 1, len(loss) - 1)) for d in (-SAME, SAME)}:
+            steps = np.linspace(self.at[i - 1], self.at[i], 2 * BETWEEN + 1)
+            lines = [
+                loss[a] + (loss[b] - loss[a]) / (self.at[b] - self.at[a]) * (steps - self.at[a])
+                for a, b in ((i - 2, i - 1), (i, i + 1)) if a >= 0 and b < len(loss)
+            ]  # fmt: skip
+            bounds.append(float(np.max(lines, axis=0).min() if lines else loss[i - 1 : i + 1].min()))
+        return min(bounds)
+
     def fitter(self, score: Score) -> Fitter:
         """Return the function that gives the coordinate `(1,)` with the least mean loss over training episodes.
 

@@ -56,6 +56,14 @@ class Score:
         count = np.maximum(self.mask.sum(1), 1)
         return rho(z).sum(-1, dtype=np.float64) / count / self.floor
 
+    def density(self, z: Compact) -> Array:
+        """Return `(E,)` the mean log density of each episode's residuals, up to a constant; z is `(E, K)`.
+
+        Student's t of the spread of this floor: a proper score of what a world foretells (Gneiting & Raftery 2007).
+        """
+        lost = np.where(self.mask, rho(z) + np.log(np.where(self.mask, self.sigma, 1)), 0)
+        return -lost.sum(-1, dtype=np.float64) / np.maximum(self.mask.sum(1), 1)
+
     def size(self, z: Compact) -> Array:
         """Return `(..., E)` the discrepancy of each episode: mean size of the residuals over that of its nulls.
 

@@ -84,6 +84,17 @@ def test_a_curve_is_fitted_on_training_episodes_only(white_score, rng):
     assert [fit(np.arange(3))[0], fit(np.arange(3, 6))[0]] == pytest.approx([1.0, -1.0], abs=1e-6)
 
 
+@pytest.mark.parametrize(("u", "least"), [(1.0, 1.5), (1.5, 1.5), (-0.5, 4.0), (3.0, 1.0), (4.0, 1.0)])
+def test_a_convex_loss_may_fall_as_far_as_its_chords_lead(u, least):
+    """Beside 1 the lines through 0 and 1, and through 4 and 2, meet at 1.5."""
+    at, losses = np.array([-2.0, 0.0, 1.0, 2.0, 4.0]), np.array([9.0, 4.0, 2.5, 2.0, 5.0])
+    level = SimpleNamespace(loss=lambda z: z[:, 0])
+    curve = Curve(candidate(), at, np.repeat(losses, E * K).reshape(5, E, K), np.ones(5, bool))
+    assert curve.least_around(np.array([u]), level) == pytest.approx(least)
+    two = Curve(candidate(), at[:2], curve.z[:2], np.ones(2, bool))
+    assert two.least_around(np.array([-1.0]), level) == 4.0
+
+
 def test_a_choice_is_one_of_its_values(white_score, rng):
     level = white_score(rng, E, K)
     z = np.stack([rng.standard_normal((E, K)), 0.9 * rng.standard_normal((E, K))]).astype(np.float32)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import t
 
 from candata.gap.floor import Floor, spread
 from candata.gap.residuals import Layout
@@ -42,6 +43,20 @@ def test_the_loss_is_student_s_t(case):
     expected = rho(z).mean(-1) / rho(null).mean(-1).mean(0)
     # Residuals are kept in single precision.
     np.testing.assert_allclose(level.loss(level.normal(residual)), expected, rtol=1e-5)
+
+
+def test_the_density_is_that_of_student_s_t_of_the_spread(case):
+    residual, floor = case
+    level = score(residual, floor, PLAN)
+    scale = floor.sigma.reshape(E, -1)
+    expected = (t.logpdf(residual.reshape(E, -1) / scale, NU) - np.log(scale)).mean(-1) - t.logpdf(0, NU)
+    np.testing.assert_allclose(level.density(level.normal(residual)), expected, rtol=1e-5)
+    residual[:, 0, 0] = np.nan
+    some = score(residual, floor, PLAN)
+    seen = np.isfinite(residual.reshape(E, -1))
+    each = t.logpdf(np.nan_to_num(residual).reshape(E, -1) / scale, NU) - np.log(scale) - t.logpdf(0, NU)
+    expected = (each * seen).sum(-1) / seen.sum(-1)
+    np.testing.assert_allclose(some.density(some.normal(residual)), expected, rtol=1e-5)
 
 
 def test_nulls_lose_one_on_average(case):

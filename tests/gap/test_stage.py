@@ -14,7 +14,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.folds import CrossFit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
-from candata.gap.response import Plane
+from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.stage import narrowed, sharpened, tied_with, typical
@@ -267,3 +267,17 @@ def test_all_fingertips_are_named_where_one_is_too_few_and_everything_too_much(h
     fits = [fit(candidate("sliding_friction", hand, e), np.full(8, loss)) for e, loss in losses.items()]
     best = min(fits, key=lambda f: f.evidence.loss.mean())
     assert staging._simplest(best, fits, hand).members[0][0].element == found
+
+
+@pytest.mark.parametrize(("probe", "left", "sharp"), [(1.6, 1.4, True), (1.6, 1.0, False), (1.98, 1.4, False)])
+def test_a_rival_is_sharpened_that_may_come_near_between_its_points(arm, monkeypatch, probe, left, sharp):
+    """Its loss falls steeply to its last near probe, and may go on; not where the best leaves nothing."""
+    monkeypatch.setattr(staging, "null_level", lambda *a: 1.1)
+    c = candidate("joint_damping", arm)
+    problem = SimpleNamespace(score=SimpleNamespace(loss=lambda z: z[:, 0]), rng=None)
+    at, losses = c.neutral[0] + np.array([0.0, 1.0, 2.0]), np.array([2.0, probe, 3.0])
+    curve = Curve(c, at, np.repeat(losses, 16).reshape(3, 8, 2), np.ones(3, bool))
+    rival = Fit(((c, at[1:2]),), curve, CrossFit(BASE - probe, np.full(8, probe), np.zeros((4, 1))))
+    best = fit(candidate("servo_damping", arm), np.full(8, left))
+    stage = staging.Stage(BASE, np.zeros((4, len(BASE))), (best, rival), 0.0, (), (), (), 0.0)
+    assert staging._may_come_near(problem, stage, rival, best) is sharp

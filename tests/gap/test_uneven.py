@@ -1,0 +1,84 @@
+"""A scalar cause is found by how many episodes it explains, where its own world foretells what the others leave."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from candata.gap import uneven
+from candata.gap.candidates import candidate
+from candata.gap.diagnosis import _problem
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.gap.stage import look
+
+#: What most episodes were recorded with, and the few others: as if an object had slipped there.
+MOST, OTHERS = 0.02, 0.08
+
+
+@pytest.fixture(scope="module")
+def torn(arm, arm_episodes, planted):
+    """The problem that two thirds of the episodes pose with one delay and a third with another, and a fit between."""
+    episodes = [
+        arm_episodes(planted("actuation_delay", delay_s=OTHERS if i % 3 == 0 else MOST), count=12)[i] for i in range(12)
+    ]
+    problem = _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    stage = look(problem, problem.nominal, ())
+    (fit,) = [f for f in stage.fits if f.labels == ("actuation_delay",)]
+    between = replace(fit, members=((fit.members[0][0], np.array([(MOST + OTHERS) / 2])),))
+    return problem, replace(stage, fits=(between, *(f for f in stage.fits if f is not fit)))
+
+
+def test_what_explains_two_of_three_episodes_comes_before_what_explains_half_of_each():
+    losses = {"half": np.array([2.0, 2.0, 2.0]), "two": np.array([1.0, 1.0, 6.0])}
+    problem = SimpleNamespace(
+        setting=lambda members: members[0],
+        residuals=lambda settings: settings,
+        score=SimpleNamespace(loss=lambda name: losses[name]),
+    )
+    assert losses["half"].mean() < losses["two"].mean()
+    ((left, point, _),) = uneven._least(problem, ["half", "two"], 1)
+    assert (point, left) == ("two", pytest.approx(np.log(6) / 3))
+
+
+def test_the_value_that_explains_most_episodes_is_found(torn, monkeypatch):
+    problem, stage = torn
+    monkeypatch.setattr(uneven, "leaves", lambda *a: False)
+    best, world = uneven.recentred(problem, stage, None)
+    assert best.labels == ("actuation_delay",)
+    assert best.members[0][1][0] == pytest.approx(MOST, rel=0.15)
+    assert world.score is not problem.score, "in units of the floor of its own world"
+
+
+def test_a_world_that_does_not_foretell_what_is_left_is_none(torn):
+    problem, stage = torn
+    assert uneven.recentred(problem, stage, None) is None
+
+
+def test_what_foretells_no_more_surely_than_what_was_chosen_is_none(torn, monkeypatch):
+    problem, stage = torn
+    monkeypatch.setattr(uneven, "leaves", lambda *a: False)
+    best, _ = uneven.recentred(problem, stage, None)
+    assert uneven.recentred(problem, stage, best) is None
+    monkeypatch.setattr(uneven, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
+    assert uneven.recentred(problem, stage, None) is None
+
+
+def test_vectors_and_choices_are_not_tried(torn, arm):
+    problem, stage = torn
+    ((_, u),) = stage.fits[0].members
+    vector = replace(stage.fits[0], members=((candidate("joint_offset", arm), np.repeat(u, 2)),))
+    assert uneven.recentred(problem, replace(stage, fits=(vector,)), None) is None
+    assert uneven.recentred(problem, replace(stage, fits=()), None) is None
+
+
+def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
+    problem, stage = torn
+    best = next(f for f in stage.fits if f.members[0][0].label == "actuation_delay")
+    values = [u[0] for _, u in uneven._values(best, problem)]
+    assert len(values) == uneven.VALUES
+    assert values == sorted(values)
+    assert values[0] > 0
