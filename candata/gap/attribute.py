@@ -18,7 +18,7 @@ from candata.gap.uneven import recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
-#: with its rivals. Chosen: a sharper fit seldom gains as much.
+#: with its rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.
 FAR = 0.25
 #: To what share of what the first search leaves a second one must come down to replace it. Chosen.
 SMALLER = 0.8
@@ -62,8 +62,9 @@ def attribute(problem: Problem) -> Attribution:
 
     What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
     even then, and that is much or nothing is named, effects are looked at again, simulated on the recording: in a world
-    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there. Where one
-    force explains clearly more than what is found, no more is looked for.
+    far from the nominal one, or where contact is chaos, signatures say little of what an effect does there. Before that
+    the episodes are counted that one value explains. Where one force explains clearly more than what is found, no more
+    is looked for.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
@@ -72,11 +73,11 @@ def attribute(problem: Problem) -> Attribution:
         return found
     share, floors = _left(problem, found)
     little = found.chosen is not None and (share <= MOST or floors < SETTLED)
-    if is_toss(problem.replayer.scene) or not found.remains or little:
+    if is_toss(problem.replayer.scene) or not found.remains:
         return found
-    uneven = _uneven(problem, found.first, found.chosen)
-    if uneven:
-        return uneven
+    uneven = _uneven(problem, found.first, found.chosen) if share > FAR else None
+    if uneven or little:
+        return uneven or found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
     held = found.first.fits[0].members if found.chosen else ()
     here = problem.residuals([problem.setting(held)])[0]

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, probes
-from candata.gap.folds import cross_fit
-from candata.gap.own_floor import in_world, rescored
+from candata.gap.folds import CrossFit, rest
+from candata.gap.own_floor import in_world
 from candata.gap.pace import COUNT
 from candata.gap.response import Plane
 from candata.gap.score import Compact
@@ -46,21 +46,38 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     problem.pace.say("counting the episodes that one value explains", COUNT)
     part = taken(problem, few(problem.recs.tasks))
     found = _least(part, [one for f in scalars for one in _values(f, part)], ON_ALL)
-    found = _least(problem, [one for _, one, _ in found], 1)
-    if not found:
+    tried = _least(problem, [one for _, one, _ in found], ON_ALL)
+    if not tried:
         return None
-    left, (c, u), z = _nearer(problem, found[0])
+    tried = _nearer(problem, tried)
+    left, point, _ = tried[0]
     best = (chosen or stage.fits[0]).members
     before = _typical(problem, problem.residuals([problem.setting(best)])[0])
     if left >= min(before, KEPT * _typical(problem, problem.nominal)):
         return None
-    flat = Plane(c.low, c.high, u, z, np.zeros((1, *z.shape), z.dtype))
-    fit = Fit(((c, u),), flat, cross_fit(flat, problem.score, problem.parts, stage.base))
-    world, own = rescored(problem, fit)
-    if leaves(world, own):
+    world = in_world(problem, (point,))
+    fit = _fitted(problem, world, point, tried)
+    if leaves(world, fit):
         return None
     more = _foretold(world, fit.members) - _foretold(in_world(problem, best), best)
-    return (own, world) if more.mean() > standard_error(more) else None
+    return (fit, world) if more.mean() > standard_error(more) else None
+
+
+def _fitted(problem: Problem, world: Problem, point: Member, tried: Sequence[Found]) -> Fit:
+    """Return the fit of a point in the units of its world, each episode held out by what the others choose of those
+    tried.
+    """
+    c, u = point
+    logs = np.log([problem.score.loss(z) for *_, z in tried])
+    zs = world.residuals([world.setting([p]) for _, p, _ in tried])
+    base = world.score.loss(world.nominal)
+    chosen = [int(np.argmin(logs[:, rest(world.parts, f)].mean(1))) for f in range(len(world.parts))]
+    loss = np.zeros(len(base))
+    for i, test in zip(chosen, world.parts, strict=True):
+        loss[test] = world.score.loss(zs[i])[test]
+    evidence = CrossFit(base - loss, loss, np.array([tried[i][1][1] for i in chosen]))
+    z = world.residuals([world.setting([point])])[0]
+    return Fit((point,), Plane(c.low, c.high, u, z, np.zeros((1, *z.shape), z.dtype)), evidence)
 
 
 def _typical(problem: Problem, z: Compact) -> float:
@@ -84,14 +101,14 @@ def _least(problem: Problem, points: Sequence[Member], count: int) -> list[Found
     return sorted(found, key=lambda one: one[0])[:count]
 
 
-def _nearer(problem: Problem, found: Found) -> Found:
-    """Return the best point around another, at a step that is halved."""
-    c = found[1][0]
+def _nearer(problem: Problem, tried: Sequence[Found]) -> list[Found]:
+    """Return points with more around the best, at a step that is halved; the best first."""
+    c = tried[0][1][0]
     far = max(abs(float(p[0] - c.neutral[0])) for p in probes(c, problem.replayer.scene))
     for step in far / VALUES / 2.0 ** np.arange(1, HALVINGS + 1):
-        points = [(c, np.clip(found[1][1] + side * step, c.low, c.high)) for side in (-1, 1)]
-        found = min(found, *_least(problem, points, len(points)), key=lambda one: one[0])
-    return found
+        points = [(c, np.clip(tried[0][1][1] + side * step, c.low, c.high)) for side in (-1, 1)]
+        tried = sorted((*tried, *_least(problem, points, len(points))), key=lambda one: one[0])
+    return [one for one in tried if one[1][0].label == c.label]
 
 
 def _foretold(world: Problem, members: Members) -> Array:

@@ -51,6 +51,21 @@ def test_the_value_that_explains_most_episodes_is_found(torn, monkeypatch):
     assert best.labels == ("actuation_delay",)
     assert best.members[0][1][0] == pytest.approx(MOST, rel=0.15)
     assert world.score is not problem.score, "in units of the floor of its own world"
+    for part, u in zip(problem.parts, best.evidence.points, strict=True):
+        (z,) = world.residuals([world.setting([(best.members[0][0], u)])])
+        assert best.evidence.loss[part] == pytest.approx(world.score.loss(z)[part])
+
+
+def test_an_episode_has_no_say_in_the_value_that_it_is_held_out_by(torn):
+    """Of two values the better one of all episodes is so by the first fold alone, which is held out by the other."""
+    problem, stage = torn
+    c = stage.fits[0].members[0][0]
+    points = [(c, np.array([u])) for u in (MOST, OTHERS)]
+    logs = {MOST: np.zeros(12), OTHERS: np.full(12, 0.1)}
+    logs[OTHERS][problem.parts[0]] = -3.0
+    posed = replace(problem, score=SimpleNamespace(loss=lambda name: np.exp(logs[name])))
+    fit = uneven._fitted(posed, problem, points[1], [(0.0, p, p[1][0]) for p in points])
+    assert fit.evidence.points[:, 0].tolist() == [MOST, OTHERS, OTHERS, OTHERS]
 
 
 def test_a_world_that_does_not_foretell_what_is_left_is_none(torn):
