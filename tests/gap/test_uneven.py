@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import uneven
+from candata.gap import attribute, uneven
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -97,3 +97,22 @@ def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     assert len(values) == uneven.VALUES
     assert values == sorted(values)
     assert values[0] > 0
+
+
+@pytest.mark.parametrize(("left", "remains", "asked"), [(0.3, True, True), (0.2, True, False), (0.9, False, False)])
+def test_episodes_are_counted_where_a_set_leaves_a_gap_and_a_quarter_of_it(arm, monkeypatch, left, remains, asked):
+    found = attribute.Attribution("first look", "a set", ("a set",), "its floor", remains)
+    monkeypatch.setattr(attribute, "look", lambda *a: "first look")
+    monkeypatch.setattr(attribute, "_search", lambda *a: found)
+    monkeypatch.setattr(attribute, "_left", lambda *a: (left, 0.3))
+    monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
+    problem = SimpleNamespace(
+        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
+    )
+    after = attribute.attribute(problem)
+    if not asked:
+        assert after is found
+        return
+    assert (after.chosen, after.tied, after.score, after.remains) == (
+        "one value", ("one value",), "another floor", False,
+    )  # fmt: skip
