@@ -43,13 +43,12 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     floors in the mean and 2.4 in the geometric one, the truth 3.0 and 1.7.)
     """
     scalars = [f for f in stage.fits if f.members[0][0].size == 1 and not f.members[0][0].choices][:TRIED]
+    if not scalars:
+        return None
     problem.pace.say("counting the episodes that one value explains", COUNT)
     part = taken(problem, few(problem.recs.tasks))
     found = _least(part, [one for f in scalars for one in _values(f, part)], ON_ALL)
-    tried = _least(problem, [one for _, one, _ in found], ON_ALL)
-    if not tried:
-        return None
-    tried = _nearer(problem, tried)
+    tried = _nearer(problem, _least(problem, [one for _, one, _ in found], ON_ALL))
     left, point, _ = tried[0]
     best = (chosen or stage.fits[0]).members
     before = _typical(problem, problem.residuals([problem.setting(best)])[0])
