@@ -82,6 +82,7 @@ def test_a_small_gap_is_given_to_what_passes_when_all_is_simulated(problem, poor
 def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(problem, poor, monkeypatch):
     made = searches(monkeypatch, first=poor, second=poor)
     monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    monkeypatch.setattr(attribution, "recentred", lambda problem, first, chosen: None)
     promised = attribution.WORTH * float((poor.first.base - 1).mean())
     for gain, again in ((0.9 * promised, False), (1.1 * promised, True)):
         evidence = SimpleNamespace(gain=np.full(12, gain))
