@@ -48,6 +48,8 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     problem.pace.say("counting the episodes that one value explains", COUNT)
     part = taken(problem, few(problem.recs.tasks))
     found = _least(part, [one for f in scalars for one in _values(f, part)], ON_ALL)
+    if not found:
+        return None
     tried = _nearer(problem, _least(problem, [one for _, one, _ in found], ON_ALL))
     left, point, _ = tried[0]
     best = (chosen or stage.fits[0]).members
@@ -55,19 +57,20 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     if left >= min(before, KEPT * _typical(problem, problem.nominal)):
         return None
     world = in_world(problem, (point,))
-    fit = _fitted(problem, world, point, tried)
+    fit = _fitted(problem, world, tried)
     if leaves(world, fit):
         return None
     more = _foretold(world, fit.members) - _foretold(in_world(problem, best), best)
     return (fit, world) if more.mean() > standard_error(more) else None
 
 
-def _fitted(problem: Problem, world: Problem, point: Member, tried: Sequence[Found]) -> Fit:
-    """Return the fit of a point in the units of its world, each episode held out by what the others choose of those
-    tried.
+def _fitted(problem: Problem, world: Problem, tried: Sequence[Found]) -> Fit:
+    """Return the fit of the first point tried in the units of its world.
+
+    Each episode is held out by the point that the others choose.
     """
-    c, u = point
-    logs = np.log([problem.score.loss(z) for *_, z in tried])
+    c, u = tried[0][1]
+    logs = np.stack([_logs(problem, z) for *_, z in tried])
     zs = world.residuals([world.setting([p]) for _, p, _ in tried])
     base = world.score.loss(world.nominal)
     chosen = [int(np.argmin(logs[:, rest(world.parts, f)].mean(1))) for f in range(len(world.parts))]
@@ -75,22 +78,30 @@ def _fitted(problem: Problem, world: Problem, point: Member, tried: Sequence[Fou
     for i, test in zip(chosen, world.parts, strict=True):
         loss[test] = world.score.loss(zs[i])[test]
     evidence = CrossFit(base - loss, loss, np.array([tried[i][1][1] for i in chosen]))
-    z = world.residuals([world.setting([point])])[0]
-    return Fit((point,), Plane(c.low, c.high, u, z, np.zeros((1, *z.shape), z.dtype)), evidence)
+    return Fit(((c, u),), Plane(c.low, c.high, u, zs[0], np.zeros((1, *zs[0].shape), zs[0].dtype)), evidence)
+
+
+def _logs(problem: Problem, z: Compact) -> Array:
+    """Return `(E,)` the log loss of each episode's residuals `(E, K)`; of what is met exactly, the least there is."""
+    return np.log(np.maximum(problem.score.loss(z), np.finfo(float).tiny))
 
 
 def _typical(problem: Problem, z: Compact) -> float:
     """Return the mean log loss of residuals `(E, K)` over episodes."""
-    return float(np.log(problem.score.loss(z)).mean())
+    return float(_logs(problem, z).mean())
 
 
 def _values(fit: Fit, problem: Problem) -> list[Member]:
-    """Return a scalar at values from its neutral one to its farthest probe on the side of a fit."""
+    """Return a scalar at values from its neutral one to its farthest probe on the side of a fit; none without one."""
     ((c, u),) = fit.members
-    side = np.sign(u[0] - c.neutral[0])
-    far = max((float(p[0] - c.neutral[0]) * side for p in probes(c, problem.replayer.scene)), default=0.0)
-    steps = side * max(far, 0.0) * np.arange(1, VALUES + 1) / VALUES
-    return [(c, c.neutral + step) for step in steps if step]
+    step = _step(c, u, problem)
+    return [(c, c.neutral + i * step) for i in range(1, VALUES + 1)] if step else []
+
+
+def _step(c: Candidate, u: Array, problem: Problem) -> float:
+    """Return the step between values on the side of `u (1,)`, towards it."""
+    side = float(np.sign(u[0] - c.neutral[0]))
+    return side * max(0.0, *(side * float(p[0] - c.neutral[0]) for p in probes(c, problem.replayer.scene))) / VALUES
 
 
 def _least(problem: Problem, points: Sequence[Member], count: int) -> list[Found]:
@@ -102,9 +113,8 @@ def _least(problem: Problem, points: Sequence[Member], count: int) -> list[Found
 
 def _nearer(problem: Problem, tried: Sequence[Found]) -> list[Found]:
     """Return points with more around the best, at a step that is halved; the best first."""
-    c = tried[0][1][0]
-    far = max(abs(float(p[0] - c.neutral[0])) for p in probes(c, problem.replayer.scene))
-    for step in far / VALUES / 2.0 ** np.arange(1, HALVINGS + 1):
+    c, u = tried[0][1]
+    for step in _step(c, u, problem) / 2.0 ** np.arange(1, HALVINGS + 1):
         points = [(c, np.clip(tried[0][1][1] + side * step, c.low, c.high)) for side in (-1, 1)]
         tried = sorted((*tried, *_least(problem, points, len(points))), key=lambda one: one[0])
     return [one for one in tried if one[1][0].label == c.label]

@@ -64,7 +64,8 @@ def test_an_episode_has_no_say_in_the_value_that_it_is_held_out_by(torn):
     logs = {MOST: np.zeros(12), OTHERS: np.full(12, 0.1)}
     logs[OTHERS][problem.parts[0]] = -3.0
     posed = replace(problem, score=SimpleNamespace(loss=lambda name: np.exp(logs[name])))
-    fit = uneven._fitted(posed, problem, points[1], [(0.0, p, p[1][0]) for p in points])
+    fit = uneven._fitted(posed, problem, [(0.0, p, p[1][0]) for p in reversed(points)])
+    assert fit.members == (points[1],)
     assert fit.evidence.points[:, 0].tolist() == [MOST, OTHERS, OTHERS, OTHERS]
 
 
@@ -97,6 +98,11 @@ def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     assert len(values) == uneven.VALUES
     assert values == sorted(values)
     assert values[0] > 0
+    # No probe lies below none.
+    c = best.members[0][0]
+    beyond = replace(best, members=((c, c.neutral - 0.01),))
+    assert uneven._values(beyond, problem) == []
+    assert uneven.recentred(problem, replace(stage, fits=(beyond,)), None) is None
 
 
 @pytest.mark.parametrize(("left", "remains", "asked"), [(0.3, True, True), (0.2, True, False), (0.9, False, False)])
