@@ -79,6 +79,19 @@ def test_a_small_gap_is_given_to_what_passes_when_all_is_simulated(problem, poor
     assert attribute(problem) is poor
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_where_nothing_was_named_episodes_are_counted_again_by_what_was_simulated(problem, poor, monkeypatch, named):
+    first = replace(poor, chosen=poor.first.fits[0]) if named else poor
+    made = searches(monkeypatch, first=first, second=poor)
+    monkeypatch.setattr(attribution, "_left", lambda problem, found: (0.9, 0.6))
+    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    found = ("one value", SimpleNamespace(score="another floor"))
+    monkeypatch.setattr(attribution, "recentred", lambda problem, *a: found if problem.simulated else None)
+    after = attribute(problem)
+    assert made == [False, True]
+    assert after is first if named else (after.chosen, after.remains) == ("one value", False)
+
+
 def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(problem, poor, monkeypatch):
     made = searches(monkeypatch, first=poor, second=poor)
     monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)

@@ -284,3 +284,20 @@ def test_a_rival_is_sharpened_that_may_come_near_between_its_points(arm, monkeyp
     best = fit(candidate("servo_damping", arm), np.full(8, left))
     stage = staging.Stage(BASE, np.zeros((4, len(BASE))), (best, rival), 0.0, (), (), (), 0.0)
     assert staging._may_come_near(problem, stage, rival, best) is sharp
+
+
+@pytest.mark.parametrize("may", [True, False])
+def test_what_may_come_near_is_compared_at_its_sharpest(arm, monkeypatch, may):
+    sharp = {"joint_damping": 1.2, "servo_damping": 1.0}
+    problem = SimpleNamespace(
+        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].name,
+        losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "_may_come_near", lambda problem, stage, f, best: may)
+    monkeypatch.setattr(
+        staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
+    )
+    fits = (fit(candidate("joint_damping", arm), np.full(8, 1.2)), fit(candidate("servo_damping", arm), BASE - 0.5))
+    stage = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0)
+    assert sharpened(problem, stage).fits[0].labels == (("servo_damping",) if may else ("joint_damping",))
