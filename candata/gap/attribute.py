@@ -14,7 +14,7 @@ from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, w
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
-from candata.gap.uneven import recentred
+from candata.gap.uneven import alone, recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
@@ -73,10 +73,14 @@ def attribute(problem: Problem) -> Attribution:
         return found
     share, floors = _left(problem, found)
     little = found.chosen is not None and (share <= MOST or floors < SETTLED)
-    if is_toss(problem.replayer.scene) or not found.remains:
+    if is_toss(problem.replayer.scene):
         return found
-    uneven = _uneven(problem, found.first, found.chosen) if share > FAR else None
-    if uneven or little:
+    # A chaotic world's floor may be so high that no gap remains: there too a value may explain more episodes.
+    much = share > FAR and (found.remains or floors > LEFT)
+    uneven = _uneven(found.first, recentred(problem, found.first, found.chosen)) if much else None
+    if uneven is None and found.chosen and len(found.tied) == 1:
+        uneven = _uneven(found.first, alone(problem, found.chosen, found.score))
+    if uneven or little or not found.remains:
         return uneven or found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
     held = found.first.fits[0].members if found.chosen else ()
@@ -91,7 +95,7 @@ def attribute(problem: Problem) -> Attribution:
     other = _search(problem, first, doubt)
     if other.force:
         return other
-    uneven = None if found.chosen else _uneven(problem, first, other.chosen)
+    uneven = None if found.chosen else _uneven(first, recentred(problem, first, other.chosen))
     if uneven:
         return uneven
     left, _ = _left(problem, other)
@@ -99,9 +103,8 @@ def attribute(problem: Problem) -> Attribution:
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
 
 
-def _uneven(problem: Problem, first: Stage, chosen: Fit | None) -> Attribution | None:
-    """Return what a scalar explains in a chaotic world whose floor leaves no gap; None where none does."""
-    found = recentred(problem, first, chosen)
+def _uneven(first: Stage, found: tuple[Fit, Problem] | None) -> Attribution | None:
+    """Return what one scalar explains in a chaotic world whose floor leaves no gap; None where none does."""
     if found is None:
         return None
     best, world = found

@@ -34,12 +34,12 @@ def rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
     return new, replace(best, response=response, evidence=evidence)
 
 
-def in_world(problem: Problem, members: Members) -> Problem:
-    """Return the problem in units of the floor of a set's world."""
-    world = problem.setting(members)
+def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Problem:
+    """Return the problem in units of the floor of a set's world, of so many null replays of each episode."""
     spread = floor(
-        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, NULLS_AGAIN, world
-    )
+        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, nulls,
+        problem.setting(members),
+    )  # fmt: skip
     return replace(problem, score=score(problem.raw, spread, problem.plan))
 
 

@@ -27,7 +27,7 @@ BESIDE = Span(20, 60)
 #: Trying sets of effects whose signatures add up: eight cases of two hands.
 TOGETHER = Span(6, 50)
 #: Counting the episodes that one value explains, of one scalar or two, and the floors of two worlds: by their numbers.
-COUNT = Span(10, 35)
+COUNT = Span(10, 55)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.
 SIGNATURE = 2.0
 #: Seconds of fitting in any step, and how much time left is worth a word.

@@ -46,7 +46,7 @@ def test_what_explains_two_of_three_episodes_comes_before_what_explains_half_of_
 
 def test_the_value_that_explains_most_episodes_is_found(torn, monkeypatch):
     problem, stage = torn
-    monkeypatch.setattr(uneven, "leaves", lambda *a: False)
+    monkeypatch.setattr(uneven, "_leaves", lambda *a: False)
     best, world = uneven.recentred(problem, stage, None)
     assert best.labels == ("actuation_delay",)
     assert best.members[0][1][0] == pytest.approx(MOST, rel=0.15)
@@ -74,13 +74,60 @@ def test_a_world_that_does_not_foretell_what_is_left_is_none(torn):
     assert uneven.recentred(problem, stage, None) is None
 
 
-def test_what_foretells_no_more_surely_than_what_was_chosen_is_none(torn, monkeypatch):
+def test_what_foretells_no_more_surely_than_another_effect_is_none(torn, monkeypatch):
     problem, stage = torn
-    monkeypatch.setattr(uneven, "leaves", lambda *a: False)
-    best, _ = uneven.recentred(problem, stage, None)
-    assert uneven.recentred(problem, stage, best) is None
+    other = next(f for f in stage.fits if f.labels != ("actuation_delay",))
+    monkeypatch.setattr(uneven, "_leaves", lambda *a: False)
+    best, _ = uneven.recentred(problem, stage, other)
+    assert best.labels == ("actuation_delay",)
+    assert uneven.recentred(problem, stage, best) is None, "no better value than the best"
     monkeypatch.setattr(uneven, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
-    assert uneven.recentred(problem, stage, None) is None
+    assert uneven.recentred(problem, stage, other) is None
+    again, _ = uneven.recentred(problem, stage, None)
+    assert again.members == best.members, "the same effect at another value needs no more than to leave no gap"
+
+
+@pytest.fixture
+def pair(torn, arm):
+    """A delay that most episodes have, after damping that makes up for nothing."""
+    problem, stage = torn
+    members = ((candidate("joint_damping", arm), np.array([0.01])), (stage.fits[0].members[0][0], np.array([MOST])))
+    return problem, replace(stage.fits[0], members=members)
+
+
+def only_delay_fits(world, point):
+    return point[0].name != "actuation_delay"
+
+
+def test_in_a_chaotic_world_one_that_leaves_no_gap_alone_stands_for_a_set(pair, monkeypatch):
+    problem, found = pair
+    monkeypatch.setattr(uneven, "null_level", lambda *a: 1.4)
+    monkeypatch.setattr(uneven, "_leaves", only_delay_fits)
+    best, world = uneven.alone(problem, found, problem.score)
+    assert best.members == found.members[1:]
+    assert world.score is not problem.score, "in units of the floor of its own world"
+    assert (best.evidence.points == MOST).all()
+
+    def surely(world, members):
+        return np.full(len(problem.recs), float(len(members))) + 0.01 * np.arange(len(problem.recs))
+
+    monkeypatch.setattr(uneven, "_foretold", surely)
+    assert uneven.alone(problem, found, problem.score) is None, "the set foretells the recording more surely"
+
+
+def test_where_contact_is_no_chaos_or_one_alone_leaves_a_gap_a_set_stands(pair, monkeypatch, arm):
+    problem, found = pair
+    monkeypatch.setattr(uneven, "_leaves", only_delay_fits)
+    assert uneven.alone(problem, found, problem.score) is None, "null sets reach no more than usual"
+    monkeypatch.setattr(uneven, "null_level", lambda *a: 1.4)
+    measured = replace(problem, measured=found.members[:1])
+    assert uneven.alone(measured, found, problem.score) is None
+    assert uneven.alone(problem, replace(found, members=found.members[1:]), problem.score) is None
+    choice = (candidate("friction_cone", arm), np.array([1.0]))
+    vector = (candidate("joint_offset", arm), np.repeat(MOST, 2))
+    assert uneven.alone(problem, replace(found, members=(choice, vector)), problem.score) is None
+    monkeypatch.setattr(uneven, "_leaves", lambda *a: True)
+    assert uneven.alone(problem, found, problem.score) is None
 
 
 def test_vectors_and_choices_are_not_tried(torn, arm):
@@ -105,13 +152,22 @@ def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     assert uneven.recentred(problem, replace(stage, fits=(beyond,)), None) is None
 
 
-@pytest.mark.parametrize(("left", "remains", "asked"), [(0.3, True, True), (0.2, True, False), (0.9, False, False)])
-def test_episodes_are_counted_where_a_set_leaves_a_gap_and_a_quarter_of_it(arm, monkeypatch, left, remains, asked):
+@pytest.mark.parametrize(
+    ("left", "floors", "remains", "asked"),
+    [
+        (0.3, 0.1, True, True),
+        (0.2, 0.3, True, False),
+        (0.9, 0.3, False, True),  # the floor of a chaotic world is high
+        (0.9, 0.1, False, False),
+    ],
+)
+def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatch, left, floors, remains, asked):
     found = attribute.Attribution("first look", "a set", ("a set",), "its floor", remains)
     monkeypatch.setattr(attribute, "look", lambda *a: "first look")
     monkeypatch.setattr(attribute, "_search", lambda *a: found)
-    monkeypatch.setattr(attribute, "_left", lambda *a: (left, 0.3))
+    monkeypatch.setattr(attribute, "_left", lambda *a: (left, floors))
     monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
+    monkeypatch.setattr(attribute, "alone", lambda *a: None)
     problem = SimpleNamespace(
         replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
     )
@@ -122,3 +178,18 @@ def test_episodes_are_counted_where_a_set_leaves_a_gap_and_a_quarter_of_it(arm, 
     assert (after.chosen, after.tied, after.score, after.remains) == (
         "one value", ("one value",), "another floor", False,
     )  # fmt: skip
+
+
+@pytest.mark.parametrize("tied", [("a set",), ("a set", "another")])
+def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypatch, tied):
+    found = attribute.Attribution("first look", "a set", tied, "its floor", False)
+    monkeypatch.setattr(attribute, "look", lambda *a: "first look")
+    monkeypatch.setattr(attribute, "_search", lambda *a: found)
+    monkeypatch.setattr(attribute, "_left", lambda *a: (0.1, 0.3))
+    asked = []
+    monkeypatch.setattr(attribute, "alone", lambda problem, *a: asked.append(a))
+    problem = SimpleNamespace(
+        replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
+    )
+    assert attribute.attribute(problem) is found
+    assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])
