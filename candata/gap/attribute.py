@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
-from candata.gap.own_floor import in_world
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Problem
@@ -15,7 +14,7 @@ from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, w
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
 from candata.gap.starts import is_toss
-from candata.gap.uneven import alone, is_chaotic, recentred
+from candata.gap.uneven import alone, recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
@@ -112,17 +111,6 @@ def _uneven(first: Stage, found: tuple[Fit, Problem] | None) -> Attribution | No
     return Attribution(first, best, (best,), world.score, False)
 
 
-def _slipping(problem: Problem, first: Stage, best: Fit) -> Attribution | None:
-    """Return what one scalar explains where the world of the best effect alone is chaotic; None elsewhere.
-
-    A search by mean losses takes minutes there, and what it adds makes up for a wrong value.
-    """
-    aside = replace(problem, rng=problem.rng.spawn(1)[0])
-    if is_toss(problem.replayer.scene) or not is_chaotic(in_world(aside, best.members).score, aside.rng):
-        return None
-    return _uneven(first, recentred(aside, first, best))
-
-
 def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
     """Return what is left of the loss above the floor on held-out episodes: its share (0 of little), and in floors."""
     before = float(found.score.loss(found.score.normal(problem.raw)).mean()) - 1
@@ -142,9 +130,6 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     if best is None or not (remains or first.is_plain(best)):
         return Attribution(first, None, (), problem.score, remains)
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
-    uneven = _slipping(problem, first, best) if is_far else None
-    if uneven:
-        return uneven
     several = together(problem, best, as_simulated(problem, first)) if is_far else None
     if several is None:
         problem.pace.say("comparing what is best so far", SHARPEN)

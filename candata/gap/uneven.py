@@ -71,11 +71,6 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     return (fit, world) if more.mean() > standard_error(more) else None
 
 
-def is_chaotic(score: Score, rng: np.random.Generator) -> bool:
-    """Tell whether null sets of a world reach, in units of its floor, what only chaotic contact makes them reach."""
-    return null_level(score, rng) >= CHAOTIC
-
-
 def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | None:
     """Return the scalar of a set that leaves no gap alone, and the problem in units of its world's floor; else None.
 
@@ -83,7 +78,7 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
     which it was held when that came. None where the set's world foretells the recording more surely. (Beside a friction
     of 0.6, which should have been 0.5, a shorter time step was taken; with it, friction moved to 0.50.)
     """
-    if len(found.members) < 2 or problem.measured or not is_chaotic(score, problem.rng):
+    if len(found.members) < 2 or problem.measured or null_level(score, problem.rng) < CHAOTIC:
         return None
     for c, u in found.members:
         if c.size > 1 or c.choices:

@@ -13,7 +13,7 @@ from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
-from candata.gap.stage import Stage, look
+from candata.gap.stage import look
 
 #: What most episodes were recorded with, and the few others: as if an object had slipped there.
 MOST, OTHERS = 0.02, 0.08
@@ -193,27 +193,3 @@ def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypat
     )
     assert attribute.attribute(problem) is found
     assert asked == ([("a set", "its floor")] if len(tied) == 1 else [])
-
-
-@pytest.mark.parametrize(("level", "asked"), [(1.4, True), (1.1, False)])
-def test_episodes_are_counted_before_a_search_where_the_best_effects_world_is_chaotic(torn, monkeypatch, level, asked):
-    problem, stage = torn
-    monkeypatch.setattr(uneven, "null_level", lambda *a: level)
-    monkeypatch.setattr(attribute, "recentred", lambda problem, *a: (stage.fits[0], problem))
-    found = attribute._slipping(problem, stage, stage.fits[0])
-    assert (found is not None) is asked
-    if found:
-        assert (found.chosen, found.remains) == (stage.fits[0], False)
-
-
-def test_what_is_found_before_a_search_ends_it(torn, monkeypatch):
-    problem, stage = torn
-    far = replace(stage.fits[0], evidence=replace(stage.fits[0].evidence, loss=stage.base * 0.9))
-    monkeypatch.setattr(Stage, "passing", lambda self: far)
-    monkeypatch.setattr(attribute, "_slipping", lambda *a: "one value")
-    assert attribute._search(problem, stage) == "one value"
-    near = replace(far, evidence=replace(far.evidence, loss=np.ones_like(stage.base)))
-    monkeypatch.setattr(Stage, "passing", lambda self: near)
-    monkeypatch.setattr(attribute, "sharpened", lambda *a: 1 / 0)
-    with pytest.raises(ZeroDivisionError):  # the search goes on
-        attribute._search(problem, stage)
