@@ -63,8 +63,8 @@ def attribute(problem: Problem) -> Attribution:
     What is left after it is tried by a joint sparse fit: a rig may be a little wrong everywhere. Where most is left
     even then, and that is much or nothing is named, effects are looked at again, simulated on the recording: in a world
     far from the nominal one, or where contact is chaos, signatures say little of what an effect does there. Before that
-    the episodes are counted that one value explains. Where one force explains clearly more than what is found, no more
-    is looked for.
+    the episodes are counted that one value explains, and where contact is chaos one of a set may stand for it. Where
+    one force explains clearly more than what is found, no more is looked for.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])

@@ -32,15 +32,17 @@ KEPT = 0.6
 #: three recordings of that friction, each judged six times with other draws, 4 nulls refused the truth once and 8
 #: twice; with 16 the loss in its own world lay 0.1 to 0.2 floors below what nulls reach, give or take 0.08.)
 NULLS = 16
-#: Floors that null sets of a world reach from which it is called chaotic. Chosen: 1.3 to 1.6 where an object slips.
+#: Floors that null sets of a world reach from which it is called chaotic. Chosen: 1.3 to 1.6 where an object slips,
+#: 1.04 to 1.08 in the worlds of six sets of causes of another hand.
 CHAOTIC = 1.25
 
 
 def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, Problem] | None:
     """Return a scalar cause at the value that explains most episodes, and the problem in units of its world's floor.
 
-    None where that leaves a gap, or where the world of another effect, that was `chosen` or is the best alone,
-    foretells the recording as surely.
+    None where that leaves a gap, or where the world of what was `chosen`, or of the best effect alone, foretells the
+    recording as surely. What was chosen needs no more than a better value: which effect it is was decided before. (Of
+    friction times 0.6 a wrong effect was the best alone, and where its world was chaotic it left no gap.)
 
     Where an object slips, some episodes are dealt another outcome even by the true world, and the loss of those hides
     how well it does in the others. The mean logarithm counts each episode by the share of its loss that is explained,
@@ -65,7 +67,7 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     if _leaves(world, point):
         return None
     fit = _fitted(problem, world, tried)
-    if [c.label for c, _ in best] == [*fit.labels]:
+    if chosen and chosen.labels == fit.labels:
         return fit, world
     more = _foretold(world, fit.members) - _foretold(in_world(problem, best, NULLS), best)
     return (fit, world) if more.mean() > standard_error(more) else None
@@ -80,6 +82,7 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
     """
     if len(found.members) < 2 or problem.measured or null_level(score, problem.rng) < CHAOTIC:
         return None
+    problem.pace.told("asking whether one of these alone leaves no gap")
     for c, u in found.members:
         if c.size > 1 or c.choices:
             continue

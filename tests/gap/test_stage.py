@@ -142,10 +142,8 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
     assert found.fits[1].gain == pytest.approx(2.0 - 1.4)
 
 
-@pytest.mark.parametrize(("threshold", "first"), [(0.0, "joint_damping"), (0.05, "servo_damping")])
-def test_a_rival_of_a_faint_effect_is_sharpened_where_nulls_gain_as_much(arm, monkeypatch, threshold, first):
-    """Sharp, it is the better one; it is not looked at where nulls gain nothing to speak of."""
-    sharp = {"joint_damping": 1.95, "servo_damping": 1.94}
+def sharply(arm, monkeypatch, sharp: dict[str, float]) -> SimpleNamespace:
+    """Return a problem in which each effect leaves this loss where it is sharp, from whatever start."""
     problem = SimpleNamespace(
         begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].name,
         losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
@@ -154,6 +152,14 @@ def test_a_rival_of_a_faint_effect_is_sharpened_where_nulls_gain_as_much(arm, mo
     monkeypatch.setattr(
         staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
     )
+    return problem
+
+
+@pytest.mark.parametrize(("threshold", "first"), [(0.0, "joint_damping"), (0.05, "servo_damping")])
+def test_a_rival_of_a_faint_effect_is_sharpened_where_nulls_gain_as_much(arm, monkeypatch, threshold, first):
+    """Sharp, it is the better one; it is not looked at where nulls gain nothing to speak of."""
+    sharp = {"joint_damping": 1.95, "servo_damping": 1.94}
+    problem = sharply(arm, monkeypatch, sharp)
     fits = (fit(candidate("joint_damping", arm), np.full(8, 1.95)), fit(candidate("servo_damping", arm), BASE - 0.02))
     stage = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, threshold, (), (), (), 0.0)
     assert sharpened(problem, stage).fits[0].labels == (first,)
@@ -289,15 +295,8 @@ def test_a_rival_is_sharpened_that_may_come_near_between_its_points(arm, monkeyp
 @pytest.mark.parametrize("may", [True, False])
 def test_what_may_come_near_is_compared_at_its_sharpest(arm, monkeypatch, may):
     sharp = {"joint_damping": 1.2, "servo_damping": 1.0}
-    problem = SimpleNamespace(
-        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].name,
-        losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
-    )  # fmt: skip
-    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    problem = sharply(arm, monkeypatch, sharp)
     monkeypatch.setattr(staging, "_may_come_near", lambda problem, stage, f, best: may)
-    monkeypatch.setattr(
-        staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
-    )
     fits = (fit(candidate("joint_damping", arm), np.full(8, 1.2)), fit(candidate("servo_damping", arm), BASE - 0.5))
     stage = staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0)
     assert sharpened(problem, stage).fits[0].labels == (("servo_damping",) if may else ("joint_damping",))

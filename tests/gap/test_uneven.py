@@ -83,8 +83,9 @@ def test_what_foretells_no_more_surely_than_another_effect_is_none(torn, monkeyp
     assert uneven.recentred(problem, stage, best) is None, "no better value than the best"
     monkeypatch.setattr(uneven, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
     assert uneven.recentred(problem, stage, other) is None
-    again, _ = uneven.recentred(problem, stage, None)
-    assert again.members == best.members, "the same effect at another value needs no more than to leave no gap"
+    assert uneven.recentred(problem, stage, None) is None, "nor than the same one, where nothing was chosen"
+    again, _ = uneven.recentred(problem, stage, stage.fits[0])
+    assert again.members == best.members, "what was chosen needs no more than a better value that leaves no gap"
 
 
 @pytest.fixture
