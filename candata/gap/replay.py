@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import effect, flatten, turn
+from candata.gap.noise import SMALLEST
 from candata.gap.recordings import Recordings
 from candata.gap.starts import Starts, is_toss, starts
 from candata.rotation import normalise
@@ -78,7 +79,8 @@ def _batch(
 ) -> list[dict[str, Array]]:
     """Return the readings of variants that are stepped together."""
     scene, count, copies = replayer.scene, len(recs), len(variants)
-    observer = None if is_toss(scene) else Observer(_followed(scene, recs, begin, variants))
+    told = (scene.file.noise or SMALLEST).joint_position
+    observer = None if is_toss(scene) else Observer(_followed(scene, recs, begin, variants), joint_noise=told)
     effects = [v for v in variants for _ in range(count)]
     commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
     states = [true_start(scene, recs, begin, v) for v in variants]

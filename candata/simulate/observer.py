@@ -14,6 +14,10 @@ from candata.scenes import Scene
 Array = NDArray[np.float64]
 #: Sine of a turn below which its axis means nothing.
 TINY = 1e-12
+#: Share of a joint's error that its average takes up each control step, and the part of the encoders' noise up to which
+#: an average says nothing. The average holds a third of the noise, so this is one and a half of its standard errors.
+#: Chosen on seven hands: see ARCHITECTURE.md.
+AVERAGED, HEARD = 0.2, 0.5
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,10 @@ class Observer:
         channels that are missing are not followed. Rows that are not finite are skipped.
     joint_gain, pose_gain : float
         Share of the error removed each control step.
+    joint_noise : float
+        Noise of recorded joint positions [rad; m of slides], one standard deviation. Where there is some, the error of
+        a joint is averaged, and no more of it than lies beyond half of the noise is removed: pushed about by noise, a
+        finger that is jammed or slips comes loose when it did not.
     free_gain : float
         Share of the pose error removed while nothing touches the object, or the error passes the guard.
     guard_m, guard_rad : float
@@ -36,6 +44,7 @@ class Observer:
     recorded: Mapping[str, Array]
     joint_gain: float = 0.02
     pose_gain: float = 0.006
+    joint_noise: float = 0.0
     free_gain: float = 0.15
     guard_m: float = 0.012
     guard_rad: float = 0.2
@@ -55,6 +64,7 @@ class Follower:
         self._joints, self._object = scene.joint_qpos, None
         recorded = observer.recorded.get("joint_position") if len(scene.joint_qpos) else None
         self._angles = None if recorded is None else _told(recorded, observer.joint_gain)
+        self._error: Array | float = 0.0
         pose = observer.recorded.get("object_pose") if scene.object_id is not None else None
         if pose is not None:
             seen = np.asarray(np.isfinite(pose).all(2))
@@ -70,7 +80,7 @@ class Follower:
         """
         if self._angles is not None:
             (target, gain), now = self._angles, state["joint_position"]
-            qpos[:, self._joints] = now + gain[:, row] * (target[:, row] - now)
+            qpos[:, self._joints] = now + gain[:, row] * self._heard(target[:, row] - now, gain[:, row] > 0)
         at = self._object
         if at is None:
             return
@@ -88,6 +98,14 @@ class Follower:
         size = np.copysign(np.sin(gain * half) / np.maximum(sine, TINY), cosine)
         part = np.concatenate([np.cos(gain * half), size * axis], axis=1)
         qpos[:, at + 3 : at + 7] = normalise(product(part, now))
+
+    def _heard(self, error: Array, seen: NDArray[np.bool_]) -> Array:
+        """Return what noise cannot explain of the joints' errors `(n, J)`, averaged over the rows that are `seen`."""
+        noise = self._observer.joint_noise
+        if not noise:
+            return error
+        self._error = np.where(seen, AVERAGED * error + (1 - AVERAGED) * self._error, self._error)
+        return self._error - np.clip(self._error, -HEARD * noise, HEARD * noise)
 
 
 def _told(recorded: Array, gain: float) -> tuple[Array, Array]:
