@@ -163,7 +163,17 @@ def pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
     while len(kept) < len(fit.members):
         fit = joint(problem, kept, base, widths=())
         kept = _worthy(problem, fit, base)
-    return joint(problem, kept, base)
+    fit = joint(problem, kept, base)
+    # At its sharpest, a member may be worth nothing that was worth a little before.
+    return fit if len(_likely(problem, fit, base)) == len(kept) else pruned(problem, fit, base)
+
+
+def _likely(problem: Problem, fit: Fit, base: Array) -> Members:
+    """Return the members that slopes promise something of."""
+    left = float(problem.score.loss(fit.plane.z).mean())
+    least = HARDLY * (float(base.mean()) - left)
+    promised = [float(problem.score.loss(fit.plane_without([m]).z).mean()) - left for m in fit.members]
+    return tuple(m for m, rise in zip(fit.members, promised, strict=True) if m[0].choices or rise > least)
 
 
 def _worthy(problem: Problem, fit: Fit, base: Array) -> Members:
@@ -171,12 +181,11 @@ def _worthy(problem: Problem, fit: Fit, base: Array) -> Members:
 
     All of them where none is.
     """
-    losses = problem.score.loss(fit.plane.z)
-    gain = float((base - losses).mean())
-    promised = [problem.score.loss(fit.plane_without([m]).z).mean() - losses.mean() for m in fit.members]
-    likely = tuple(m for m, rise in zip(fit.members, promised, strict=True) if m[0].choices or rise > HARDLY * gain)
+    likely = _likely(problem, fit, base)
     if 0 < len(likely) < len(fit.members):
         return likely
+    losses = problem.score.loss(fit.plane.z)
+    gain = float((base - losses).mean())
     rises = [problem.score.loss(z) - losses for z in problem.without_each(fit.members)]
     kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
     return kept or fit.members

@@ -46,7 +46,8 @@ def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     made = make_episodes(hand, [Job(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise)
     problem = _problem(Replayer(hand), recordings(hand, made), np.random.default_rng(0), None, lambda stage: None)
     force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
-    here = problem.nominal + 30 * np.tile(force, problem.plan.phase.shape[1]).astype(np.float32)
+    own = np.tile(force, problem.plan.phase.shape[1])
+    here = np.where(own, problem.nominal + 30, 0).astype(np.float32)  # nothing is left for any joint to explain
     some = [
         candidate(name, hand)
         for name in ("servo_gain", "joint_damping", "armature", "tactile_gain", "tactile_bias", "sliding_friction")

@@ -104,13 +104,14 @@ def test_a_second_look_leaves_out_only_what_closes_next_to_nothing_where_it_is_f
 
 
 def test_gains_on_a_few_episodes_are_held_out(posed, arm):
-    """What has nothing to do with it loses there; fitted to the same episodes, nothing ever loses."""
+    """What has nothing to do with it keeps nothing there of what it gains where it is fitted to the same episodes."""
     part, index = brief(posed)
     base = posed.score.loss(posed.nominal)[index]
     responses, _ = respond(part, part.nominal, candidates(arm, list(posed.recs.readings)))
     gains = _gains(part, responses, base)
     assert "joint_damping" in [c.name for _, c in gains[:2]]  # a servo that damps does much the same
-    assert gains[-1][0] < 0
+    fitted = {c.label: shortlist.fitted(part, r, base)[0] for c, r in responses}
+    assert gains[-1][0] < fitted[gains[-1][1].label] / 10
 
 
 def test_a_vector_gains_what_it_does_where_it_was_simulated(posed, arm):
