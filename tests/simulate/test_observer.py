@@ -8,7 +8,7 @@ import pytest
 from candata.rotation import difference, exp, multiply, normalise
 from candata.scenes import load_scene
 from candata.simulate import Observer, at_rest
-from candata.simulate.observer import Follower
+from candata.simulate.observer import AVERAGED, HEARD, Follower
 
 COUNT, ROW = 12, 1
 
@@ -89,3 +89,51 @@ def test_each_gap_in_a_recording_pulls_nothing_of_its_own(hand, start):
     assert found[0, joint[0]] == qpos[0, joint[0]]
     np.testing.assert_array_equal(found[0, joint[1:]], full[0, joint[1:]])
     np.testing.assert_array_equal(found[1:], full[1:])
+
+
+NOISE, ROWS = 0.001, 400
+
+
+def pulled(scene, off, noise=NOISE, unseen=(), shake=0.0):
+    """How far off joints are (ROWS, J) that begin `off` what was recorded, pulled and moved by nothing else."""
+    qpos = at_rest(scene, 1)[0]
+    told = np.repeat(qpos[:, None, scene.joint_qpos], ROWS, axis=1)
+    told += shake * np.random.default_rng(0).normal(size=told.shape)
+    told[:, list(unseen)] = np.nan
+    follower = Follower(scene, Observer({"joint_position": told}, joint_noise=noise))
+    begin = qpos[:, scene.joint_qpos].copy()
+    qpos[:, scene.joint_qpos] += off
+    out = []
+    for row in range(ROWS):
+        out.append(qpos[0, scene.joint_qpos] - begin[0])
+        follower.correct(row, {"joint_position": qpos[:, scene.joint_qpos].copy()}, np.zeros(1, bool), qpos)
+    return np.array(out)
+
+
+def test_what_noise_can_explain_of_a_joint_is_left(hand):
+    off = pulled(hand, 0.9 * HEARD * NOISE)
+    np.testing.assert_array_equal(off, off[:1].repeat(ROWS, 0))
+
+
+def test_more_is_pulled_back_to_that_and_no_further(hand):
+    off = pulled(hand, 10 * NOISE)
+    assert (np.diff(off, axis=0) <= 0).all()
+    assert off[-1] == pytest.approx(HEARD * NOISE, rel=0.05)
+    assert pulled(hand, 10 * NOISE, noise=0.0)[-1] == pytest.approx(0, abs=0.01 * NOISE)
+
+
+def test_the_average_of_an_error_takes_up_a_share_of_each_row(hand):
+    off, gain = 10 * NOISE, Observer({}).joint_gain
+    first = off - gain * (AVERAGED * off - HEARD * NOISE)
+    assert pulled(hand, off)[1] == pytest.approx(first, rel=1e-12)
+
+
+def test_rows_that_are_missing_pull_nothing_and_are_no_error(hand):
+    off = pulled(hand, 10 * NOISE, unseen=range(100, 150))
+    np.testing.assert_array_equal(off[100:151], off[100:101].repeat(51, 0))
+    assert off[151, 0] - off[150, 0] == pytest.approx(off[100, 0] - off[99, 0], rel=0.05)
+
+
+def test_noise_moves_joints_by_a_small_part_of_what_it_would(hand):
+    still, moved = (pulled(hand, 0.0, noise, shake=NOISE) for noise in (NOISE, 0.0))
+    assert np.abs(np.diff(still, axis=0)).mean() < 0.1 * np.abs(np.diff(moved, axis=0)).mean()
