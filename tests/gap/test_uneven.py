@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from candata.gap import attribute, uneven
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, local_candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
@@ -139,17 +139,28 @@ def test_vectors_and_choices_are_not_tried(torn, arm):
     assert uneven.recentred(problem, replace(stage, fits=()), None) is None
 
 
+def test_where_one_element_was_found_all_of_them_are_tried_too(torn, arm):
+    """By the mean loss one may gain where all of them gain nothing."""
+    problem, stage = torn
+    whole = stage.fits[0].members[0]
+    (elbow,) = [c for c in local_candidates(whole[0], arm) if c.element == "elbow"]
+    found = uneven._with_all(problem, [(elbow, np.array([0.03]))])
+    assert {(c.element, u[0]) for c, u in found} == {(None, 0.03), ("elbow", 0.03)}
+    both = uneven._with_all(problem, [whole, (elbow, np.array([0.03]))])
+    assert {(c.element, u[0]) for c, u in both} == {(None, whole[1][0]), ("elbow", 0.03)}, "each effect once, as found"
+
+
 def test_values_lie_on_the_side_of_the_fit_and_end_at_the_farthest_probe(torn):
     problem, stage = torn
     best = next(f for f in stage.fits if f.members[0][0].label == "actuation_delay")
-    values = [u[0] for _, u in uneven._values(best, problem)]
+    c, u = best.members[0]
+    values = [v[0] for _, v in uneven._values(c, u, problem)]
     assert len(values) == uneven.VALUES
     assert values == sorted(values)
     assert values[0] > 0
     # No probe lies below none.
-    c = best.members[0][0]
     beyond = replace(best, members=((c, c.neutral - 0.01),))
-    assert uneven._values(beyond, problem) == []
+    assert uneven._values(*beyond.members[0], problem) == []
     assert uneven.recentred(problem, replace(stage, fits=(beyond,)), None) is None
 
 
