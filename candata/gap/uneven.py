@@ -120,7 +120,7 @@ def _leaves(world: Problem, point: Member) -> bool:
 
     Not of values that other episodes choose: where contact is chaos, a floor is that of one value alone. (At a friction
     of 0.532 a recording of 0.55 left 1.2 floors, where nulls reach 1.5; with a quarter of it at 0.549, 1.5 and 1.3.)
-    Each episode counts by its typical loss over starts that are equally possible: one replay of a world deals it its own
+    Each episode counts by its typical loss over starts that are equally possible: one replay deals it its own
     luck. (Replayed once, 0.5449 left 2.2 floors and 0.5450 1.6, where nulls reach 1.6.)
     """
     (z,) = world.residuals([world.setting((point,))])
