@@ -16,7 +16,7 @@ from candata.gap.response import Plane
 from candata.gap.score import Compact, Score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import few, taken
-from candata.gap.stage import Stage, null_level, standard_error, typical
+from candata.gap.stage import Stage, null_level, standard_error
 
 Array = NDArray[np.float64]
 Member = tuple[Candidate, Array]
@@ -33,8 +33,6 @@ KEPT = 0.6
 #: three recordings of that friction, each judged six times with other draws, 4 nulls refused the truth once and 8
 #: twice; with 16 the loss in its own world lay 0.1 to 0.2 floors below what nulls reach, give or take 0.08.)
 NULLS = 16
-#: Values that are asked whether they leave a gap, at most. Chosen: each costs 33 replays.
-ASKED = 3
 #: Floors that null sets of a world reach from which it is called chaotic. Chosen: 1.3 to 1.6 where an object slips,
 #: 1.04 to 1.08 in the worlds of six sets of causes of another hand.
 CHAOTIC = 1.25
@@ -61,14 +59,15 @@ def recentred(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit, 
     if not found:
         return None
     tried = _nearer(problem, _least(problem, [one for _, one, _ in found], ON_ALL))
+    left, point, _ = tried[0]
     best = (chosen or stage.fits[0]).members
     before = _typical(problem, problem.residuals([problem.setting(best)])[0])
-    if tried[0][0] >= min(before, KEPT * _typical(problem, problem.nominal)):
+    if left >= min(before, KEPT * _typical(problem, problem.nominal)):
         return None
-    accepted = _accepted(problem, tried)
-    if accepted is None:
+    world = in_world(problem, (point,), NULLS)
+    if _leaves(world, point):
         return None
-    fit, world = accepted
+    fit = _fitted(problem, world, tried)
     if chosen and chosen.labels == fit.labels:
         return fit, world
     more = _foretold(world, fit.members) - _foretold(in_world(problem, best, NULLS), best)
@@ -97,34 +96,14 @@ def alone(problem: Problem, found: Fit, score: Score) -> tuple[Fit, Problem] | N
     return None
 
 
-def _accepted(problem: Problem, tried: Sequence[Found]) -> tuple[Fit, Problem] | None:
-    """Return the fit of the first of the best values that leaves no gap, and the problem in units of its world's floor.
-
-    Values that explain as many episodes within a standard error are asked in turn, `ASKED` at most: one replay deals
-    each its own luck. (Of friction times 0.55 one of 0.545 explained most and left 2.2 floors, where nulls reach 1.6;
-    0.550 left 1.5.)
-    """
-    least = _logs(problem, tried[0][2])
-    for i, (_, point, z) in enumerate(tried[:ASKED]):
-        more = _logs(problem, z) - least
-        if i and more.mean() > standard_error(more):
-            break
-        world = in_world(problem, (point,), NULLS)
-        if not _leaves(world, point):
-            return _fitted(problem, world, [tried[i], *tried[:i], *tried[i + 1 :]]), world
-    return None
-
-
 def _leaves(world: Problem, point: Member) -> bool:
     """Tell whether a value leaves a gap in the floor of its own world.
 
     Not of values that other episodes choose: where contact is chaos, a floor is that of one value alone. (At a friction
     of 0.532 a recording of 0.55 left 1.2 floors, where nulls reach 1.5; with a quarter of it at 0.549, 1.5 and 1.3.)
-    Each episode counts by its typical loss over starts that are equally possible: one replay deals it its own
-    luck. (Replayed once, 0.5449 left 2.2 floors and 0.5450 1.6, where nulls reach 1.6.)
     """
     (z,) = world.residuals([world.setting((point,))])
-    return bool(typical(world, z, (point,))[0].mean() > null_level(world.score, world.rng))
+    return bool(world.score.loss(z).mean() > null_level(world.score, world.rng))
 
 
 def _fitted(problem: Problem, world: Problem, tried: Sequence[Found]) -> Fit:

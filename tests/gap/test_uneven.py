@@ -69,23 +69,6 @@ def test_an_episode_has_no_say_in_the_value_that_it_is_held_out_by(torn):
     assert fit.evidence.points[:, 0].tolist() == [MOST, OTHERS, OTHERS, OTHERS]
 
 
-def test_a_value_as_good_as_the_best_is_asked_where_that_leaves_a_gap(torn, monkeypatch):
-    problem, stage = torn
-    c = stage.fits[0].members[0][0]
-    logs = {0.021: np.linspace(-0.1, 0.1, 12), 0.022: np.linspace(0.1, -0.1, 12), 0.03: np.full(12, 0.5)}
-    posed = replace(problem, score=SimpleNamespace(loss=lambda name: np.exp(logs[name])))
-    tried = [(0.0, (c, np.array([u])), u) for u in logs]
-    asked = []
-    monkeypatch.setattr(uneven, "in_world", lambda problem, members, nulls: asked.append(members[0][1][0]) or problem)
-    monkeypatch.setattr(uneven, "_leaves", lambda world, point: point[1][0] != 0.022)
-    monkeypatch.setattr(uneven, "_fitted", lambda problem, world, tried: tried[0][1][1][0])
-    assert uneven._accepted(posed, tried)[0] == 0.022
-    monkeypatch.setattr(uneven, "_leaves", lambda *a: True)
-    asked.clear()
-    assert uneven._accepted(posed, tried) is None
-    assert asked == [0.021, 0.022], "what explains surely less is not asked"
-
-
 def test_a_world_that_does_not_foretell_what_is_left_is_none(torn):
     problem, stage = torn
     assert uneven.recentred(problem, stage, None) is None
