@@ -54,6 +54,20 @@ def test_a_recording_replayed_in_its_own_world_is_itself(arm, arm_episodes, plan
     assert largest(recs, other, "joint_position") > 1000 * STORED
 
 
+@pytest.mark.parametrize("declared", [True, False])
+def test_joints_are_not_pushed_about_by_the_noise_of_their_encoders(arm, arm_episodes, monkeypatch, declared):
+    """A replay of a noisy recording lies nearer its true world than one that hears the noise; least without a word."""
+    file = arm.file if declared else arm.file.model_copy(update={"noise": None})
+    scene = replace(arm, file=file)
+    noisy, true = (recordings(arm, arm_episodes((), count=4, noise=some)) for some in (True, False))
+    begin = starts(scene, true)
+    quiet = replay(Replayer(scene), noisy, begin, [()])[0]
+    monkeypatch.setattr(module, "Observer", lambda told, joint_noise: Observer(told))
+    heard = replay(Replayer(scene), noisy, begin, [()])[0]
+    off = [np.nanmean(np.abs(r["joint_position"] - true.readings["joint_position"])) for r in (quiet, heard)]
+    assert 0 < off[0] < (0.5 if declared else 0.95) * off[1]
+
+
 def test_contact_too_is_replayed_as_recorded(hand, squeezes):
     recs, begin = squeezes
     true = rollout(hand, recs.commands, begin.qpos, begin.qvel, [()] * 2)
