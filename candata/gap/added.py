@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import effect
 from candata.gap.candidates import Candidate
 from candata.gap.pace import TOGETHER
 from candata.gap.refine import WIDTHS, joint
@@ -208,9 +209,56 @@ def _nearest(
         if much or loss < max(least[left], far):
             worthy.append(members)
     refitted = [joint(problem, members, base, WIDTHS[:1]).members for members in worthy[:ADDED]]
-    light = by_loss(problem, [joint(problem, members, base, widths=()).members for members in choices])
-    refitted += [joint(problem, members, base, widths=WIDTHS[:2]).members for _, members in light[:ADDED]]
+    refitted += [joint(problem, members, base, WIDTHS[:2]).members for _, members in lightly(problem, choices)[:ADDED]]
     return [members for loss, members in by_loss(problem, refitted)[:RIVALS] if loss < far] if refitted else []
+
+
+def lightly(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Members]]:
+    """Return sets where they are fitted lightly, with the loss that they leave, the least first.
+
+    Of a setting whose values have an order, such as a time step, the values on either side of the scene's own come
+    first, then farther ones where that leaves less, while it does: what such a setting does grows with it.
+    """
+    base = problem.score.loss(problem.nominal)
+
+    def fit(members: Members) -> tuple[float, Members]:
+        found = joint(problem, members, base, widths=())
+        return float(problem.score.loss(found.plane.z).mean()), found.members
+
+    done = []
+    for near, far in _outwards(sets):
+        first = [fit(members) for members in near]
+        done += first
+        side = int(np.argmin([loss for loss, _ in first]))
+        best = first[side][0]
+        for members in far[side]:
+            done.append(fit(members))
+            if done[-1][0] >= best:
+                break
+            best = done[-1][0]
+    return sorted(done, key=lambda pair: pair[0])
+
+
+def _is_ordered(c: Candidate) -> bool:
+    """Tell whether an effect is a choice among values that have an order."""
+    return effect(c.name).parameters[0].enumerated
+
+
+def _outwards(sets: Sequence[Members]) -> list[tuple[list[Members], list[list[Members]]]]:
+    """Return sets that differ in the value of one ordered setting, those next to neutral and beyond on each side; a set
+    without one is alone.
+    """
+    groups: dict[tuple[tuple[str, bytes], ...], list[tuple[float, Members]]] = {}
+    for i, members in enumerate(sets):
+        away = [float((u - c.neutral)[0]) for c, u in members if _is_ordered(c)]
+        same = tuple((c.label, u.tobytes() if c.choices and not _is_ordered(c) else b"") for c, u in members)
+        groups.setdefault(same if away else ((str(i), b""),), []).append((sum(away), members))
+    out = []
+    for some in groups.values():
+        some.sort(key=lambda pair: abs(pair[0]))
+        sides = [[members for away, members in some if (away < 0) is below] for below in (True, False)]
+        out.append(([side[0] for side in sides if side], [side[1:] for side in sides if side]))
+    return out
 
 
 def aliases(problem: Problem, best: Fit, rivals: Sequence[Fit]) -> list[Fit]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.gap.candidates import FEW_NUMBERS, Candidate, typical_size
 from candata.gap.folds import CrossFit, cross_fit
+from candata.gap.replay import is_simulated
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, weights
 from candata.gap.screen import slopes
@@ -211,7 +212,8 @@ def _differences(
     make up for one another each does much, and all together little, which the difference of their slopes, each off by
     the chaos of contact, does not tell; a rollout along that direction does. (From a fit of five joint offsets, a
     tracker's bias and a gain the way to the truth fell from 0.29 floors to none, and slopes of single numbers saw it
-    rise to 2.5.)
+    rise to 2.5.) Numbers that only alter forces as they are read need no such help: no chaos is in what they do, and
+    one simulation serves them all.
     """
     at, low, high = (np.concatenate(parts) for parts in zip(*((u, c.low, c.high) for c, u in members), strict=True))
     free = np.concatenate([np.full(c.size, not c.choices) for c, _ in members])
@@ -220,7 +222,8 @@ def _differences(
     if not free.any():
         return slope
     ways, far = np.diag(size)[free], np.full(int(free.sum()), width)
-    inner = (np.minimum(at - low, high - at) > width * size)[free]
+    played = np.concatenate([np.full(c.size, is_simulated(c.name)) for c, _ in members])
+    inner = (played & (np.minimum(at - low, high - at) > width * size))[free]
     if known is not None and inner.any():
         vectors, weaker = _principal(known[free][inner], size[free][inner], z)
         ways[inner] = vectors.T @ ways[inner]

@@ -154,12 +154,17 @@ def _unshift(values: Array, rows: NDArray[np.int64]) -> Array:
     return out
 
 
-def needs_simulation(some: EffectSet) -> bool:
-    """Tell whether a set changes more than what is read after the fact.
+def is_simulated(name: str) -> bool:
+    """Tell whether an effect changes more than what is read after the fact.
 
     A reading that the observer follows (pose, joints) changes the replay; forces are only compared.
     """
-    return any(effect(s.name).reading is None or set(effect(s.name).moves) - {"fingertip_force"} for s in some)
+    return effect(name).reading is None or bool(set(effect(name).moves) - {"fingertip_force"})
+
+
+def needs_simulation(some: EffectSet) -> bool:
+    """Tell whether a set changes more than what is read after the fact."""
+    return any(is_simulated(s.name) for s in some)
 
 
 def sense(scene: Scene, readings: dict[str, Array], some: EffectSet) -> dict[str, Array]:

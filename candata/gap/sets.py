@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import ADDED, ALIKE, here_of, pieces_of, residuals_at, together
+from candata.gap.added import ADDED, ALIKE, here_of, lightly, pieces_of, residuals_at, together
 from candata.gap.candidates import Candidate
 from candata.gap.elsewhere import moved
 from candata.gap.mending import Doubt
@@ -224,7 +224,7 @@ def _along(problem: Problem, best: Fit, part: Problem, now: float, sums: Sequenc
     `now` and `sums` are those of `_moved_along`, on the episodes of `part`.
     """
     tried = [one for i, one in enumerate(sums) if (i < ADDED and one.loss < now) or one.members[-1][0].choices]
-    light = sorted(zip(*_lightly(part, [one.members for one in tried]), strict=True), key=lambda pair: pair[0])
+    light = lightly(part, [one.members for one in tried])
     choices = {members[-1][0].name: members for _, members in reversed(light) if members[-1][0].choices}
     others = [pair for pair in light if pair[1] is not choices.get(pair[1][-1][0].name)]
     sharper = zip(*_lightly(part, list(choices.values()), WIDTHS[:1]), strict=True)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from candata.gap import added, sets
+from candata.gap import added, refine, sets
+from candata.gap import replay as replays
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.pace import Pace
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
-from candata.gap.replay import Replayer, needs_simulation
+from candata.gap.replay import Replayer, needs_simulation, replay
 from candata.gap.screen import respond, screening
 from candata.gap.shortlist import brief, looked_into
 from candata.gap.signatures import Library
@@ -187,10 +190,11 @@ def test_a_choice_that_is_fitted_again_takes_no_other_effects_place(late, arm, m
     sums = [Sum((*delay.members, (c, c.low)), 1.0) for c in (candidate(name, arm) for name in loss)]
     tried = []
 
-    def lightly(part, sets, widths=()):
+    def sharper(part, sets, widths=()):
         return [loss[m[-1][0].name] - 0.1 * len(widths) for m in sets], list(sets)
 
-    monkeypatch.setattr(sets, "_lightly", lightly)
+    monkeypatch.setattr(sets, "lightly", lambda part, sets: [(loss[m[-1][0].name], m) for m in sets])
+    monkeypatch.setattr(sets, "_lightly", sharper)
     monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: tried.append(members[-1][0].name) or delay)
     sets._along(problem, delay, problem, 2.0, sums)
     assert tried == list(loss)
@@ -240,7 +244,62 @@ def test_what_alters_forces_as_they_are_read_is_computed_exactly(slippery, monke
     assert response.read(u) == pytest.approx(there, abs=1e-3)
 
 
+def test_numbers_that_alter_forces_as_they_are_read_share_one_simulation(slippery, monkeypatch):
+    problem, scene = slippery, slippery.replayer.scene
+    mass, bias = candidate("object_mass", scene), candidate("tactile_bias", scene)
+    members = ((mass, np.log([1.2])), (bias, np.full(bias.size, 0.02)))
+    world = partial(refine.divided, members)
+    z = problem.residuals([problem.setting(members)])[0]
+    known = refine.slopes_of(problem, members, world, z)
+    simulated = []
+    monkeypatch.setattr(replays, "replay", lambda *a, **k: simulated.append(len(a[3])) or once(*a, **k))
+    once = replay
+    slope = refine._differences(problem, members, world, z, 0.5, known)
+    assert simulated == [2], "one for the mass, one for all of the bias"
+    assert slope[1:] == pytest.approx(known[1:], abs=0.01 * float(np.abs(known[1:]).max()))
+
+
 def test_no_signature_is_simulated_of_what_needs_none(slippery):
     some = [effects for _, effects in wanted(slippery, "all")]
     assert not {s.name for effects in some for s in effects} & set(READ)
     assert all(needs_simulation(effects) for effects in some)
+
+
+class _Lightly:
+    """A problem in which sets leave what a table says of their time step and cone; it keeps what was fitted."""
+
+    def __init__(self, leaves):
+        self.leaves, self.fitted = leaves, []
+        self.nominal = None
+        self.score = SimpleNamespace(loss=lambda z: np.zeros(1) if z is None else z)
+
+    def joint(self, problem, members, base, widths):
+        key = members[-1][0].name, float(members[-1][1][0])
+        self.fitted.append(key)
+        return SimpleNamespace(plane=SimpleNamespace(z=np.array([self.leaves[key]])), members=members)
+
+
+@pytest.mark.parametrize(
+    ("losses", "unfitted"),
+    [
+        ((1.0, 0.8, 0.9, 1.1, 1.2), {"coarsest"}),  # 0: finest ... 4: coarsest
+        ((0.5, 0.6, 0.7, 1.0, 1.1), {"coarsest"}),
+        ((1.3, 1.2, 1.1, 0.9, 0.4), {"finest", "finer"}),
+        ((0.1, 1.2, 1.1, 1.3, 0.1), {"finest", "coarsest"}),
+    ],
+)
+def test_an_ordered_choice_is_fitted_outwards_while_it_explains_more(arm, monkeypatch, losses, unfitted):
+    step, cone = candidate("time_step", arm), candidate("friction_cone", arm)
+    own = float(step.neutral[0])
+    values = [own + float(np.log(s)) for s in (0.2, 0.25, 0.5, 1.6, 2.5)]
+    names = dict(zip(("finest", "finer", "fine", "coarse", "coarsest"), values, strict=True))
+    other = float(1 - cone.neutral[0])
+    steps = {("time_step", v): x for v, x in zip(values, losses, strict=True)}
+    problem = _Lightly(steps | {("friction_cone", other): 2.0})
+    monkeypatch.setattr(added, "joint", problem.joint)
+    some = [((step, np.array([v])),) for v in values] + [((cone, np.array([other])),)]
+    found = added.lightly(problem, some)
+    assert {v for name, v in problem.fitted if name == "time_step"} == set(values) - {names[n] for n in unfitted}
+    assert [loss for loss, _ in found] == sorted(loss for loss, _ in found)
+    assert len(problem.fitted) == len(found)
+    assert ("friction_cone", other) in problem.fitted
