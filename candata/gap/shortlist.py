@@ -173,10 +173,15 @@ def rivals(problem: Problem, here: Compact, found: Sequence[Candidate], base: Ar
     return [c for gain, c in gains if c.label != label and gain > PROMISE * max(min(promised), 0.0)]
 
 
-def gains_share(problem: Problem, here: Compact, found: Sequence[Candidate], held: Members) -> bool:
-    """Tell whether a candidate closes a share of what the effects held leave, `here (E, K)`, on a few episodes."""
+def gains_share(
+    problem: Problem, here: Compact, found: Sequence[Candidate], held: Members, now: Compact | None = None
+) -> bool:
+    """Tell whether a candidate closes a share of what the effects held leave, `here (E, K)`, on a few episodes.
+
+    Where `now (E, K)` is given, a share of that.
+    """
     part, index = brief(problem)
-    base = part.score.loss(here[index])
+    base = part.score.loss((here if now is None else now)[index])
     responses, _ = respond(part, here[index], found, held)
     return bool(responses) and _gains(part, responses, base)[0][0] > WORTH * float((base - 1).mean())
 

@@ -64,7 +64,7 @@ def test_a_search_is_made_again_of_half_the_gap_and_half_a_floor_or_where_nothin
     first = replace(poor, chosen=poor.first.fits[0]) if named else poor
     made = searches(monkeypatch, first=first, second=poor)
     monkeypatch.setattr(attribution, "_left", lambda problem, found: (share, floors))
-    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    monkeypatch.setattr(attribution, "gains_share", lambda *a: True)
     attribute(problem)
     assert made == [False, True][: 1 + again]
 
@@ -84,7 +84,7 @@ def test_where_nothing_was_named_episodes_are_counted_again_by_what_was_simulate
     first = replace(poor, chosen=poor.first.fits[0]) if named else poor
     made = searches(monkeypatch, first=first, second=poor)
     monkeypatch.setattr(attribution, "_left", lambda problem, found: (0.9, 0.6))
-    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    monkeypatch.setattr(attribution, "gains_share", lambda *a: True)
     found = ("one value", SimpleNamespace(score="another floor"))
     monkeypatch.setattr(attribution, "recentred", lambda problem, *a: found if problem.simulated else None)
     after = attribute(problem)
@@ -92,9 +92,44 @@ def test_where_nothing_was_named_episodes_are_counted_again_by_what_was_simulate
     assert after is first if named else (after.chosen, after.remains) == ("one value", False)
 
 
+@pytest.mark.parametrize("hidden", [True, False])
+def test_where_little_is_explained_effects_are_also_simulated_without_what_was_named(
+    problem, poor, monkeypatch, hidden
+):
+    """Beside a wrong cause a true one may gain nothing; alone it counts if it leaves less than what was named does."""
+    wrong = candidate("joint_dry_friction", problem.replayer.scene, "elbow")
+    named = SimpleNamespace(members=((wrong, np.full(1, 0.01)),))
+    first = replace(poor, chosen=named, first=replace(poor.first, fits=(named,)))
+    asked = []
+
+    def gains_share(deeper, here, found, held, now):
+        asked.append((len(held), deeper.simulated, float(problem.score.loss(here).mean()), now is here))
+        return real(deeper, here, found, held, now) if not held else not hidden
+
+    real = attribution.gains_share
+    made = searches(monkeypatch, first=first, second=poor)
+    monkeypatch.setattr(attribution, "_left", lambda problem, found: (0.9, 0.6))
+    monkeypatch.setattr(attribution, "recentred", lambda problem, *a: None)
+    monkeypatch.setattr(attribution, "gains_share", gains_share)
+    attribute(problem)
+    beside = float(problem.score.loss(problem.residuals([problem.setting(named.members)])[0]).mean())
+    alone = float(problem.score.loss(problem.nominal).mean())
+    ways = [(1, True, pytest.approx(beside), True), (0, True, pytest.approx(alone), False)]
+    assert asked == ways[: 1 + hidden]
+    assert made == [False, True], "joints that are dry are seen without what was named"
+
+
+def test_a_share_that_is_gained_counts_from_what_was_named(problem, planted):
+    dry = candidate("joint_dry_friction", problem.replayer.scene)
+    deeper = shortlist.looked_into(problem, problem.nominal)
+    assert shortlist.gains_share(deeper, problem.nominal, [dry], ())
+    (truth,) = problem.residuals([planted("joint_dry_friction", frictionloss_Nm=0.3)])
+    assert not shortlist.gains_share(deeper, problem.nominal, [dry], (), truth)
+
+
 def test_what_only_the_most_telling_episodes_promise_is_not_searched_among(problem, poor, monkeypatch):
     made = searches(monkeypatch, first=poor, second=poor)
-    monkeypatch.setattr(attribution, "gains_share", lambda problem, here, found, held: True)
+    monkeypatch.setattr(attribution, "gains_share", lambda *a: True)
     monkeypatch.setattr(attribution, "recentred", lambda problem, first, chosen: None)
     promised = attribution.WORTH * float((poor.first.base - 1).mean())
     for gain, again in ((0.9 * promised, False), (1.1 * promised, True)):
