@@ -66,7 +66,8 @@ def attribute(problem: Problem) -> Attribution:
     the episodes are counted that one value explains, and where contact is chaos one of a set may stand for it. What was
     named and explains less than half may hide the true cause: without it all is simulated too. (Of fingertips that
     bounced, damping 0.3 times as strong, a friction of one was named for a seventh of the gap; alone, 0.32 left 1.1
-    floors, where nulls reach 1.5, and beside that friction nothing showed.) Where one force explains clearly more than what is found, no more is looked for.
+    floors, where nulls reach 1.5, and beside that friction nothing showed.) Where one force explains clearly more than
+    what is found, no more is looked for.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
