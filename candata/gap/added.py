@@ -8,7 +8,6 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect
 from candata.gap.candidates import Candidate
 from candata.gap.pace import TOGETHER
 from candata.gap.refine import WIDTHS, joint
@@ -219,29 +218,24 @@ def lightly(problem: Problem, sets: Sequence[Members]) -> list[tuple[float, Memb
     Of a setting whose values have an order, such as a time step, the values on either side of the scene's own come
     first, then farther ones where that leaves less, while it does: what such a setting does grows with it.
     """
-    base = problem.score.loss(problem.nominal)
-
-    def fit(members: Members) -> tuple[float, Members]:
-        found = joint(problem, members, base, widths=())
-        return float(problem.score.loss(found.plane.z).mean()), found.members
-
     done = []
     for near, far in _outwards(sets):
-        first = [fit(members) for members in near]
+        first = [lightly_fitted(problem, members) for members in near]
         done += first
         side = int(np.argmin([loss for loss, _ in first]))
         best = first[side][0]
         for members in far[side]:
-            done.append(fit(members))
+            done.append(lightly_fitted(problem, members))
             if done[-1][0] >= best:
                 break
             best = done[-1][0]
     return sorted(done, key=lambda pair: pair[0])
 
 
-def _is_ordered(c: Candidate) -> bool:
-    """Tell whether an effect is a choice among values that have an order."""
-    return effect(c.name).parameters[0].enumerated
+def lightly_fitted(problem: Problem, members: Members, widths: Sequence[float] = ()) -> tuple[float, Members]:
+    """Return the loss that a set leaves where it is fitted, by signatures if no widths are given, and the set there."""
+    fit = joint(problem, members, problem.score.loss(problem.nominal), widths)
+    return float(problem.score.loss(fit.plane.z).mean()), fit.members
 
 
 def _outwards(sets: Sequence[Members]) -> list[tuple[list[Members], list[list[Members]]]]:
@@ -250,8 +244,8 @@ def _outwards(sets: Sequence[Members]) -> list[tuple[list[Members], list[list[Me
     """
     groups: dict[tuple[tuple[str, bytes], ...], list[tuple[float, Members]]] = {}
     for i, members in enumerate(sets):
-        away = [float((u - c.neutral)[0]) for c, u in members if _is_ordered(c)]
-        same = tuple((c.label, u.tobytes() if c.choices and not _is_ordered(c) else b"") for c, u in members)
+        away = [float((u - c.neutral)[0]) for c, u in members if c.is_ordered]
+        same = tuple((c.label, u.tobytes() if c.choices and not c.is_ordered else b"") for c, u in members)
         groups.setdefault(same if away else ((str(i), b""),), []).append((sum(away), members))
     out = []
     for some in groups.values():

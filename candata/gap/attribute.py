@@ -9,7 +9,7 @@ from candata.gap.fewer import merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
-from candata.gap.search import Fit, Problem
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
 from candata.gap.shortlist import WORTH, gains_share, looked_into
 from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
@@ -86,16 +86,10 @@ def attribute(problem: Problem) -> Attribution:
     if uneven or little or not found.remains:
         return uneven or found
     problem.pace.say("simulating every effect on the recording itself", AGAIN)
-    best = found.first.fits[0].members if found.chosen else ()
-    now = problem.residuals([problem.setting(found.chosen.members if found.chosen else ())])[0]
-    for held in (best, ()) if best else (best,):
-        here = problem.residuals([problem.setting(held)])[0]
-        deeper = looked_into(problem, here)
-        if gains_share(deeper, here, unheld(deeper, held), held, here if held else now):
-            break
-    else:
+    seeing = _looked_into(problem, found)
+    if seeing is None:
         return found
-    problem = deeper
+    problem, held = seeing
     first = look(problem, problem.nominal, (), found.first)
     if not found.chosen and first.best_gain < WORTH * float((first.base - 1).mean()):
         # What the few most telling episodes promised, the others do not keep.
@@ -109,6 +103,22 @@ def attribute(problem: Problem) -> Attribution:
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
+
+
+def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members] | None:
+    """Return the problem in which all is simulated on the recording, and what was held where an effect promised enough.
+
+    Asked beside the best effect where something was named, and then without it; None where neither promises a share of
+    what is left.
+    """
+    best = found.first.fits[0].members if found.chosen else ()
+    left = problem.residuals([problem.setting(found.chosen.members if found.chosen else ())])[0]
+    for held in [best, ()] if best else [best]:
+        here = problem.residuals([problem.setting(held)])[0]
+        deeper = looked_into(problem, here)
+        if gains_share(deeper, here, unheld(deeper, held), held, here if held else left):
+            return deeper, held
+    return None
 
 
 def _uneven(first: Stage, found: tuple[Fit, Problem] | None) -> Attribution | None:

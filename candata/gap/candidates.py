@@ -61,6 +61,11 @@ class Candidate:
         """Number of coordinates d."""
         return len(self.neutral)
 
+    @property
+    def is_ordered(self) -> bool:
+        """Whether it is a choice among values that have an order, as a time step."""
+        return effect(self.name).parameters[0].enumerated
+
     def is_neutral(self, u: Array) -> bool:
         """Tell whether `u (d,)` is the absence of the effect."""
         return bool(np.allclose(u, self.neutral, atol=1e-9))

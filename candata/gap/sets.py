@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import ADDED, ALIKE, here_of, lightly, pieces_of, residuals_at, together
+from candata.gap.added import ADDED, ALIKE, here_of, lightly, lightly_fitted, pieces_of, residuals_at, together
 from candata.gap.candidates import Candidate
 from candata.gap.elsewhere import moved
 from candata.gap.mending import Doubt
@@ -194,9 +194,10 @@ def _moving(part: Problem, front: Sequence[Members], now: float, sums: Sequence[
     """
     best = {one.members[-1][0].label: one for one in reversed(sums) if one.loss < now}
     first = sorted(best.values(), key=lambda one: one.loss)[:ADDED]
-    losses, moved = _lightly(part, [*front, *(one.members for one in first)])
+    losses = [lightly_fitted(part, members)[0] for members in front]
+    pairs = [*zip(losses, front, strict=True), *(lightly_fitted(part, one.members) for one in first)]
     begun: dict[str, tuple[float, Members]] = {}
-    for loss, members in zip(losses, [*front, *moved[len(front) :]], strict=True):
+    for loss, members in pairs:
         label = members[-1][0].label
         if label not in begun or loss < begun[label][0]:
             begun[label] = loss, members
@@ -204,13 +205,6 @@ def _moving(part: Problem, front: Sequence[Members], now: float, sums: Sequence[
     near = passed[0][0] + ALIKE * max(now - passed[0][0], 0.0) if passed else now
     others = [pair for pair in sorted(begun.values(), key=lambda pair: pair[0]) if pair[0] < near]
     return [members for _, members in (*passed, *others[:RIVALS])]
-
-
-def _lightly(part: Problem, sets: Sequence[Members], widths: Sequence[float] = ()) -> tuple[list[float], list[Members]]:
-    """Return what sets leave of a few episodes where they are fitted lightly, and where that is."""
-    base = part.score.loss(part.nominal)
-    fits = [joint(part, members, base, widths) for members in sets]
-    return [float(part.score.loss(f.plane.z).mean()) for f in fits], [f.members for f in fits]
 
 
 def _along(problem: Problem, best: Fit, part: Problem, now: float, sums: Sequence[Sum]) -> Fit | None:
@@ -224,10 +218,10 @@ def _along(problem: Problem, best: Fit, part: Problem, now: float, sums: Sequenc
     `now` and `sums` are those of `_moved_along`, on the episodes of `part`.
     """
     tried = [one for i, one in enumerate(sums) if (i < ADDED and one.loss < now) or one.members[-1][0].choices]
-    light = lightly(part, [one.members for one in tried])
-    choices = {members[-1][0].name: members for _, members in reversed(light) if members[-1][0].choices}
-    others = [pair for pair in light if pair[1] is not choices.get(pair[1][-1][0].name)]
-    sharper = zip(*_lightly(part, list(choices.values()), WIDTHS[:1]), strict=True)
+    fitted = lightly(part, [one.members for one in tried])
+    choices = {members[-1][0].name: members for _, members in reversed(fitted) if members[-1][0].choices}
+    others = [pair for pair in fitted if pair[1] is not choices.get(pair[1][-1][0].name)]
+    sharper = [lightly_fitted(part, members, WIDTHS[:1]) for members in choices.values()]
     front = sorted((*others, *sharper), key=lambda pair: pair[0])[: 1 + RIVALS]
     base = problem.score.loss(problem.nominal)
     grown = [joint(problem, members, base, widths=()) for loss, members in front if loss < now]

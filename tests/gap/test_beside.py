@@ -190,11 +190,11 @@ def test_a_choice_that_is_fitted_again_takes_no_other_effects_place(late, arm, m
     sums = [Sum((*delay.members, (c, c.low)), 1.0) for c in (candidate(name, arm) for name in loss)]
     tried = []
 
-    def sharper(part, sets, widths=()):
-        return [loss[m[-1][0].name] - 0.1 * len(widths) for m in sets], list(sets)
+    def light(part, members, widths=()):
+        return loss[members[-1][0].name] - 0.1 * len(widths), members
 
-    monkeypatch.setattr(sets, "lightly", lambda part, sets: [(loss[m[-1][0].name], m) for m in sets])
-    monkeypatch.setattr(sets, "_lightly", sharper)
+    monkeypatch.setattr(sets, "lightly", lambda part, sets: [light(part, members) for members in sets])
+    monkeypatch.setattr(sets, "lightly_fitted", light)
     monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: tried.append(members[-1][0].name) or delay)
     sets._along(problem, delay, problem, 2.0, sums)
     assert tried == list(loss)
