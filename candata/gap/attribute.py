@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import merged, simplified, widened
@@ -46,6 +46,8 @@ class Attribution:
         Sets with one member of the chosen one exchanged that the held-out episodes cannot tell from it.
     force : Mended or None
         A force that explains clearly more than what was found, where that ended the search.
+    doubt : Doubt or None
+        What one force closes in the place of effects; None of tosses.
     """
 
     first: Stage
@@ -55,6 +57,7 @@ class Attribution:
     remains: bool
     rivals: tuple[Fit, ...] = ()
     force: Mended | None = None
+    doubt: Doubt | None = None
 
 
 def attribute(problem: Problem) -> Attribution:
@@ -71,6 +74,11 @@ def attribute(problem: Problem) -> Attribution:
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
+    return replace(_attributed(problem, doubt), doubt=doubt)
+
+
+def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
+    """Return what the searches find, one after another where they leave much."""
     found = _search(problem, look(problem, problem.nominal, ()), doubt)
     if found.force:
         return found
@@ -108,12 +116,14 @@ def attribute(problem: Problem) -> Attribution:
 def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members] | None:
     """Return the problem in which all is simulated on the recording, and what was held where an effect promised enough.
 
-    Asked beside the best effect where something was named, and then without it; None where neither promises a share of
-    what is left.
+    Asked beside the best effect where something was named, and then without it, if it explains enough to hide another;
+    None where neither promises a share of what is left.
     """
-    best = found.first.fits[0].members if found.chosen else ()
+    first = found.first.fits[0] if found.chosen else None
+    best = first.members if first else ()
+    hides = first is not None and first.gain > WORTH * float((found.first.base - 1).mean())
     left = problem.residuals([problem.setting(found.chosen.members if found.chosen else ())])[0]
-    for held in [best, ()] if best else [best]:
+    for held in [best, ()] if hides else [best]:
         here = problem.residuals([problem.setting(held)])[0]
         deeper = looked_into(problem, here)
         if gains_share(deeper, here, unheld(deeper, held), held, here if held else left):

@@ -27,7 +27,7 @@ from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
 from candata.gap.starts import is_toss
-from candata.gap.unknown import Described, describe, described, outdoing, unseating
+from candata.gap.unknown import Described, describe, described, least_of, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -139,8 +139,9 @@ def _unseated(
         return described(f.found.force, (), where, nearest)
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
-    problem, chosen = _judged(f), f.found.chosen
-    force = cache(lambda: mended(problem, (), rng))
+    problem, chosen, doubt = _judged(f), f.found.chosen, f.found.doubt
+    least = least_of(size)
+    force = cache(lambda: mended(problem, (), rng) if doubt is None or doubt.may_close(least) else None)
     found = unseating(force, size, where, nearest)
     if found or chosen is None or is_toss(f.scene):
         return found
@@ -155,8 +156,10 @@ def _rest(
         return None
     fits = f.found.first.fits
     nearest = fits[0].labels[0] if fits and word == "unknown_effect" else None
-    problem = _judged(f) if repaired else f.problem
-    return describe(problem, repaired, left, nearest, rng)
+    if repaired or f.found.doubt is None:
+        return describe(_judged(f) if repaired else f.problem, repaired, left, nearest, rng)
+    found = f.found.doubt.force()
+    return described(found, (), left, nearest) if found else None
 
 
 def lasting(name: str) -> str:

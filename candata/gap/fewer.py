@@ -12,7 +12,7 @@ from candata.gap.added import ADDED, by_loss, residuals_at
 from candata.gap.candidates import Candidate, is_on_slides
 from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.own_floor import Grown, judged
-from candata.gap.refine import joint
+from candata.gap.refine import WIDTHS, joint
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief
@@ -56,7 +56,7 @@ def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
     base = problem.score.loss(problem.nominal)
     if len(best.members) > LARGEST:
         fewer = _thinned(problem, best, best, spare, base)
-        return joint(problem, fewer.members, base) if fewer else None
+        return joint(problem, fewer.members, base, WIDTHS[1:]) if fewer else None
     found = sharp(problem, [without(best, (left,)) for left in spare[: 1 + RIVALS]])
     return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
 

@@ -54,6 +54,9 @@ SETTLED = 0.5
 ROUGHLY = 0.7
 #: Share of the best gain that the next best effect must have to be tried in its place, with a third. Chosen.
 NEXT = 0.5
+#: Share of what a set gains that it must leave for others to be tried in place of what was found early; what is near is
+#: tried at the end, too. Chosen: where a tenth was left, it changed nothing.
+RETRIED = 0.1
 #: Times what a name is worth that slopes may promise members to be worth, for the others to be fitted without them.
 #: Chosen: slopes of what makes up for one another promise too much.
 HOPELESS = 4.0
@@ -101,7 +104,7 @@ def forward(
                 fitted = jointly(world, best)
                 if fitted[0] is not best or not fitted[-1]:
                     return fitted
-            if has_room(best):
+            if left_by(best) > RETRIED * best.gain:
                 world.pace.told("trying other effects in place of what was found early")
                 grown = _swapped(world, best) or moved(world, best)
                 grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
@@ -159,7 +162,7 @@ def _next(problem: Problem, best: Fit, seems: bool = True, doubt: Doubt | None =
         return sharp(problem, front)
     some = brief(seen)
     now, sums = _moved_along(problem, best, as_simulated(seen, stage), some)
-    found = sharp(problem, _moving(some[0], front, now, sums))
+    found = sharp(problem, _moving(some[0], front, now, sums), best)
     if found is not None and is_next(best, found, problem.recs.tasks):
         return found
     return _along(problem, best, some[0], now, sums) or found
@@ -237,7 +240,7 @@ def _sharper(problem: Problem, best: Fit, grown: Fit) -> Fit | None:
     before = float(problem.score.loss(here_of(problem, best)).mean())
     if float(problem.score.loss(residuals_at(problem, own)).mean()) >= before:
         return None
-    found = joint(problem, own, problem.score.loss(problem.nominal))
+    found = joint(problem, own, problem.score.loss(problem.nominal), WIDTHS[1:])
     return found if found.gain > best.gain else None
 
 

@@ -7,6 +7,7 @@ stay are refitted freely.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,10 +34,13 @@ NEARLY = 0.9
 #: which one is dropped whose slopes promise so little, without a simulation. (Of 42 members of one joint fit, slopes
 #: told all that were worth more than 0.05 of the gain; simulations deal the others 0.01 to 0.06 floors of luck each.)
 LEAST, SURE, HARDLY = 0.02, 1.64, 0.01
+#: How many times as much a member must be worth as to be kept for it not to be asked again once others are left out.
+#: Chosen.
+SURELY = 3.0
 
 
 def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit | None:
-    """Return the joint fit of few effects around `start`; None where no step from it helps enough.
+    """Return the joint fit of few effects around `start`; None where no step from it helps enough, or no other stays.
 
     Parameters
     ----------
@@ -67,8 +71,12 @@ def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit
         return None
     # What is worth nothing shows by slopes over one width: no sharp fit is made of it.
     rough = joint(problem, kept, base, WIDTHS[:1])
-    found = pruned(problem, rough, base)
-    return pruned(problem, joint(problem, kept, base, WIDTHS[1:]), base) if found is rough else found
+    found = thinned(problem, rough, base)
+    if found is rough:
+        return pruned(problem, joint(problem, kept, base, WIDTHS[1:]), base)
+    if set(found.labels) <= set(start.labels) and found.gain <= start.gain:
+        return None
+    return _sharp(problem, found, base, WIDTHS[1:])
 
 
 def _everything(problem: Problem, start: Fit) -> Members:
@@ -155,17 +163,29 @@ def _descent(a: Array, b: Array, penalty: Array, bounds: tuple[Array, Array], st
     return np.array(t)
 
 
-def pruned(problem: Problem, fit: Fit, base: Array) -> Fit:
-    """Return the fit without the members that are worth nothing, the others refitted, until all are worth something."""
-    kept = _worthy(problem, fit, base)
-    if len(kept) == len(fit.members):
-        return fit
+def pruned(problem: Problem, fit: Fit, base: Array, widths: Sequence[float] = WIDTHS[1:]) -> Fit:
+    """Return the fit without the members that are worth nothing, the others fitted sharply, until all are worth it.
+
+    Where members are left out, slopes go on from the first of the `widths`.
+    """
+    light = thinned(problem, fit, base)
+    return fit if light is fit else _sharp(problem, light, base, widths)
+
+
+def _sharp(problem: Problem, light: Fit, base: Array, widths: Sequence[float]) -> Fit:
+    """Return a light fit fitted sharply: there, a member may be worth nothing that was worth a little before."""
+    fit = joint(problem, light.members, base, widths)
+    return fit if len(_likely(problem, fit, base)) == len(fit.members) else pruned(problem, fit, base, WIDTHS[-1:])
+
+
+def thinned(problem: Problem, fit: Fit, base: Array) -> Fit:
+    """Return the fit without the members that are worth nothing, the others fitted lightly; itself where none is."""
+    kept, sure = _worthy(problem, fit, base)
     while len(kept) < len(fit.members):
         fit = joint(problem, kept, base, widths=())
-        kept = _worthy(problem, fit, base)
-    fit = joint(problem, kept, base)
-    # At its sharpest, a member may be worth nothing that was worth a little before.
-    return fit if len(_likely(problem, fit, base)) == len(kept) else pruned(problem, fit, base)
+        kept, more = _worthy(problem, fit, base, sure)
+        sure |= more
+    return fit
 
 
 def _likely(problem: Problem, fit: Fit, base: Array) -> Members:
@@ -176,19 +196,26 @@ def _likely(problem: Problem, fit: Fit, base: Array) -> Members:
     return tuple(m for m, rise in zip(fit.members, promised, strict=True) if m[0].choices or rise > least)
 
 
-def _worthy(problem: Problem, fit: Fit, base: Array) -> Members:
+def _worthy(
+    problem: Problem, fit: Fit, base: Array, sure: frozenset[str] = frozenset()
+) -> tuple[Members, frozenset[str]]:
     """Return the members that slopes promise something of, or, where those are all, that simulations say are worth it.
 
-    All of them where none is.
+    All of them where none is. With them come the labels of those worth so much that they are not asked again once
+    others are left out, which are `sure` from then on.
     """
     likely = _likely(problem, fit, base)
     if 0 < len(likely) < len(fit.members):
-        return likely
+        return likely, frozenset()
     losses = problem.score.loss(fit.plane.z)
     gain = float((base - losses).mean())
-    rises = [problem.score.loss(z) - losses for z in problem.without_each(fit.members)]
-    kept = tuple(m for m, rise in zip(fit.members, rises, strict=True) if m[0].choices or _is_worth(rise, gain))
-    return kept or fit.members
+    asked = tuple(m for m in fit.members if m[0].label not in sure and not m[0].choices)
+    without = problem.residuals([problem.setting([m for m in fit.members if m is not left]) for left in asked])
+    rises = [problem.score.loss(z) - losses for z in without]
+    idle = [m for m, rise in zip(asked, rises, strict=True) if not _is_worth(rise, gain)]
+    more = [m[0].label for m, rise in zip(asked, rises, strict=True) if _is_worth(rise / SURELY, gain)]
+    kept = tuple(m for m in fit.members if all(m is not one for one in idle))
+    return kept or fit.members, frozenset(more)
 
 
 def _is_worth(rise: Array, gain: float) -> bool:

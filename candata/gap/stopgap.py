@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from candata.gap.folds import rest
 from candata.gap.replay import EffectSet, replay_all
 from candata.gap.residuals import residual
 from candata.gap.search import Problem
+from candata.gap.shortlist import taken
 from candata.gap.suspects import Suspect, tip_terms
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -61,7 +62,13 @@ class Stopgap:
         return closed if self.scale else min(closed, 0.0)
 
 
-def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stopgap:
+def stopgap(
+    problem: Problem,
+    world: EffectSet,
+    nominal: dict[str, Array],
+    some: Sequence[Suspect],
+    index: Index | None = None,
+) -> Stopgap:
     """Return the forces of suspects as a stop-gap, with what it closes on held-out episodes.
 
     Which terms there are was chosen on all episodes; their coefficients and their size come from the other folds.
@@ -72,11 +79,19 @@ def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stop
         Episodes, folds and score.
     world : tuple of EffectSetting
         What the simulator holds already.
+    nominal : dict of str to (E, T, ...) float64
+        What sensors read in that world, replayed.
     some : sequence of Suspect
         One, or several of a kind: fingertips, or what forces act on.
+    index : (P,) int64, optional
+        Episodes that it is played on, at least one of each fold; all when not given.
     """
+    index = np.arange(len(problem.recs)) if index is None else index
+    part = replace(taken(problem, index), parts=[np.flatnonzero(np.isin(index, fold)) for fold in problem.parts])
+    trains = [rest(problem.parts, fold) for fold in range(len(problem.parts))]
+    before = {name: values[index] for name, values in nominal.items()}
     if some[0].place == "fingertip":
-        return _reading(problem, world, some)
+        return _reading(part, before, some, trains)
     scene = problem.replayer.scene
 
     def settings(scale: float, train: Index | None = None) -> EffectSet:
@@ -84,26 +99,22 @@ def stopgap(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stop
         fits = [s.found.coefficients if train is None else fitted(s.sample, s.found.terms, train) for s in some]
         return tuple(_setting(scene, s, scale * fit) for s, fit in zip(some, fits, strict=True))
 
-    variants = [(*world, *settings(scale)) for scale in SCALES]
-    readings = replay_all(problem.replayer, problem.recs, problem.begin, [world, *variants])
-    losses = np.stack([_judged(problem, r)[0] for r in readings])
-    before = _judged(problem, readings[0])[1]
-    after = {name: values.copy() for name, values in readings[0].items()}
-    for fold, test in enumerate(problem.parts):
-        train = rest(problem.parts, fold)
-        own = settings(_best_scale(losses[:, train].mean(1)), train)
-        played = replay_all(problem.replayer, problem.recs.take(test), problem.begin.take(test), [(*world, *own)])[0]
+    readings = replay_all(part.replayer, part.recs, part.begin, [(*world, *settings(scale)) for scale in SCALES])
+    losses = np.stack([_judged(part, r)[0] for r in (before, *readings)])
+    after = {name: values.copy() for name, values in before.items()}
+    for fold, (test, train) in enumerate(zip(part.parts, trains, strict=True)):
+        own = settings(_best_scale(losses[:, rest(part.parts, fold)].mean(1)), train)
+        played = replay_all(part.replayer, part.recs.take(test), part.begin.take(test), [(*world, *own)])[0]
         for name, values in played.items():
             after[name][test] = values
     scale = _best_scale(losses.mean(1))
-    loss, size = _judged(problem, after)
-    return Stopgap(tuple(some), scale, settings(scale), loss, size, before)
+    loss, size = _judged(part, after)
+    return Stopgap(tuple(some), scale, settings(scale), loss, size, _judged(part, before)[1])
 
 
-def _reading(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Stopgap:
-    """Return a correction of what fingertips read, with what it closes on held-out episodes."""
+def _reading(problem: Problem, before: dict[str, Array], some: Sequence[Suspect], trains: Sequence[Index]) -> Stopgap:
+    """Return a correction of what fingertips read, with what it closes on held-out episodes; fitted to `trains`."""
     scene = problem.replayer.scene
-    before = replay_all(problem.replayer, problem.recs, problem.begin, [world])[0]
     tips = [scene.file.fingertips.index(s.element) for s in some]
     felt = np.nan_to_num(before["fingertip_force"])
     terms = [tip_terms(scene, felt[:, :, tip])[..., list(s.found.terms)] for tip, s in zip(tips, some, strict=True)]
@@ -119,9 +130,9 @@ def _reading(problem: Problem, world: EffectSet, some: Sequence[Suspect]) -> Sto
     folds = len(problem.parts)
     whole = [s.found.coefficients for s in some]
     losses = np.stack([corrected([s] * folds, [whole] * folds)[0] for s in (0.0, *SCALES)])
-    trains = [rest(problem.parts, fold) for fold in range(folds)]
     fits = [[fitted(s.sample, s.found.terms, train) for s in some] for train in trains]
-    loss, size = corrected([_best_scale(losses[:, train].mean(1)) for train in trains], fits)
+    scales = [_best_scale(losses[:, rest(problem.parts, fold)].mean(1)) for fold in range(folds)]
+    loss, size = corrected(scales, fits)
     return Stopgap(tuple(some), _best_scale(losses.mean(1)), (), loss, size, _judged(problem, before)[1])
 
 

@@ -15,8 +15,11 @@ from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, standard_error
 from candata.gap.worth import (
+    EXTRA,
+    FAINT,
     LARGEST,
     LEFT,
+    MOST,
     MUCH,
     TAKEN,
     extra_of,
@@ -35,19 +38,32 @@ MANY = 8
 #: Standard errors by which an effect alone must gain to be tried in a pair. (Of one split of cube tosses, inertia and
 #: compliance are worth 0.7 floors together and nothing alone, beside the friction cone.)
 SURELY = 2.0
-#: Share of what another effect must take that a set must take of a few episodes to be fitted on all. Chosen: of two
-#: causes in no library such sets took a hundredth of what was left, for 15 and 24 CPU s.
+#: Share of what another effect must take that a set must take of a few episodes to be fitted on all, and lightly fitted
+#: to be fitted sharply. Chosen: of two causes in no library such sets took a hundredth of what was left, for 15 and 24
+#: CPU s.
 PROMISING = 0.5
 #: Where two that do much alike begin: at half of what each is alone. Chosen.
 HALF = 0.5
 
 
-def sharp(problem: Problem, sets: Sequence[Members]) -> Fit | None:
-    """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none."""
+def sharp(problem: Problem, sets: Sequence[Members], beside: Fit | None = None) -> Fit | None:
+    """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none.
+
+    Where they are what is found with more `beside` it, only those are that take a part of what is left already.
+    """
     base = problem.score.loss(problem.nominal)
-    if len(sets) == 1:
+    if beside is None and len(sets) == 1:
         return joint(problem, sets[0], base)
-    return sharpest(problem, [joint(problem, members, base, widths=()) for members in sets])
+    light = [joint(problem, members, base, widths=()) for members in sets]
+    return sharpest(problem, [f for f in light if beside is None or promises_more(beside, f)])
+
+
+def promises_more(best: Fit, grown: Fit) -> bool:
+    """Tell whether more effects, lightly fitted, take a part of what a name must: a sharp fit may find the rest."""
+    left = left_by(best)
+    enough = max(EXTRA * best.gain, TAKEN * min(left, MUCH) if left > LEFT else 0.0)
+    least = min(enough, max(FAINT, MOST * left))
+    return float(extra_of(best, grown).mean()) > PROMISING * least
 
 
 def sharpest(problem: Problem, light: Sequence[Fit]) -> Fit | None:
@@ -84,7 +100,7 @@ def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     part, index = brief(problem)
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [begun(part, best.members, pair) for pair in pairs]
-    found = sharp(problem, [members for loss, members in sets if loss < now])
+    found = sharp(problem, [members for loss, members in sets if loss < now], best)
     if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
         return None
     return found

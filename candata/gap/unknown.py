@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.locate import LEVEL, acts_on, slides
 from candata.gap.mending import CLEARLY, Mended, mended
-from candata.gap.replay import EffectSet
+from candata.gap.replay import EffectSet, replay_all
 from candata.gap.search import Problem
 from candata.gap.shrink import trust
 from candata.gap.stage import standard_error
@@ -81,7 +81,8 @@ def described(found: Mended, world: EffectSet, where: Sequence[Symptom], nearest
         there = [s for s in found.suspects if s.place == place]
         if not there:
             return None
-        best = stopgap(some, world, there[:1])
+        nominal = replay_all(some.replayer, some.recs, some.begin, [world])[0]
+        best = stopgap(some, world, nominal, there[:1])
     return Described(_unknown(some, best, where, nearest), best.settings if best.closed > 0 else ())
 
 
@@ -107,6 +108,12 @@ def unseating(force: Force, size: Gap, where: Sequence[Symptom], nearest: str) -
     alone = force()
     found = described(alone, (), where, nearest) if alone else None
     return found if found and (found.unknown.closable or 0.0) > (size.closed or 0.0) + CLEARLY else None
+
+
+def least_of(size: Gap) -> float:
+    """Return the least share of the gap that a force must close for `unseating` or `outdoing` to take it."""
+    closed = size.closed or 0.0
+    return min(closed + CLEARLY, 1 - HALF * (1 - closed))
 
 
 def outdoing(

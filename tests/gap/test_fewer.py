@@ -13,7 +13,7 @@ from candata.gap.candidates import candidate, local_candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
-from candata.gap.refine import around, divided, joint
+from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
 from candata.gap.worth import is_next
@@ -133,16 +133,16 @@ def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, two_causes, monkey
     fit = blunt_fit(problem, (*named, *others))
     made = []
 
-    def counted(problem, some, base, **widths):
+    def counted(problem, some, base, widths=WIDTHS):
         made.append(([c.name for c, _ in some], widths))
-        return joint(problem, some, base, **widths)
+        return joint(problem, some, base, widths)
 
     monkeypatch.setattr(fewer, "joint", counted)
     monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: others if best is fit else ())
     found, _, _ = fewer.simplified(problem, fit, True)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
     few = ["joint_dry_friction", "actuation_delay"]
-    assert made == [(few, {"widths": ()}), (few, {})]
+    assert made == [(few, ()), (few, WIDTHS[1:])]
 
 
 def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, two_causes, monkeypatch):
@@ -151,9 +151,9 @@ def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, tw
     others = members(arm, joint_damping=0.01, armature=1e-4, servo_damping=0.01)
     made = []
 
-    def counted(problem, some, base, **widths):
+    def counted(problem, some, base, widths=WIDTHS):
         made.append((len(some), widths))
-        return joint(problem, some, base, **widths)
+        return joint(problem, some, base, widths)
 
     def first_spare(problem, best, free):
         return tuple(m for m in best.members if m[0].name in {c.name for c, _ in others})[:1]
@@ -162,7 +162,7 @@ def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, tw
     monkeypatch.setattr(fewer, "_spare", first_spare)
     fit = blunt_fit(problem, (*named, *others))
     found = fewer._without_some(problem, fit, first_spare(problem, fit, ()))
-    assert made == [(4, {"widths": ()}), (3, {"widths": ()}), (3, {})]
+    assert made == [(4, ()), (3, ()), (3, WIDTHS[1:])]
     assert {"joint_dry_friction", "actuation_delay"} <= set(found.labels)
 
 

@@ -121,6 +121,26 @@ def test_what_was_named_before_counts_where_less_is_named_later(cogs, named):
     assert doubt.stands is None
 
 
+def test_it_is_not_played_where_names_leave_it_no_room(cogs, named, monkeypatch):
+    """What names leave must be more than what a force has to close beyond them."""
+    monkeypatch.setattr(mending, "mended", lambda *a: pytest.fail("it is played"))
+    assert not Doubt(cogs, rng()).of(cogs, named.plane.z * np.float32(0.01))
+
+
+def test_what_mends_little_of_a_few_episodes_may_close_no_more_of_all(cogs, monkeypatch):
+    played = []
+
+    def half(problem, world, rng):
+        played.append(len(problem.recs))
+        return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="fingertip")]))
+
+    monkeypatch.setattr(mending, "mended", half)
+    doubt = Doubt(cogs, rng())
+    assert (doubt.may_close(0.6), doubt.may_close(0.7)) == (True, False)
+    assert doubt.force() is doubt.force()
+    assert played == [6, 12]
+
+
 def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
     """A world in which all is ten times as uncertain closes no more of the gap."""
     calm = replace(cogs, score=replace(cogs.score, sigma=10 * cogs.score.sigma))
@@ -130,6 +150,7 @@ def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
 
 def test_with_more_motions_than_episodes_are_looked_at_one_of_each_is(cogs):
     index, parts = np.arange(30) % 12, [np.array([i]) for i in range(30)]
-    taken = {name: getattr(cogs, name).take(index) for name in ("recs", "begin", "plan", "score")}
+    taken = {name: getattr(cogs, name).take(index) for name in ("recs", "begin", "plan", "score", "library")}
+    taken |= {"before": {name: values[index] for name, values in cogs.before.items()}, "raw": cogs.raw[index]}
     some, which = mending._some(replace(cogs, parts=parts, **taken))
     assert len(some.recs) == len(which) == 30

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -61,6 +62,30 @@ def test_what_was_measured_stays(found, monkeypatch):
     (gain,) = [m for m in before.chosen.members if m[0].name == "servo_gain"]
     monkeypatch.setattr(sized, "intervals", reaching(servo_gain=9.0))
     assert sized.with_sizes(replace(problem, measured=(gain,)), before) is before
+
+
+@pytest.mark.parametrize(("both", "left_out"), [(1.1, 2), (1.5, 1)])
+def test_names_that_make_up_for_one_another_are_not_all_left_out(arm, monkeypatch, both, left_out):
+    """Each is worth a fiftieth beside the other, and together a quarter of the gap; or less than a fifth."""
+    losses = {frozenset(): 1.0, frozenset("a"): 1.04, frozenset("b"): 1.05, frozenset("ab"): both}
+
+    def residuals(sets):
+        return [np.full(1, losses.get(frozenset("abc") - frozenset(c.name for c, _ in some), 3.0)) for some in sets]
+
+    score = SimpleNamespace(loss=lambda z: z)
+    problem = SimpleNamespace(
+        score=score, nominal=np.full(1, 3.0), measured=(), residuals=residuals, setting=lambda some: some,
+        without_each=lambda some: residuals([[m for m in some if m is not left] for left in some]),
+    )  # fmt: skip
+    own = tuple(
+        (SimpleNamespace(name=name, label=name, choices=(), neutral=np.zeros(1), size=1), np.ones(1)) for name in "abc"
+    )
+    fit = SimpleNamespace(
+        members=own, plane=SimpleNamespace(z=np.full(1, 1.0)), split=lambda u: [(c, u[:1]) for c, _ in own]
+    )
+    monkeypatch.setattr(sized, "intervals", lambda problem, fit: (np.full(1, -9.0), np.full(1, 9.0)))
+    untold = sized._untold(problem, fit, (1 - sized.LITTLE) * sized._explained(problem, fit))
+    assert [c.name for c, _ in untold] == ["a", "b"][:left_out]
 
 
 def test_one_cause_tied_ones_and_none_stay(found, two_causes, arm):

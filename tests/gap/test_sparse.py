@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -51,9 +53,30 @@ def test_what_is_worth_nothing_is_left_out_before_the_sharp_fit(found, monkeypat
         return joint(problem, members, base, ())
 
     monkeypatch.setattr(module, "joint", counted)
-    monkeypatch.setattr(module, "_worthy", lambda problem, fit, base: fit.members[: 2 if spare else None])
+
+    def worthy(problem, fit, base, sure=frozenset()):
+        return fit.members[: 2 if spare else None], sure
+
+    monkeypatch.setattr(module, "_worthy", worthy)
     module.sparse(problem, start, base)
-    assert made == [WIDTHS[:1], (), WIDTHS] if spare else made == [WIDTHS[:1], WIDTHS[1:]]
+    assert made == [WIDTHS[:1], *([()] if spare else []), WIDTHS[1:]]
+
+
+def test_what_is_worth_much_is_not_asked_again_once_others_are_left_out(found, monkeypatch):
+    fit, _, base, problem = found
+    kept, sure = module._worthy(problem, fit, base)
+    assert kept == fit.members
+    assert "joint_damping" in sure, "most of the gap"
+    asked = []
+
+    def residuals(self, variants):
+        asked.extend(variants)
+        return [self.nominal for _ in variants]
+
+    monkeypatch.setattr(type(problem), "residuals", residuals)
+    again, _ = module._worthy(problem, fit, base, sure)
+    assert {c.label for c, _ in again} >= sure
+    assert len(asked) == len(fit.members) - len(sure)
 
 
 def test_the_set_closes_what_one_cause_could_not(found):
@@ -92,5 +115,23 @@ def test_a_member_that_slopes_promise_nothing_of_is_dropped_without_a_simulation
 
 def test_a_fit_that_cannot_reach_what_is_asked_ends_before_its_members_are_tried(found, monkeypatch):
     _, start, base, problem = found
-    monkeypatch.setattr("candata.gap.sparse.pruned", lambda *_: pytest.fail("its members are tried"))
+    monkeypatch.setattr(module, "thinned", lambda *_: pytest.fail("its members are tried"))
     assert sparse(problem, start, base, least=2 * float(base.mean())) is None
+
+
+@pytest.mark.parametrize(("better", "sharp"), [(9.0, False), (-9.0, True)])
+def test_where_no_other_name_stays_the_same_ones_are_fitted_sharply_only_if_they_explain_more(
+    found, monkeypatch, better, sharp
+):
+    _, start, base, problem = found
+    start = replace(start, evidence=replace(start.evidence, gain=start.evidence.gain + better))
+    monkeypatch.setattr(module, "_worthy", lambda problem, fit, base, sure=None: (fit.members[:1], frozenset()))
+    made = []
+
+    def counted(problem, members, base, widths=WIDTHS):
+        made.append(widths)
+        return joint(problem, members, base, ())
+
+    monkeypatch.setattr(module, "joint", counted)
+    after = sparse(problem, start, base)
+    assert (after is not None, made[2:]) == ((True, [WIDTHS[1:]]) if sharp else (False, []))

@@ -44,6 +44,35 @@ def test_rivals_that_stay_near_alone_are_fitted_on(arm, arm_episodes, planted, m
     assert trials.sharpest(problem, []) is None
 
 
+@pytest.mark.parametrize(
+    ("left", "gain", "extra", "promising"),
+    [
+        (1.0, 1.0, 0.08, True),  # an eighth of 0.6 floors
+        (1.0, 1.0, 0.07, False),
+        (0.1, 2.0, 0.03, True),  # half of what ends the search
+        (0.1, 2.0, 0.02, False),
+        (1.0, 9.0, 0.2, False),  # a name beside so much must be worth more
+    ],
+)
+def test_a_light_fit_that_takes_a_part_is_fitted_on(left, gain, extra, promising):
+    best = SimpleNamespace(gain=gain, evidence=SimpleNamespace(loss=np.full(12, 1 + left)))
+    grown = SimpleNamespace(evidence=SimpleNamespace(loss=np.full(12, 1 + left - extra)))
+    assert trials.promises_more(best, grown) is promising
+
+
+def test_what_promises_nothing_beside_a_set_is_not_fitted_sharply(arm, arm_episodes, planted, monkeypatch):
+    recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.4), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    best = joint(problem, ((candidate("servo_gain", arm), np.full(1, 0.01)),), base, widths=())
+    idle = [(*best.members, (candidate("armature", arm), np.full(1, 1e-5)))]
+    true = [(*best.members, (candidate("joint_damping", arm), np.full(1, 0.3)))]
+    assert trials.sharp(problem, true, best).labels == ("servo_gain", "joint_damping")
+    monkeypatch.setattr(trials, "promises_more", lambda *a: False)
+    assert trials.sharp(problem, true, best) is None
+    assert trials.sharp(problem, idle).labels == ("servo_gain", "armature")
+
+
 def test_of_many_that_cannot_be_told_apart_only_the_first_few_are_fitted_on():
     fits = [
         SimpleNamespace(plane=SimpleNamespace(at=np.zeros(1)), gain=1 - 0.001 * i, evidence=SimpleNamespace(loss=loss))

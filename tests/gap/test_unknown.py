@@ -17,6 +17,7 @@ from candata.gap.replay import Replayer, replay_all
 from candata.gap.residual_force import residual_force
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
+from candata.gap.search import Problem
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap
 from candata.gap.suspects import suspects
@@ -66,10 +67,11 @@ def described(scene, recs, world=(), where=()):
     nominal = replay_all(replayer, recs, begin, [world])[0]
     plan = layout(scene, recs, begin, nominal)
     spread = floor(replayer, recs, begin, plan, scene.file.noise, rng, 4, world)
-    level = score(residual(recs, plan, nominal), spread, plan)
-    problem = SimpleNamespace(
-        replayer=replayer, recs=recs, begin=begin, plan=plan, score=level, parts=folds(recs.tasks, rng),
-        noise=scene.file.noise,
+    raw = residual(recs, plan, nominal)
+    no_library = SimpleNamespace(take=lambda index: None)
+    problem = Problem(
+        replayer, recs, begin, plan, score(raw, spread, plan), folds(recs.tasks, rng), scene.file.noise, "declared",
+        rng, no_library, nominal, raw,
     )  # fmt: skip
     return describe(problem, world, where, None, rng)
 
@@ -273,11 +275,11 @@ def test_a_diagnosis_names_nothing_says_where_and_writes_a_simulator_that_runs(
 def played(monkeypatch, closes: dict[tuple[str, ...], float], others=()):
     """The function that chooses among suspects of which groups close what is given, by their names."""
     monkeypatch.setattr(mending, "otherwise", lambda suspect, parts: list(others))
-    monkeypatch.setattr(
-        mending, "stopgap",
-        lambda problem, world, some: SimpleNamespace(suspects=tuple(some), closed=closes[tuple(s.name for s in some)]),
-    )  # fmt: skip
-    return lambda found: [s.name for s in mending._best(SimpleNamespace(parts=()), (), found).suspects]
+
+    def play(some):
+        return SimpleNamespace(suspects=tuple(some), closed=closes[tuple(s.name for s in some)])
+
+    return lambda found: [s.name for s in mending._best(play, found, []).suspects]
 
 
 def suspect(place: str, name: str, gain: float = 1.0):
