@@ -49,13 +49,16 @@ HALF = 0.5
 def sharp(problem: Problem, sets: Sequence[Members], beside: Fit | None = None) -> Fit | None:
     """Return the best of some sets, sharply fitted those that light fits cannot tell from the best; None of none.
 
-    Where they are what is found with more `beside` it, only those are that take a part of what is left already.
+    Where they are what is found with more `beside` it, only those are that take a part of what is left already, and
+    those with a choice: no slope of its own leads to it, so that the others must move first. (A light fit moves them
+    too little: beside a heavier object another `impratio` took nothing.)
     """
     base = problem.score.loss(problem.nominal)
     if beside is None and len(sets) == 1:
         return joint(problem, sets[0], base)
     light = [joint(problem, members, base, widths=()) for members in sets]
-    return sharpest(problem, [f for f in light if beside is None or promises_more(beside, f)])
+    fitted = [f for f in light if beside is None or f.members[-1][0].choices or promises_more(beside, f)]
+    return sharpest(problem, fitted)
 
 
 def promises_more(best: Fit, grown: Fit) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from candata.gap import added, trials, worth
-from candata.gap.candidates import candidate
+from candata.gap.candidates import candidate, probes
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, joint
@@ -71,6 +71,9 @@ def test_what_promises_nothing_beside_a_set_is_not_fitted_sharply(arm, arm_episo
     monkeypatch.setattr(trials, "promises_more", lambda *a: False)
     assert trials.sharp(problem, true, best) is None
     assert trials.sharp(problem, idle).labels == ("servo_gain", "armature")
+    choice = candidate("time_step", arm)
+    other = next(u for u in probes(choice, arm) if not choice.is_neutral(u))
+    assert trials.sharp(problem, [(*best.members, (choice, other))], best).labels == ("servo_gain", "time_step")
 
 
 def test_of_many_that_cannot_be_told_apart_only_the_first_few_are_fitted_on():
