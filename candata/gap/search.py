@@ -105,9 +105,10 @@ class Problem:
         each = [[self.score.loss(self.score.normal(z)) for z in np.split(many, len(begins))] for many in found]
         return np.array(each).swapaxes(0, 1)
 
-    def without_each(self, members: Members) -> list[Compact]:
-        """Return normalised residuals `(E, K)` of a set without each of its members, the others as they are."""
-        return self.residuals([self.setting([m for m in members if m is not left]) for left in members])
+    def without_each(self, members: Members, some: Members | None = None) -> list[Compact]:
+        """Return normalised residuals `(E, K)` of a set without each of its members, or of some; the others stay."""
+        left_out = members if some is None else some
+        return self.residuals([self.setting([m for m in members if m is not left]) for left in left_out])
 
     def signatures(self, points: Sequence[tuple[Candidate, Array]]) -> list[Compact]:
         """Return normalised signatures `(E, K)` of candidates at coordinates, alone in the nominal scene.

@@ -64,17 +64,16 @@ def _untold(problem: Problem, fit: Fit, least: float) -> Members:
     That is `least`, the others as they are; of all members, the first stays.
     """
     known, ends = {c.name for c, _ in problem.measured}, [fit.split(end) for end in intervals(problem, fit)]
-    own = float(problem.score.loss(fit.plane.z).mean())
-    whole = float(problem.score.loss(problem.nominal).mean()) - 1
+    own, whole = (float(problem.score.loss(z).mean()) for z in (fit.plane.z, problem.nominal))
     rises = [float(problem.score.loss(z).mean()) - own for z in problem.without_each(fit.members)]
     found = [
         (rise, member) for member, (_, low), (_, high), rise in zip(fit.members, *ends, rises, strict=True)
-        if rise < LITTLE * (whole + 1 - own) and member[0].name not in known and _is_none(member, low, high)
+        if rise < LITTLE * (whole - own) and member[0].name not in known and _is_none(member, low, high)
     ]  # fmt: skip
     order = [member for _, member in sorted(found, key=lambda pair: pair[0])][: len(fit.members) - 1]
     while len(order) > 1:
         left = problem.residuals([problem.setting(without(fit, tuple(order)))])[0]
-        if float(problem.score.loss(left).mean()) - 1 <= (1 - least) * whole:
+        if whole - float(problem.score.loss(left).mean()) >= least * (whole - 1):
             break
         order.pop()
     return tuple(order)

@@ -36,7 +36,7 @@ NEARLY = 0.9
 LEAST, SURE, HARDLY = 0.02, 1.64, 0.01
 #: How many times as much a member must be worth as to be kept for it not to be asked again once others are left out.
 #: Chosen.
-SURELY = 3.0
+PLENTY = 3.0
 
 
 def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit | None:
@@ -210,10 +210,9 @@ def _worthy(
     losses = problem.score.loss(fit.plane.z)
     gain = float((base - losses).mean())
     asked = tuple(m for m in fit.members if m[0].label not in sure and not m[0].choices)
-    without = problem.residuals([problem.setting([m for m in fit.members if m is not left]) for left in asked])
-    rises = [problem.score.loss(z) - losses for z in without]
+    rises = [problem.score.loss(z) - losses for z in problem.without_each(fit.members, asked)]
     idle = [m for m, rise in zip(asked, rises, strict=True) if not _is_worth(rise, gain)]
-    more = [m[0].label for m, rise in zip(asked, rises, strict=True) if _is_worth(rise / SURELY, gain)]
+    more = [m[0].label for m, rise in zip(asked, rises, strict=True) if _is_worth(rise / PLENTY, gain)]
     kept = tuple(m for m in fit.members if all(m is not one for one in idle))
     return kept or fit.members, frozenset(more)
 

@@ -20,13 +20,12 @@ from candata.gap.worth import (
     LARGEST,
     LEFT,
     MOST,
-    MUCH,
-    TAKEN,
     extra_of,
     is_full,
     is_next,
     left_by,
     searched,
+    share_of,
     takes,
     worth_adding,
 )
@@ -64,7 +63,7 @@ def sharp(problem: Problem, sets: Sequence[Members], beside: Fit | None = None) 
 def promises_more(best: Fit, grown: Fit) -> bool:
     """Tell whether more effects, lightly fitted, take a part of what a name must: a sharp fit may find the rest."""
     left = left_by(best)
-    enough = max(EXTRA * best.gain, TAKEN * min(left, MUCH) if left > LEFT else 0.0)
+    enough = max(EXTRA * best.gain, share_of(left) if left > LEFT else 0.0)
     least = min(enough, max(FAINT, MOST * left))
     return float(extra_of(best, grown).mean()) > PROMISING * least
 
@@ -130,7 +129,7 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
         for f in _free(best, alone) if not f[0].choices
     ]  # fmt: skip
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
-    far = now - PROMISING * TAKEN * min(max(now - 1, 0.0), MUCH)
+    far = now - PROMISING * share_of(now - 1)
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < far])
     return found if found is not None and is_next(best, found, problem.recs.tasks) else None
 

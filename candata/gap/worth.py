@@ -64,7 +64,12 @@ def extra_of(best: Fit, grown: Fit) -> Array:
 def takes(best: Fit, grown: Fit) -> bool:
     """Tell whether more effects take their share of what is left, where that is much."""
     left = left_by(best)
-    return left <= LEFT or float(extra_of(best, grown).mean()) > TAKEN * min(left, MUCH)
+    return left <= LEFT or float(extra_of(best, grown).mean()) > share_of(left)
+
+
+def share_of(left: float) -> float:
+    """Return how much more effects must take of what is left, in floors, where that is much."""
+    return TAKEN * min(max(left, 0.0), MUCH)
 
 
 def is_next(best: Fit, grown: Fit, tasks: Sequence[str]) -> bool:

@@ -16,6 +16,7 @@ from candata.gap.mending import Doubt
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
+from candata.gap.shortlist import brief
 from tests.gap import hidden
 
 
@@ -66,14 +67,20 @@ def test_a_force_that_explains_no_more_than_what_is_named_does_not(posed, plante
     assert doubt.stands is None
 
 
-def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, named, monkeypatch):
-    played = []
+def mending_half(monkeypatch) -> list[int]:
+    """Let a force mend half of the gap; the list of how many episodes it is played on."""
+    played: list[int] = []
 
-    def little(problem, world, rng):
+    def half(problem, world, rng):
         played.append(len(problem.recs))
         return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="joint")]))
 
-    monkeypatch.setattr(mending, "mended", little)
+    monkeypatch.setattr(mending, "mended", half)
+    return played
+
+
+def test_where_it_closes_little_of_a_few_episodes_it_is_not_played_on_all(cogs, named, monkeypatch):
+    played = mending_half(monkeypatch)
     doubt = Doubt(cogs, rng())
     assert not doubt.of(cogs, named.plane.z)
     assert not doubt.of(cogs, cogs.nominal)
@@ -128,17 +135,37 @@ def test_it_is_not_played_where_names_leave_it_no_room(cogs, named, monkeypatch)
 
 
 def test_what_mends_little_of_a_few_episodes_may_close_no_more_of_all(cogs, monkeypatch):
-    played = []
-
-    def half(problem, world, rng):
-        played.append(len(problem.recs))
-        return SimpleNamespace(best=SimpleNamespace(closed=0.5, suspects=[SimpleNamespace(place="fingertip")]))
-
-    monkeypatch.setattr(mending, "mended", half)
+    played = mending_half(monkeypatch)
     doubt = Doubt(cogs, rng())
     assert (doubt.may_close(0.6), doubt.may_close(0.7)) == (True, False)
     assert doubt.force() is doubt.force()
     assert played == [6, 12]
+
+
+def test_which_force_mends_most_is_decided_on_half_of_the_episodes_and_judged_on_all(cogs, monkeypatch):
+    played, real = [], mending.stopgap
+
+    def counted(problem, world, nominal, some, index=None):
+        played.append(len(problem.recs) if index is None else len(index))
+        return real(problem, world, nominal, some, index)
+
+    monkeypatch.setattr(mending, "stopgap", counted)
+    found = mending.mended(cogs, (), rng())
+    assert found.best.size.shape == (12,)
+    assert set(played[:-1]) == {8}, "two of the three of each fold"
+    assert played[-1] == 12
+    played.clear()
+    assert len(mending.mended(brief(cogs)[0], (), rng()).best.size) == 6
+    assert set(played) == {6}
+
+
+def test_what_names_leave_is_described_from_fewer_episodes(cogs, named, monkeypatch):
+    monkeypatch.setattr(mending, "LEFT_OVER", 8)
+    monkeypatch.setattr(mending, "_standing_out", lambda problem, world, rng: looked.append(len(problem.recs)))
+    looked: list[int] = []
+    mending.mended(cogs, cogs.setting(named.members), rng())
+    mending.mended(cogs, (), rng())
+    assert looked == [8, 12]
 
 
 def test_shares_are_told_in_the_floors_that_the_force_is_judged_by(cogs, named):
