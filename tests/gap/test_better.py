@@ -162,3 +162,13 @@ def test_a_force_is_played_once_in_the_nominal_world_for_both_questions_if_it_ma
     named = Gap(before=3.0, after=1.7, closed=0.65)
     assert conclusion._unseated(some, "explained", named, (), "rng") is None
     assert played == [("in the named world's floors", (), "rng")][: 1 if close >= 0.75 else 0]
+
+
+def test_of_an_unknown_cause_the_force_is_described_that_the_search_has_played(monkeypatch):
+    monkeypatch.setattr(conclusion, "describe", lambda *a: pytest.fail("it is played again"))
+    monkeypatch.setattr(conclusion, "described", lambda force, world, where, nearest: (force, world, nearest))
+    first = SimpleNamespace(fits=(SimpleNamespace(labels=("armature",)),))
+    for force, said in (("a pull", ("a pull", (), "armature")), (None, None)):
+        doubt = SimpleNamespace(force=lambda force=force: force)
+        some = SimpleNamespace(found=SimpleNamespace(first=first, doubt=doubt))
+        assert conclusion._rest(some, "unknown_effect", (), (), None) == said

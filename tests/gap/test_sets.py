@@ -230,6 +230,25 @@ def test_others_are_tried_in_the_place_of_each_of_three_only_where_no_many_are_f
     assert bool(asked) is tried
 
 
+@pytest.mark.parametrize(
+    ("share", "tried"), [(0.9, ["moved"]), (1.1, ["_swapped", "moved", "shared", "paired", "_retraced"])]
+)
+def test_others_are_tried_in_place_of_early_members_only_where_a_tenth_of_the_gain_is_left(
+    small, monkeypatch, share, tried
+):
+    """A fault of one element is taken for that of another however little is left."""
+    problem, best = small(3, 0.01)
+    best = replace(best, evidence=replace(best.evidence, gain=np.full(12, worth.left_by(best) / share / sets.RETRIED)))
+    asked = []
+    monkeypatch.setattr(sets, "rescored", lambda world, fit: (world, fit))
+    monkeypatch.setattr(sets, "joins_first", lambda *a: False)
+    monkeypatch.setattr(sets, "together", lambda *a: None)
+    for name in ("_swapped", "moved", "shared", "paired", "_retraced"):
+        monkeypatch.setattr(sets, name, lambda *a, name=name: asked.append(name))
+    assert sets.forward(problem, best, ())[0] is best
+    assert asked == tried
+
+
 def test_slopes_rule_out_the_few_without_which_far_more_would_be_left(arm, two_causes, monkeypatch):
     problem, base = two_causes
     true = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03), base)
