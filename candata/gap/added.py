@@ -29,8 +29,9 @@ ADDED = 4
 #: How many effects are tried in pairs, and where a pair's fit is begun: at these shares of what each is alone, which
 #: made up for the other too. Chosen.
 TRIED, PARTLY = 3, (1.0, 0.6, 0.3)
-#: Share of what a first cause leaves that a set may leave before it is fitted sharply. Chosen: mass, friction and gain
-#: of the fingertips left 0.92 of 1.71 floors blunt, and nothing sharp.
+#: Share of what a first cause leaves that a set may leave, fitted lightly to a few episodes, to be fitted to all, and
+#: there to be fitted sharply. Chosen: mass, friction and gain of the fingertips left 0.92 of 1.71 floors blunt, and
+#: nothing sharp.
 BLUNTLY = 0.75
 #: Share of what a member is worth that one in its place must make up for, where it is not yet fitted, to be fitted.
 #: Chosen: beside a clock that drifts, an alias of damping made up for 0.56, and what was none for 0.1 at most.
@@ -72,7 +73,8 @@ def together(problem: Problem, best: Fit, rough: Responses) -> Fit | None:
     found = more = None
     for some in _firsts(part, rough):
         loss, members = by_loss(part, some)[0]
-        fit = joint(problem, members, base, widths=()) if loss < now else None
+        loss, members = lightly_fitted(part, members) if loss < now else (loss, members)
+        fit = joint(problem, members, base, widths=()) if loss - 1 < BLUNTLY * (now - 1) else None
         if fit is not None and (found is None or worth_adding(extra_of(found, fit), found.gain)):
             found, more = fit, None
         elif fit is not None and found is not None and left_by(found) > LEFT and takes(found, fit):

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import ADDED, by_loss, residuals_at
+from candata.gap.added import ADDED, HALFWAY, by_loss, lightly_fitted, residuals_at
 from candata.gap.candidates import Candidate, is_on_slides
 from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.own_floor import Grown, judged
@@ -18,7 +18,7 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.trials import least_worth, sharp, without
-from candata.gap.worth import EXTRA, FAINT, LARGEST, is_next
+from candata.gap.worth import EXTRA, FAINT, LARGEST, LEFT, is_next, left_by
 
 Array = NDArray[np.float64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
@@ -133,13 +133,13 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     """Return the set with one effect in place of two that stand for it, where it explains as much.
 
     A fit of all numbers makes up for a choice that is missing by several of them, none of which is idle beside the
-    others. (For a pyramidal friction cone it named less friction and a contact damping.) Tried where a gap remains, on
-    pairs of the members worth least; one that was measured without a fit stays.
+    others. (For a pyramidal friction cone it named less friction and a contact damping.) Tried where a gap remains that
+    contact alone does not leave, on pairs of the members worth least; one that was measured without a fit stays.
     """
     known = {c.name for c, _ in problem.measured}
     free = [m for m in best.members if m[0].name not in known]
     few = len(best.members) < 3 or len(free) < 2
-    if not remains or few or problem.plays_all:
+    if not remains or left_by(best) < LEFT or few or problem.plays_all:
         return best, problem, remains
     problem.pace.told("trying one effect in place of two")
     part, _ = brief(problem)
@@ -148,16 +148,26 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
         for pair in combinations(least_worth(part, best, known)[:PAIRED], 2)
         for members in _instead(part, best, pair)
     ]
-    base = part.score.loss(part.nominal)
-    refitted = [joint(part, members, base, widths=()).members for _, members in by_loss(part, found)[:ADDED]]
+    refitted = [lightly_fitted(part, members) for _, members in by_loss(part, found)[:ADDED]]
+    worthy = sorted((pair for pair in refitted if _stands_for_most(part, best, *pair)), key=lambda pair: pair[0])
     base = problem.score.loss(problem.nominal)
-    light = [joint(problem, members, base, widths=()) for _, members in by_loss(part, refitted)[:RIVALS]]
+    light = [joint(problem, members, base, widths=()) for _, members in worthy[:RIVALS]]
     near = [joint(problem, f.members, base) for f in light if is_tied(f, best, UNSURE)]
     fit = max(near, key=lambda f: f.gain, default=None)
     if fit is None or not is_tied(fit, best):
         return best, problem, remains
     fit, world, remains = judged(problem, fit)
     return merged(world, fit, remains)
+
+
+def _stands_for_most(problem: Problem, best: Fit, loss: float, members: Members) -> bool:
+    """Tell whether a set with one effect in place of two, which leaves a loss, makes up for `HALFWAY` of what the two
+    are worth, at least: a fit on all episodes may find the rest.
+    """
+    labels = {c.label for c, _ in members}
+    kept = tuple(m for m in best.members if m[0].label in labels)
+    own, without_both = (float(problem.score.loss(residuals_at(problem, some)).mean()) for some in (best.members, kept))
+    return loss < own + HALFWAY * (without_both - own)
 
 
 def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:

@@ -118,12 +118,34 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
     weak = (candidate("servo_gain", arm, "shoulder"), np.log([0.6]))
     some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), weak)
     right = joint(problem, some, problem.score.loss(problem.nominal))
+    monkeypatch.setattr(fewer, "LEFT", -np.inf)
     assert fewer.merged(problem, right, True) == (right, problem, True)
     for module in (fewer, trials):
         monkeypatch.setattr(module, "joint", lambda *a, **k: pytest.fail("it was fitted"))
     assert fewer.merged(problem, right, False) == (right, problem, False)
     assert fewer.merged(replace(problem, measured=some[:2]), right, True)[0] is right
     assert fewer.merged(replace(problem, simulated=True), right, True)[0] is right
+    monkeypatch.setattr(fewer, "LEFT", worth.LEFT)
+    little = replace(right, evidence=replace(right.evidence, loss=np.full(12, 1 + 0.99 * worth.LEFT)))
+    assert fewer.merged(problem, little, True) == (little, problem, True)
+
+
+def test_one_in_place_of_two_that_makes_up_for_little_is_not_fitted_on_all(arm, two_causes, monkeypatch):
+    problem, base = two_causes
+    wrong = joint(problem, members(arm, joint_dry_friction=0.3, servo_damping=0.3, armature=0.0005), base)
+    real, tried = fewer.lightly_fitted, []
+
+    def little(part, members):
+        tried.append(members)
+        return float(part.score.loss(part.nominal).mean()), members
+
+    monkeypatch.setattr(fewer, "lightly_fitted", little)
+    monkeypatch.setattr(fewer, "joint", lambda *a, **k: pytest.fail("it was fitted on all"))
+    assert fewer.merged(problem, wrong, True) == (wrong, problem, True)
+    assert tried
+    monkeypatch.setattr(fewer, "lightly_fitted", real)
+    with pytest.raises(pytest.fail.Exception):
+        fewer.merged(problem, wrong, True)
 
 
 def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, two_causes, monkeypatch):

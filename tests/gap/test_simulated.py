@@ -249,6 +249,41 @@ def test_what_closes_next_to_nothing_where_it_is_simulated_is_not_looked_at_furt
     assert "joint_dry_friction" in stage.faint
 
 
+@pytest.mark.parametrize("silent", ["clock_drift", None])
+def test_what_closes_next_to_nothing_of_half_is_not_simulated_on_the_other_half(problem, monkeypatch, silent):
+    """But for choices, which may show only once what is held has moved; it counts as tried, and is told as faint."""
+    real, scene = shortlist.fitted, problem.replayer.scene
+
+    def fitted(part, response, base):
+        return (0.0, response.who.neutral) if response.who.name == silent else real(part, response, base)
+
+    monkeypatch.setattr(shortlist, "fitted", fitted)
+    monkeypatch.setattr(shortlist, "SILENT", 0.0 if silent else -np.inf)
+    posed = replace(problem, simulated=True, played={})
+    found = [candidate(name, scene) for name in ("joint_dry_friction", "clock_drift", "time_step")]
+    seen = screened(posed, problem.nominal, found, (), problem.score.loss(problem.nominal))
+
+    def episodes(name):
+        return len({i for text, i in posed.played if f'"{name}"' in text})
+
+    few = len(shortlist.few(problem.recs.tasks))
+    assert episodes("joint_dry_friction") == len(problem.recs)
+    assert episodes("time_step") >= few
+    assert (episodes("clock_drift") == few // 2) == bool(silent)
+    assert ("clock_drift" in {c.label for c, _ in seen.rough}) != bool(silent)
+    assert seen.tried == len(found) - len(seen.dead)
+    assert "clock_drift" in seen.faint or not silent
+
+
+def test_a_share_is_gained_by_what_shows_on_half_too(problem, monkeypatch):
+    dry, drift = (candidate(name, problem.replayer.scene) for name in ("joint_dry_friction", "clock_drift"))
+    posed = replace(problem, simulated=True)
+    assert shortlist.gains_share(posed, problem.nominal, [dry, drift], ())
+    assert not shortlist.gains_share(posed, problem.nominal, [drift], ())
+    monkeypatch.setattr(shortlist, "SILENT", 1.01)
+    assert not shortlist.gains_share(posed, problem.nominal, [dry, drift], ()), "nothing closes more than all"
+
+
 def test_where_all_is_simulated_no_early_member_is_exchanged(problem, poor, monkeypatch):
     monkeypatch.setattr("candata.gap.sets.look", lambda *_: pytest.fail("a look was taken"))
     best = replace(poor.first.fits[0], members=poor.first.fits[0].members * 2)

@@ -188,10 +188,22 @@ def test_a_third_that_is_worth_little_beside_two_is_judged_sharply(posed, wrong,
     monkeypatch.setattr(added, "sums", lambda *a: [[replace(one, members=some)] for some in (pair, triple)])
     monkeypatch.setattr(added, "by_loss", lambda problem, some: [(1.0, members) for members in some])
     monkeypatch.setattr(added, "joint", fitted)
+    monkeypatch.setattr(added, "lightly_fitted", lambda part, members: (1.0, members))
     monkeypatch.setattr(added, "pruned", lambda problem, fit, base: fit)
     found = added.together(problem, left(wrong.members, 8.0), first.rough)
     assert found.members == (triple if taken else pair)
     assert ((3, True) in made) == (blunt < 1.5)
+
+
+def test_a_set_that_leaves_most_of_a_few_episodes_is_not_fitted_on_all(posed, wrong, monkeypatch):
+    problem, first = posed
+    part, _ = brief(problem)
+    now = float(part.score.loss(added.here_of(problem, wrong)[brief(problem)[1]]).mean())
+    left = 1 + 1.01 * added.BLUNTLY * (now - 1)
+    monkeypatch.setattr(added, "lightly_fitted", lambda part, members: (left, members))
+    monkeypatch.setattr(added, "_started", lambda *a: [])
+    monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("fitted on all"))
+    assert added.together(problem, wrong, first.rough) is None
 
 
 def test_no_set_is_tried_where_little_is_left_or_nothing_was_looked_at(posed, wrong, monkeypatch):
