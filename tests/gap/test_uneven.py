@@ -78,14 +78,46 @@ def test_what_foretells_no_more_surely_than_another_effect_is_none(torn, monkeyp
     problem, stage = torn
     other = next(f for f in stage.fits if f.labels != ("actuation_delay",))
     monkeypatch.setattr(uneven, "_leaves", lambda *a: False)
-    best, _ = uneven.recentred(problem, stage, other)
+    best, _ = uneven._counted(problem, stage, other)
     assert best.labels == ("actuation_delay",)
-    assert uneven.recentred(problem, stage, best) is None, "no better value than the best"
+    assert uneven._counted(problem, stage, best) is None, "no better value than the best"
     monkeypatch.setattr(uneven, "_foretold", lambda world, members: np.zeros(len(problem.recs)))
-    assert uneven.recentred(problem, stage, other) is None
-    assert uneven.recentred(problem, stage, None) is None, "nor than the same one, where nothing was chosen"
-    again, _ = uneven.recentred(problem, stage, stage.fits[0])
+    assert uneven._counted(problem, stage, other) is None
+    assert uneven._counted(problem, stage, None) is None, "nor than the same one, where nothing was chosen"
+    again, _ = uneven._counted(problem, stage, stage.fits[0])
     assert again.members == best.members, "what was chosen needs no more than a better value that leaves no gap"
+
+
+@pytest.fixture(scope="module")
+def delayed(arm, arm_episodes, planted):
+    """The problem that a delay poses, its evidence alone, and another effect's."""
+    episodes = arm_episodes(planted("actuation_delay", delay_s=MOST), count=12)
+    problem = _problem(Replayer(arm), recordings(arm, episodes), np.random.default_rng(0), None, lambda stage: None)
+    stage = look(problem, problem.nominal, ())
+    return problem, stage, next(f for f in stage.fits if f.labels != ("actuation_delay",))
+
+
+def test_where_counting_finds_none_the_likeliest_value_in_its_own_world_is_found(delayed, monkeypatch):
+    problem, stage, other = delayed
+    monkeypatch.setattr(uneven, "_counted", lambda *a: None)
+    best, world = uneven.recentred(problem, stage, other)
+    assert best.labels == ("actuation_delay",)
+    assert best.members[0][1][0] == pytest.approx(MOST, rel=0.1)
+    assert world.score is not problem.score, "in units of the floor of its own world"
+    assert (best.evidence.points == best.members[0][1]).all()
+
+
+def test_where_each_value_leaves_a_gap_or_foretells_no_more_there_is_none_likeliest(delayed, torn, monkeypatch):
+    problem, stage, other = delayed
+    assert uneven._likeliest(*torn, None) is None, "a third of the episodes have another delay"
+    assert uneven._likeliest(problem, replace(stage, fits=()), other) is None
+    monkeypatch.setattr(uneven, "_foretells_more", lambda *a: False)
+    assert uneven._likeliest(problem, stage, other) is None
+    monkeypatch.setattr(uneven, "_foretells_more", lambda *a: True)
+    assert uneven._likeliest(problem, stage, other)
+    # What a few episodes promise all of them must keep.
+    monkeypatch.setattr(uneven, "_leaves", lambda world, point: len(world.recs) == len(problem.recs))
+    assert uneven._likeliest(problem, stage, other) is None
 
 
 @pytest.fixture
