@@ -27,7 +27,7 @@ Found = tuple[float, Member, Compact]
 #: 0.57 left 2.5 floors in the geometric mean, as did 0.65, and the truth 1.5.
 TRIED, VALUES, ON_ALL, HALVINGS = 2, 12, 4, 3
 #: Scalars of which own worlds are looked at, and how many values of each: those that leave least of a few episodes, of
-#: every second one. Chosen: the true one came third or fourth, its value first.
+#: every second one. Chosen: of two true ones one came third, its value first, the other first, its value two further.
 ASKED, ASKED_OF_EACH = 4, 2
 #: Share of the nominal scene's mean log loss that may be left at most: a world that foretells little because much of it
 #: is chaos could do. Chosen: of two recordings of that friction the truth left 0.41 and 0.48.
@@ -93,32 +93,38 @@ def _likeliest(problem: Problem, stage: Stage, chosen: Fit | None) -> tuple[Fit,
     own world it leaves none, where nulls reach 1.09, and 0.35 leaves 1.26, where they reach 1.19.)
     """
     part = taken(problem, few(problem.recs.tasks))
-    found: list[tuple[float, Member]] = []
+    asked: list[tuple[bool, float, Member]] = []
     for c, u in _with_all(problem, _scalars(stage, ASKED))[:ASKED]:
         for _, point, _ in _least(part, _values(c, u, part)[1::2], ASKED_OF_EACH):
             world = in_world(part, (point,))
-            if not _leaves(world, point):
-                found.append((float(_foretold(world, (point,)).mean()), point))
-    if not found:
+            asked.append((not _leaves(world, point), float(_foretold(world, (point,)).mean()), point))
+    if not asked:
         return None
-    point = _likelier(problem, max(found, key=lambda one: one[0])[1])
+    fits, _, point = max(asked, key=lambda one: one[:2])
+    if not fits:
+        point = _likelier(part, point, (2.0,))
+        if _leaves(in_world(part, (point,)), point):
+            return None
+    point = _likelier(problem, point, (1.0, 0.5, 0.25))
     world, best = in_world(problem, (point,), NULLS), (chosen or stage.fits[0]).members
     if _leaves(world, point) or not _foretells_more(problem, world, point, best):
         return None
     return _fitted(problem, world, _least(problem, [point], 1)), world
 
 
-def _likelier(problem: Problem, point: Member) -> Member:
-    """Return the value around a point, at a step that is halved, in whose own world the recording is likeliest."""
+def _likelier(problem: Problem, point: Member, shares: Sequence[float]) -> Member:
+    """Return the value in whose own world the recording is likeliest, climbing from a point by shares of its step."""
     c, u = point
 
     def likely(at: Array) -> tuple[float, Array]:
         return float(_foretold(in_world(problem, ((c, at),)), ((c, at),)).mean()), at
 
     best = likely(u)
-    for step in _step(c, u, problem) / 2.0 ** np.arange(HALVINGS):
-        ways = [likely(np.clip(best[1] + side * step, c.low, c.high)) for side in (-1, 1)]
-        best = max((best, *ways), key=lambda one: one[0])
+    for share in shares:
+        ways = [likely(np.clip(best[1] + side * share * _step(c, u, problem), c.low, c.high)) for side in (-1, 1)]
+        while max(ways, key=lambda one: one[0])[0] > best[0]:
+            before, best = best[1], max(ways, key=lambda one: one[0])
+            ways = [likely(np.clip(2 * best[1] - before, c.low, c.high))]
     return c, best[1]
 
 

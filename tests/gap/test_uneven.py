@@ -120,6 +120,21 @@ def test_where_each_value_leaves_a_gap_or_foretells_no_more_there_is_none_likeli
     assert uneven._likeliest(problem, stage, other) is None
 
 
+def test_where_no_value_asked_leaves_no_gap_the_likeliest_one_is_climbed_from(delayed, monkeypatch):
+    problem, stage, other = delayed
+    c = stage.fits[0].members[0][0]
+    assert c.label == "actuation_delay"
+    step = uneven._step(c, np.array([MOST]), problem)
+    far = (c, np.array([MOST + 4.3 * step]))
+    _, near = uneven._likelier(problem, far, (2.0,))
+    assert abs(near[0] - MOST) < 1.5 * step
+    real = uneven._least
+    monkeypatch.setattr(uneven, "_leaves", lambda world, point: abs(point[1][0] - MOST) > 1.5 * step)
+    monkeypatch.setattr(uneven, "_least", lambda posed, points, count: real(posed, [far] if count > 1 else points, 1))
+    best, _ = uneven._likeliest(problem, stage, other)
+    assert best.members[0][1][0] == pytest.approx(MOST, rel=0.1)
+
+
 @pytest.fixture
 def pair(torn, arm):
     """A delay that most episodes have, after damping that makes up for nothing."""
