@@ -94,9 +94,9 @@ def screened(problem: Problem, here: Compact, found: Sequence[Candidate], held: 
     rough, dead = _all(part, here[index], closing, held, base[index])
     kept = _best(part, rough, base[index], BESIDE if held or problem.simulated else ALONE)
     responses, _ = respond(problem, here, kept, held)
-    labels, silent = {c.label for c in kept}, [c for c in found if all(c is not one for one in closing)]
-    faint = tuple(c.label for c in (*(c for c, _ in rough), *silent) if c.element is None and c.label not in labels)
-    return Screened(responses, dead, faint, len(rough) + len(silent), rough)
+    told = {*(c.label for c in kept), *dead}
+    faint = tuple(c.label for c in found if c.element is None and c.label not in told)
+    return Screened(responses, dead, faint, len(rough) + len(found) - len(closing), rough)
 
 
 def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -> Screened:

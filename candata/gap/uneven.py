@@ -121,10 +121,11 @@ def _likelier(problem: Problem, point: Member, shares: Sequence[float]) -> Membe
 
     best = likely(u)
     for share in shares:
-        ways = [likely(np.clip(best[1] + side * share * _step(c, u, problem), c.low, c.high)) for side in (-1, 1)]
-        while max(ways, key=lambda one: one[0])[0] > best[0]:
-            before, best = best[1], max(ways, key=lambda one: one[0])
-            ways = [likely(np.clip(2 * best[1] - before, c.low, c.high))]
+        ends = (np.clip(best[1] + side * share * _step(c, u, problem), c.low, c.high) for side in (-1, 1))
+        ways = [likely(at) for at in ends if at != best[1]]
+        while ways and (there := max(ways, key=lambda one: one[0]))[0] > best[0]:
+            at, best = np.clip(2 * there[1] - best[1], c.low, c.high), there
+            ways = [likely(at)] if at != best[1] else []  # at a bound there is no farther one
     return c, best[1]
 
 

@@ -328,18 +328,6 @@ def test_a_first_cause_that_was_exchanged_is_tied_with_nothing(arm, two_causes, 
     assert best is chosen
 
 
-def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, two_causes, monkeypatch):
-    problem, base = two_causes
-    best = joint(problem, members(arm, actuation_delay=0.03), base)
-    harmful = [joint(problem, members(arm, **{name: 0.0}), base) for name in ("joint_damping", "armature")]
-    alone = [
-        replace(f, members=members(arm, **{name: value}), evidence=best.evidence)
-        for f, (name, value) in zip(harmful, (("joint_damping", 5.0), ("armature", 0.5)), strict=True)
-    ]
-    monkeypatch.setattr(trials, "joint", lambda *_: pytest.fail("it was fitted"))
-    assert trials.paired(problem, best, alone) is None
-
-
 @pytest.fixture(scope="module")
 def lone(arm, two_causes):
     """A wrong first cause, of armature, and the true ones, each fitted alone; all three said to gain alike."""

@@ -16,6 +16,7 @@ from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
 from candata.gap.stage import look
+from tests.gap.conftest import members
 
 
 @pytest.mark.parametrize(("unsure", "finished"), [(0.0, 1), (np.inf, 2)])
@@ -156,3 +157,15 @@ def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, 
         members, (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
     assert loss < best < full
     assert added._started(part, [r for r in rough if r[0].name == "servo_gain"]) == []
+
+
+def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, two_causes, monkeypatch):
+    problem, base = two_causes
+    best = joint(problem, members(arm, actuation_delay=0.03), base)
+    harmful = [joint(problem, members(arm, **{name: 0.0}), base) for name in ("joint_damping", "armature")]
+    alone = [
+        replace(f, members=members(arm, **{name: value}), evidence=best.evidence)
+        for f, (name, value) in zip(harmful, (("joint_damping", 5.0), ("armature", 0.5)), strict=True)
+    ]
+    monkeypatch.setattr(trials, "joint", lambda *_: pytest.fail("it was fitted"))
+    assert trials.paired(problem, best, alone) is None
