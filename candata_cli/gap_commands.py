@@ -73,7 +73,7 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
-    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = "xhand_tabletop",
+    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = "gripper_tabletop",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
     duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 3.2,

@@ -114,6 +114,23 @@ def test_two_fingertips_that_feel_alike_are_not_called_exchanged(hand, pressed, 
     assert one.elements == two.file.fingertips
 
 
+def test_an_exchange_that_some_episodes_speak_against_is_sure_only_where_forces_then_agree(
+    hand, pressed, plain_recordings
+):
+    two = replace(hand, file=hand.file.model_copy(update={"fingertips": hand.file.fingertips[:2]}))
+    own = np.tile(pressed[:, :, :2], (2, 1, 1, 1))
+    own[:, FREE : 2 * FREE, 0] = own[:, 2 * FREE :, 1] = 0
+    real = own.copy()
+    real[::2] = own[::2, :, ::-1]
+    (one,) = exchange_findings(two, plain_recordings(fingertip_force=real), own)
+    assert one.definite
+    # A pull to the side in every touch, as no exchange explains it: 45 deg.
+    real += np.where(real[..., 2:] != 0, np.abs(real[..., 2:]) * np.array([1.0, 0, 0]), 0)
+    (one,) = exchange_findings(two, plain_recordings(fingertip_force=real), own)
+    assert not one.definite
+    assert "may be" in one.problem
+
+
 def test_fingertips_in_turned_frames_are_not_called_exchanged(hand, pressed, plain_recordings):
     two = replace(hand, file=hand.file.model_copy(update={"fingertips": hand.file.fingertips[:2]}))
     # One feels along z, the other along x, and a little later; both frames are turned so that it looks exchanged.

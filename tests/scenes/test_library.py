@@ -64,6 +64,7 @@ def test_a_builtin_scene_keeps_its_contract(name):
 def test_the_list_says_what_the_scenes_are():
     assert [(e.name, e.joints, e.actuators, e.fingertips) for e in builtin_scenes()] == [
         ("cube_toss", 0, 0, 0),
+        ("gripper_tabletop", 8, 8, 3),
         ("xhand_tabletop", 15, 15, 5),
     ]
 
