@@ -280,8 +280,9 @@ def _exchanged(
     pairs = ", ".join(f"{tips[i]} reads what {tips[chosen[i]]} feels" for i in moved)
     where = in_episodes(recs, asked) if against.any() else "in all episodes"
     order = "put the columns of `fingertip_force` in the order of `fingertips` in scene.yaml, or name them"
+    verb = "are" if sure else "may be"
     return Finding(
-        "swapped_fingertips", sure, f"forces {'are' if sure else 'may be'} in another order than the scene's fingertips",
+        "swapped_fingertips", sure, f"forces {verb} in another order than the scene's fingertips",
         "each fingertip agrees with its own in the scene",
         f"{pairs}, {where} (cosine {cosines[1]:.2f}, as given {cosines[0]:.2f})",
         f"{order}, the same in every episode" if against.any() else order, "fingertip_force",

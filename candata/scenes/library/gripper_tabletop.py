@@ -1,8 +1,8 @@
 """Three-finger gripper on two rails over a carton on a table: a light scene, a quarter of the XHand's time to simulate.
 
 All numbers are our own. The fingertips (balls), the carton and the table collide; a fingertip never meets the table.
-The fingertips are soft, as rubber is: the impedance of their contacts grows over 5 mm (MuJoCo manual, "solimp"), so that
-a wrong width shows.
+The fingertips are soft, as rubber is: the impedance of their contacts grows over 5 mm (MuJoCo manual, "solimp"), so
+that a wrong width shows.
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def build() -> mujoco.MjSpec:
       <geom type="capsule" size="0.009" contype="0" conaffinity="0" rgba="0.3 0.3 0.35 1"/>
     </default>
     <default class="tip">
-      <geom type="sphere" size="0.012" mass="0.012" condim="4" solimp="0.5 0.95 0.005" contype="1" conaffinity="0" rgba="0.9 0.5 0.2 1"/>
+      <geom type="sphere" size="0.012" mass="0.012" condim="4" solimp="0.5 0.95 0.005" contype="1" conaffinity="0"
+            rgba="0.9 0.5 0.2 1"/>
     </default>
   </default>
   <worldbody>
