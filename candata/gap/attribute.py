@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
-from candata.gap.fewer import merged, simplified, widened
+from candata.gap.fewer import completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
@@ -178,6 +178,7 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     # What makes up for a choice looks like many little things, as the joint fit leaves choices out.
     chosen, world, remains = simplified(world, chosen, remains or little)
     chosen, world, remains = merged(world, chosen, remains)
+    chosen, world, remains = completed(world, chosen, remains)
     chosen, world, remains = widened(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough, far=not little)
     if better.labels != chosen.labels:

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import ADDED, HALFWAY, by_loss, lightly_fitted, residuals_at
+from candata.gap.added import ADDED, ALIKE, HALFWAY, by_loss, lightly_fitted, residuals_at
 from candata.gap.candidates import Candidate, is_on_slides
 from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.own_floor import Grown, judged
@@ -121,6 +121,34 @@ def widened(problem: Problem, best: Fit, remains: bool) -> Grown:
         if is_tied(fit, best):
             found, world, remains = judged(problem, fit)
             return widened(world, found, remains)
+    return best, problem, remains
+
+
+def completed(problem: Problem, best: Fit, remains: bool) -> Grown:
+    """Return the set with all numbers of a vector in the place of one element's and of others, if that explains more.
+
+    What the numbers of one element leave of a whole vector, others make up for by several names. (Offsets of six joints
+    were named as that of one, beside a tracker's bias and turn.) Fewest names are tried first, on a few episodes.
+    """
+    known = {c.name for c, _ in problem.measured}
+    for member in best.members if len(best.members) > 1 else ():
+        if member[0].element is None or is_on_slides(member[0], problem.replayer.scene):
+            continue
+        whole = everywhere(problem, *member)
+        if whole[0].size == member[0].size:
+            continue
+        part, _ = brief(problem)
+        now, most = by_loss(part, [best.members])[0][0], float(part.score.loss(part.nominal).mean())
+        others = without(best, (member,))
+        stay, free = ([m for m in others if (m[0].name in known) is measured] for measured in (True, False))
+        for count in range(len(free)):
+            sets = [(whole, *stay, *some) for some in combinations(free, count)]
+            loss, members = min((lightly_fitted(part, s, WIDTHS[:1]) for s in sets), key=lambda pair: pair[0])
+            if loss > now + ALIKE * (most - now):
+                continue
+            fit = joint(problem, members, problem.score.loss(problem.nominal))
+            if fit.gain > best.gain:
+                return judged(problem, fit)
     return best, problem, remains
 
 

@@ -98,6 +98,35 @@ def test_the_fault_of_one_joint_stays_its_own(arm, arm_episodes, planted):
     assert fewer.widened(problem, alone, False) == (alone, problem, False), "single causes are compared elsewhere"
 
 
+def test_all_numbers_of_a_vector_take_the_place_of_one_s_and_of_what_makes_up_for_the_rest(arm, arm_episodes, planted):
+    offsets = (0.05, -0.04)
+    recs = recordings(arm, arm_episodes(planted("joint_offset", offset_rad=offsets), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    part = (on(arm, "joint_offset", "shoulder"), np.full(1, 0.04))
+    some = (part, *members(arm, servo_gain=0.8, joint_dry_friction=0.02))
+    fit = joint(problem, some, problem.score.loss(problem.nominal))
+    found, world, _ = fewer.completed(problem, fit, False)
+    assert found.labels == ("joint_offset",)
+    # A shoulder on a plumb axis shows nothing of its own offset.
+    assert found.members[0][1][1] == pytest.approx(offsets[1], rel=0.05)
+    assert found.gain > fit.gain
+    assert world is not problem, "in units of the floor of its own world"
+
+
+def test_the_numbers_of_one_element_stay_alone_where_no_other_is_off(arm, arm_episodes, planted):
+    effects = (
+        *planted("joint_offset", "elbow", offset_rad=0.05),
+        *planted("joint_dry_friction", frictionloss_Nm=0.3),
+    )
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    part = (on(arm, "joint_offset", "elbow"), np.full(1, 0.05))
+    fit = joint(problem, (part, *members(arm, joint_dry_friction=0.3)), problem.score.loss(problem.nominal))
+    assert fewer.completed(problem, fit, False) == (fit, problem, False)
+    alone = blunt_fit(problem, fit.members[:1])
+    assert fewer.completed(problem, alone, False) == (alone, problem, False), "single causes are compared elsewhere"
+
+
 def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
     problem, base = two_causes
     wrong = joint(problem, members(arm, joint_dry_friction=0.3, servo_damping=0.3, armature=0.0005), base)
