@@ -78,7 +78,7 @@ def bench(
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = SCENE,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
-    duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 3.2,
+    duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 2.4,
     kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
     counts: Annotated[
         str,

@@ -106,8 +106,10 @@ def forward(
                     return fitted
             if left_by(best) > RETRIED * best.gain:
                 world.pace.told("trying other effects in place of what was found early")
-                grown = _swapped(world, best) or moved(world, best)
-                grown = grown or shared(world, best, alone) or paired(world, best, alone) or _retraced(world, best)
+                # But of tosses, each member of what is found is challenged in the end, for less.
+                grown = _swapped(world, best) if world.plays_all else None
+                grown = grown or moved(world, best) or shared(world, best, alone)
+                grown = grown or paired(world, best, alone) or _retraced(world, best)
             else:
                 grown = moved(world, best)
         if grown is None:

@@ -230,9 +230,7 @@ def test_others_are_tried_in_the_place_of_each_of_three_only_where_no_many_are_f
     assert bool(asked) is tried
 
 
-@pytest.mark.parametrize(
-    ("share", "tried"), [(0.9, ["moved"]), (1.1, ["_swapped", "moved", "shared", "paired", "_retraced"])]
-)
+@pytest.mark.parametrize(("share", "tried"), [(0.9, ["moved"]), (1.1, ["moved", "shared", "paired", "_retraced"])])
 def test_others_are_tried_in_place_of_early_members_only_where_a_tenth_of_the_gain_is_left(
     small, monkeypatch, share, tried
 ):
