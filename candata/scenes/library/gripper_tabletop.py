@@ -49,7 +49,7 @@ def build() -> mujoco.MjSpec:
   <compiler angle="radian" autolimits="true"/>
   <option timestep="0.005" integrator="implicitfast" cone="elliptic" impratio="5"/>
   <default>
-    <geom friction="0.8 0.005 0.0001" solref="0.012 1"/>
+    <geom friction="0.8 0.005 0.0001" solref="0.02 1"/>
     <joint damping="0.02" armature="8e-4" axis="0 1 0"/>
     <position kp="5" kv="0.13" forcerange="-1.2 1.2"/>
     <default class="base"><joint range="-0.6 1.2"/><position ctrlrange="-0.6 1.2"/></default>
