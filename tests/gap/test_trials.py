@@ -16,6 +16,8 @@ from candata.gap.refine import WIDTHS, joint
 from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
 from candata.gap.stage import look
+from candata.scenes import load_scene
+from candata.simulate.episodes import Job, make_episodes
 from tests.gap.conftest import members
 
 
@@ -157,6 +159,19 @@ def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, 
         members, (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
     assert loss < best < full
     assert added._started(part, [r for r in rough if r[0].name == "servo_gain"]) == []
+
+
+def test_the_two_numbers_of_one_spring_and_damper_are_found_together(planted):
+    scene = load_scene("gripper_tabletop")
+    truth = {"contact_compliance": 0.05, "contact_damping": 0.4}
+    effects = (*planted("contact_compliance", timeconst_s=0.05), *planted("contact_damping", dampratio=0.4))
+    jobs = [Job(f"e{i}", i, ("squeeze", "push")[i % 2], 3, effects) for i in range(6)]
+    recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.2, noise=scene.file.noise))
+    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    both = [(candidate(name, scene), None) for name in added.COUPLED]
+    (found,) = added._coupled(problem, both)
+    assert {c.name: float(np.exp(u[0])) for c, u in found} == pytest.approx(truth, rel=0.15)
+    assert added._coupled(problem, both[:1]) == []
 
 
 def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, two_causes, monkeypatch):
