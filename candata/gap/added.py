@@ -29,7 +29,7 @@ ADDED = 4
 #: The two numbers of one spring and damper, stiffness 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo
 #: manual, "solref"): far from neutral, what each does alone does not add up to what both do.
 COUPLED = ("contact_compliance", "contact_damping")
-#: Steps of the logarithms of both, from the best pair of their probes on: probes lie a factor of two apart.
+#: Steps of the logarithms of both, from the best pair of their probes on. Chosen: probes lie a factor of two apart.
 NEARER = (0.35, 0.18, 0.09)
 #: How many effects are tried in pairs, and where a pair's fit is begun: at these shares of what each is alone, which
 #: made up for the other too. Chosen.
