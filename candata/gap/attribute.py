@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
 from candata.gap.fewer import completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
+from candata.gap.own_floor import Grown
 from candata.gap.pace import AGAIN, SHARPEN
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
@@ -177,7 +179,9 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         chosen, world, remains = jointly(world, chosen)
     # What makes up for a choice looks like many little things, as the joint fit leaves choices out.
     chosen, world, remains = simplified(world, chosen, remains or little)
-    chosen, world, remains = merged(world, chosen, remains)
+    chosen, world, remains = _as_one(world, chosen, remains, first.fits, doubt)
+    if doubt and doubt.stands:
+        return Attribution(first, chosen, (chosen,), world.score, remains, force=doubt.stands)
     chosen, world, remains = completed(world, chosen, remains)
     chosen, world, remains = widened(world, chosen, remains)
     better, others = challenged(problem, world, chosen, rough, far=not little)
@@ -193,3 +197,13 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         others = others if better.labels == grown.labels else []
     tied = aliases(world, better, others) or tied
     return Attribution(first, better, tuple(tied), world.score, remains and not little, tuple(others))
+
+
+def _as_one(world: Problem, chosen: Fit, remains: bool, alone: Sequence[Fit], doubt: Doubt | None = None) -> Grown:
+    """Return the set with one effect in place of two that stand for it, and with what these left no room for.
+
+    (Softer servos and an inertia of the joints stood for their damping, and a torsional friction was missing.)
+    """
+    found, other, left = merged(world, chosen, remains)
+    grows = left and found.labels != chosen.labels
+    return forward(other, found, alone, doubt=doubt) if grows else (found, other, left)

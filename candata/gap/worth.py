@@ -19,8 +19,8 @@ EXTRA = 0.05
 #: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
 #: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
 FAINT, SURER = 0.05, 3.0
-#: Floors that must be left for pairs and for a joint fit of everything: contact alone leaves a tenth or two behind a
-#: right cause. (In three blind cases with less, it found nothing, or names that make up for chaos.)
+#: Floors that must be left for pairs, or for a fault to be looked for elsewhere: contact alone leaves a tenth or two
+#: behind a right cause.
 LEFT = 0.2
 #: Share of what is left, where that is more than `LEFT`, that the next effect must take, sharply fitted. Chosen: of two
 #: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from candata.gap import attribute
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
@@ -26,6 +29,7 @@ def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
         (np.full(8, 0.4), True),  # the same in every episode
         (np.array([0.3, 0.0, 0.3, 0.1, 0.0, 0.2, 0.2, 0.1]), True),  # twice what null sets reach, and nearly sure
         (np.array([0.6, -0.1, 0.5, 0.1, -0.2, 0.3, 0.0, 0.0]), False),  # twice as well, and as likely luck
+        (np.array([0.6, 0.0, 0.5, 0.1, 0.0, 0.1, 0.0, 0.1]), False),  # the same, and the doing of a few
         (0.95 * BASE, True),  # uneven, as the episodes are, but nearly all of the loss
         (np.array([2.9, -0.1, 0.0, 0.1, 0.0, 0.2, -0.1, 0.1]), False),  # one episode's doing
         (np.full(8, 0.1), False),  # what null sets nearly reach
@@ -69,3 +73,13 @@ def test_what_was_measured_takes_no_place_in_the_set(cube):
     assert not is_full((*free[1:], known), (known,))
     assert is_full((*free[1:], known), ())
     assert is_full((*free, known), (known,))
+
+
+@pytest.mark.parametrize(("labels", "left", "grows"), [("ac", True, True), ("ac", False, False), ("abc", True, False)])
+def test_beside_one_in_place_of_two_the_search_goes_on_where_a_gap_remains(monkeypatch, labels, left, grows):
+    three, found = SimpleNamespace(labels=tuple("abc")), SimpleNamespace(labels=tuple(labels))
+    grown = (SimpleNamespace(labels=tuple("acd")), "its world", False)
+    monkeypatch.setattr(attribute, "merged", lambda *a: (found, "its world", left))
+    monkeypatch.setattr(attribute, "forward", lambda world, best, alone, doubt: grown)
+    after = attribute._as_one("world", three, True, ())
+    assert after == (grown if grows else (found, "its world", left))

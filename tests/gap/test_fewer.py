@@ -16,7 +16,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
-from candata.gap.worth import is_next
+from candata.gap.stage import is_tied
 from tests.gap.conftest import members
 
 
@@ -84,6 +84,24 @@ def test_what_either_of_two_joints_does_as_well_is_said_of_all(arm, two_causes):
     assert world is not problem, "in units of the floor of its own world"
 
 
+@pytest.mark.parametrize(("all_over", "whole"), [(0.5, True), (-0.5, False)])
+def test_of_all_and_one_element_beside_others_the_one_that_explains_more_is_named(
+    arm, two_causes, monkeypatch, all_over, whole
+):
+    """Where no other element would do as well."""
+    problem, base = two_causes
+    local = (on(arm, "joint_dry_friction", "shoulder"), np.full(1, 0.3))
+    fit = joint(problem, (local, *members(arm, actuation_delay=0.03)), base)
+
+    def fitted(problem, some, base, widths=()):
+        loss = fit.evidence.loss - (all_over if some[0][0].element is None else -9.0)
+        return replace(fit, members=some, evidence=replace(fit.evidence, loss=loss, gain=base - loss))
+
+    monkeypatch.setattr(fewer, "joint", fitted)
+    found, _, _ = fewer.widened(problem, fit, True)
+    assert found.labels == ("joint_dry_friction" if whole else local[0].label, "actuation_delay")
+
+
 def test_the_fault_of_one_joint_stays_its_own(arm, arm_episodes, planted):
     effects = (
         *planted("joint_dry_friction", "elbow", frictionloss_Nm=0.3),
@@ -147,15 +165,15 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
     weak = (candidate("servo_gain", arm, "shoulder"), np.log([0.6]))
     some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), weak)
     right = joint(problem, some, problem.score.loss(problem.nominal))
-    monkeypatch.setattr(fewer, "LEFT", -np.inf)
+    monkeypatch.setattr(fewer, "STANDS", -np.inf)
     assert fewer.merged(problem, right, True) == (right, problem, True)
     for module in (fewer, trials):
         monkeypatch.setattr(module, "joint", lambda *a, **k: pytest.fail("it was fitted"))
     assert fewer.merged(problem, right, False) == (right, problem, False)
     assert fewer.merged(replace(problem, measured=some[:2]), right, True)[0] is right
     assert fewer.merged(replace(problem, simulated=True), right, True)[0] is right
-    monkeypatch.setattr(fewer, "LEFT", worth.LEFT)
-    little = replace(right, evidence=replace(right.evidence, loss=np.full(12, 1 + 0.99 * worth.LEFT)))
+    monkeypatch.undo()
+    little = replace(right, evidence=replace(right.evidence, loss=np.full(12, 1 + 0.99 * fewer.STANDS)))
     assert fewer.merged(problem, little, True) == (little, problem, True)
 
 
@@ -218,22 +236,20 @@ def test_a_fit_of_many_is_thinned_again_and_again_before_it_is_sharpened(arm, tw
 
 
 def test_a_fit_of_many_does_not_lose_step_by_step_what_it_explains(monkeypatch):
-    """Seven names of which each is worth 0.1 floors, less than a name is: some may go, not one after another."""
+    """Of seven names each is worth less than fits are sharp: one may go, not one after another."""
 
     def of(count):
         members = tuple((SimpleNamespace(name=f"effect {i}"), None) for i in range(count))
-        loss = np.full(12, 1.6 + 0.1 * (7 - count))
+        loss = np.full(12, 1.6 + 0.015 * (7 - count))
         return SimpleNamespace(members=members, evidence=SimpleNamespace(loss=loss), gain=4.0 - float(loss.mean()))
 
     monkeypatch.setattr(fewer, "joint", lambda problem, members, base, widths=None: of(len(members)))
     monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: best.members[:1])
     monkeypatch.setattr(fewer, "_free", lambda problem, best: best.members)
-    problem = SimpleNamespace(recs=SimpleNamespace(tasks=["a"] * 12))
     whole = of(7)
-    one_less, two_less = of(6), of(5)
-    assert not is_next(one_less, whole, problem.recs.tasks)
-    assert is_next(two_less, whole, problem.recs.tasks)
-    assert len(fewer._thinned(problem, whole, whole, whole.members[:1], np.ones(12)).members) == 6
+    assert is_tied(of(6), whole)
+    assert not is_tied(of(5), whole)
+    assert len(fewer._thinned(None, whole, whole, whole.members[:1], np.ones(12)).members) == 6
 
 
 @pytest.mark.parametrize(("left", "times"), [(4, 1), (3, 2)])

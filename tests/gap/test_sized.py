@@ -88,11 +88,13 @@ def test_names_that_make_up_for_one_another_are_not_all_left_out(arm, monkeypatc
     assert [c.name for c, _ in untold] == ["a", "b"][:left_out]
 
 
-def test_one_cause_tied_ones_and_none_stay(found, two_causes, arm):
+def test_one_cause_many_tied_ones_and_none_stay(found, two_causes, arm):
     problem, before = found
     alone = joint(problem, members(arm, joint_dry_friction=0.3), two_causes[1])
+    many = replace(before.chosen, members=before.chosen.members * 2)
     for one in (
         replace(before, chosen=alone, tied=(alone,)),
+        replace(before, chosen=many, tied=(many,)),
         replace(before, tied=(before.chosen, alone)),
         replace(before, chosen=None, tied=()),
     ):

@@ -119,6 +119,34 @@ def test_a_fit_that_cannot_reach_what_is_asked_ends_before_its_members_are_tried
     assert sparse(problem, start, base, least=2 * float(base.mean())) is None
 
 
+def test_a_choice_that_was_accepted_stays(found, arm):
+    """It has no slope, by which the penalty would take it for nothing."""
+    _, start, base, problem = found
+    ((damping, u),) = start.members
+    choice = candidate("integrator", arm)
+    both = joint(problem, ((choice, np.ones(1)), (damping, u)), base)
+    after = sparse(problem, both, base)
+    assert {c.name for c, _ in after.members} == {"integrator", *WRONG}
+    assert after.members[0][1] == [1.0]
+
+
+@pytest.mark.parametrize("jumps", [True, False])
+def test_what_changes_episodes_at_its_neutral_value_is_not_fitted_together(found, monkeypatch, jumps):
+    """Depth of contacts at the object's own replaces that of the fingertips."""
+    _, start, _, problem = found
+    real = type(problem).residuals
+
+    def residuals(self, worlds):
+        off = [jumps and any(s.name == "backlash" for s in world) for world in worlds]
+        return [self.nominal if far else z for far, z in zip(off, real(self, worlds), strict=True)]
+
+    monkeypatch.setattr(type(problem), "residuals", residuals)
+    labels = [c.label for c, _ in module._everything(problem, start)]
+    assert labels[0] == "joint_damping"
+    assert "servo_gain" in labels
+    assert ("backlash" in labels) is not jumps
+
+
 @pytest.mark.parametrize(("better", "sharp"), [(9.0, False), (-9.0, True)])
 def test_where_no_other_name_stays_the_same_ones_are_fitted_sharply_only_if_they_explain_more(
     found, monkeypatch, better, sharp
