@@ -87,23 +87,31 @@ def test_friction_has_the_sign_of_the_force_on_the_fingertip(example, client):
     assert np.mean(readings[240:], axis=0) == pytest.approx([0, 0, -0.2 * G], abs=0.02)
 
 
+def sweeps(plan) -> slice:
+    """Rows before the targets first jump: at the 28 rad/s of a jump half a millisecond is 14 mrad."""
+    jumps = np.abs(np.diff(plan.commands, axis=0)).max(axis=1) > 0.2
+    return slice(0, int(np.argmax(jumps)) if jumps.any() else None)
+
+
 def test_free_joints_move_alike_in_both_engines(example, scene):
     """Masses, inertias, axes, servos and the timing of the commands: a command one row late would be 20 mrad off."""
     plan = plan_of(scene, "free_sweep")
-    ours, theirs = nominal(scene, plan), example["record"].play(plan, scene, {})
-    error = ours["joint_position"] - theirs["joint_position"]
-    # Measured 0.5 mrad rms and 1.5 mrad at most: both integrate to first order.
-    assert np.abs(error).max() < 4e-3
-    late = ours["joint_position"][1:] - theirs["joint_position"][:-1]
-    assert np.abs(late).max() > 2e-2
+    rows = sweeps(plan)
+    assert rows.stop > 60
+    ours = nominal(scene, plan)["joint_position"][rows]
+    theirs = example["record"].play(plan, scene, {})["joint_position"][rows]
+    # Measured 0.9 mrad at most: both integrate to first order.
+    assert np.abs(ours - theirs).max() < 4e-3
+    assert np.abs(ours[1:] - theirs[:-1]).max() > 2e-2
 
 
 def test_hidden_damping_is_damping_in_both_engines(example, scene):
     plan, hidden = plan_of(scene, "free_sweep"), example["record"].HIDDEN["damping"]
+    rows = sweeps(plan)
     damped = EffectSetting(name="joint_damping", parameters={"damping_Nms_rad": hidden["damping_nms_rad"]})
-    theirs = example["record"].play(plan, scene, hidden)["joint_position"]
-    assert np.abs(nominal(scene, plan, damped)["joint_position"] - theirs).max() < 4e-3  # as without damping
-    assert np.abs(nominal(scene, plan)["joint_position"] - theirs).max() > 2e-2
+    theirs = example["record"].play(plan, scene, hidden)["joint_position"][rows]
+    assert np.abs(nominal(scene, plan, damped)["joint_position"][rows] - theirs).max() < 4e-3  # as without damping
+    assert np.abs(nominal(scene, plan)["joint_position"][rows] - theirs).max() > 2e-2
 
 
 def test_a_held_box_weighs_the_same_in_both_engines_and_frames_agree(example, scene):
