@@ -11,9 +11,13 @@ from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Replace the width of solimp: the depth over which the impedance grows to its full value."""
-    model.geom_solimp[_contact.geoms(scene, None), 2] = x[0]
-    model.pair_solimp[_contact.pairs(scene, None), 2] = x[0]
+    """Replace the width of solimp, the depth over which the impedance grows to its full value: others in proportion.
+
+    Softer fingertips stay softer than the object, and at the object's own width nothing changes.
+    """
+    share = x[0] / _own(scene)
+    model.geom_solimp[_contact.geoms(scene, None), 2] *= share
+    model.pair_solimp[_contact.pairs(scene, None), 2] *= share
 
 
 def _own(scene: Scene) -> float:
@@ -28,7 +32,7 @@ def _grows(scene: Scene) -> bool:
 
 
 EFFECT = Effect(
-    about="depth over which contacts reach their full stiffness is replaced",
+    about="depth over which contacts reach their full stiffness is replaced, of other geoms in proportion",
     parameters=(
         Parameter(
             "width_m",

@@ -60,7 +60,7 @@ PHRASES: dict[str, tuple[str, str]] = {
     ),
     "solimp_width": (
         "Let contacts with the object reach full stiffness over {x}",
-        "{raw} as the third number of solimp of the <geom>s that touch",
+        "{raw} as the third number of solimp of the object's <geom>s, and in proportion of those that touch it",
     ),
     "friction_cone": ("Use the {x} friction cone", '<option cone="{raw}"/>'),
     "impratio": ("Set impratio to {x}", '<option impratio="{raw}"/>'),

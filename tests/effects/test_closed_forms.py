@@ -228,6 +228,16 @@ def test_contact_damping_is_the_damping_ratio_whichever_form_the_model_has(toss)
     np.testing.assert_allclose(time_form(np.array([[-1e4, -100.0]])), [[0.02, 0.5]])
 
 
+@pytest.mark.parametrize("share", [1.0, 2.0])
+def test_softer_fingertips_stay_softer_at_another_depth_of_contacts(share):
+    scene = load_scene("gripper_tabletop")
+    before, tips = scene.model.geom_solimp[:, 2], scene.model.geom_solimp[:, 2] > 0.002
+    own = float(before[scene.object_geoms[0]])
+    after = model_of(scene, setting("solimp_width", width_m=share * own)).geom_solimp[:, 2]
+    assert after[tips] == pytest.approx(share * 0.005)
+    assert after[scene.object_geoms] == pytest.approx(share * own)
+
+
 def test_a_time_step_divides_the_control_step(toss, hand):
     for scene, asked, steps in ((toss, 1e-3, 7), (hand, 1.25e-3, 10), (hand, 6.25e-3, 2), (hand, 3e-3, 4)):
         model = model_of(scene, setting("time_step", time_step_s=asked))

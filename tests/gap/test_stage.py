@@ -240,25 +240,26 @@ def test_of_what_lies_below_the_loss_of_true_worlds_nine_chances_in_ten_are_aske
     ("everywhere", "one", "found"),
     [
         (0.92, 0.95, None),  # more for all joints, within a standard error: all
-        (0.95, 0.92, "elbow"),
+        (0.95, 0.92, None),  # less for all joints, within a standard error: the elbow's may be chance
+        (1.05, 0.92, "elbow"),
         (0.92, 0.925, "elbow"),  # alike as far as fits are sharp: the one joint
     ],
 )
-def test_of_all_and_one_element_the_one_that_gains_more_is_named(arm, everywhere, one, found):
+def test_of_all_and_one_element_the_one_that_surely_gains_more_is_named(arm, everywhere, one, found):
     spread = np.linspace(-0.1, 0.1, 8)
     fits = [
         fit(candidate("joint_damping", arm), everywhere + spread),
         fit(candidate("joint_damping", arm, "elbow"), one - spread),
     ]
     best = max(fits, key=lambda f: f.gain)
-    assert all(staging.is_tied(f, best) for f in fits)
+    assert all(staging.is_tied(f, best) for f in fits) is (everywhere < 1)
     assert staging._simplest(best, fits, arm).members[0][0].element == found
 
 
 @pytest.mark.parametrize(("other", "found"), [(0.93, None), (1.5, "elbow")])
 def test_where_either_element_would_do_all_are_named(arm, other, found):
     spread = np.linspace(-0.1, 0.1, 8)
-    losses = {None: 0.94 + spread, "elbow": 0.92 - spread, "shoulder": other + spread}
+    losses = {None: 0.925 + spread, "elbow": 0.92 - spread, "shoulder": other + spread}
     fits = [fit(candidate("joint_damping", arm, element), loss) for element, loss in losses.items()]
     assert staging._simplest(fits[1], fits, arm).members[0][0].element == found
 
