@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.effects import rail_units
 from candata.gap.attribute import Attribution
+from candata.gap.candidates import Candidate
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
@@ -35,6 +36,8 @@ from candata.schema.effect import EffectsFile, Value
 from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Ranked, Report, Symptom, Verdict
 
 Array = NDArray[np.float64]
+#: Share of what is possible within which a number counts as at its bound. Chosen.
+NEAR_BOUND = 0.01
 
 
 @dataclass(frozen=True)
@@ -186,7 +189,6 @@ def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[Named
     out = []
     pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng, f.found.rivals), strict=True)
     for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
-        at_bound = not c.choices and bool((np.minimum(u - c.low, c.high - u) < 0.01 * (c.high - c.low)).any())
         at, least, most = (c.setting(point, f.scene).parameters for point in (u, lower, upper))
         units = rail_units(c.name, f.scene, c.element)
         estimates = {name: _estimate(at[name], least[name], most[name], units.get(name)) for name in at}
@@ -195,7 +197,7 @@ def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[Named
                 name=c.name,
                 element=c.element,
                 share=share,
-                at_bound=at_bound and not _one_sided(c.neutral, u),
+                at_bound=_is_at_bound(c, u),
                 support=round(trusted * float(alone if np.isnan(backing) else backing), 3),
                 parameters=estimates,
                 rivals=tuple(dict.fromkeys(_instead(fit, r) for r in f.found.rivals if c.label not in r.labels)),
@@ -216,9 +218,11 @@ def _estimate(value: Value, low: Value, high: Value, unit: str | None) -> Estima
     return Estimate(value=value, low=low, high=high, unit=unit)
 
 
-def _one_sided(neutral: Array, u: Array) -> bool:
-    """Tell whether the bound that is touched is the effect's own absence."""
-    return bool(np.allclose(neutral, u))
+def _is_at_bound(c: Candidate, u: Array) -> bool:
+    """Tell whether a number stopped at a bound that is not the effect's own absence: beyond may be its true value."""
+    near = NEAR_BOUND * (c.high - c.low)
+    ends = [(np.abs(u - end) < near) & (np.abs(c.neutral - end) >= near) for end in (c.low, c.high)]
+    return not c.choices and bool(np.any(ends))
 
 
 def _ranking(f: Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import joint
 from candata.gap.replay import Replayer
+from candata.scenes import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -47,3 +49,19 @@ def test_what_leaves_half_by_its_own_spread_is_taken_where_it_is_as_good_by_the_
         assert asked == [("actuation_delay",)]
     if taken:
         assert found.labels == ("actuation_delay",)
+
+
+@pytest.mark.parametrize(
+    ("name", "element", "numbers", "found"),
+    [
+        ("torque_limit", "thumb_base", [0.19], [("torque_limit thumb", [0.19])]),
+        ("joint_offset", "thumb_end", [0.05], [("joint_offset thumb", [0.0, 0.05])]),
+        ("sliding_friction", "left_tip", [-0.7], [("sliding_friction fingertips", [-0.7])]),
+        ("sliding_friction", "fingertips", [-0.7], []),
+    ],
+)
+def test_a_fault_is_as_strong_on_the_groups_that_hold_its_element(name, element, numbers, found):
+    scene = load_scene("gripper_tabletop")
+    problem = SimpleNamespace(replayer=SimpleNamespace(scene=scene))
+    some = elsewhere.groups(problem, candidate(name, scene, element), np.array(numbers))
+    assert [(c.label, u.tolist()) for c, u in some] == found
