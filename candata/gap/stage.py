@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 #: large the product of the two, and from how many times its threshold it counts when it removes most of the loss. (Of
 #: 60 null worlds the largest product was 4.1; of 12 faint effects that came out first there, 8 had more than 5.) A gain
 #: that a few episodes of 20 make has few standard errors, whatever nulls gain. (Of 100 nulls of another scene four
-#: gained 3.4 to 4.8 times their threshold, 1.6 to 2.2 standard errors; a faint effect there 5.4.)
+#: gained 3.4 to 4.8 times their threshold, 1.6 to 2.2 standard errors; two faint effects there 2.9 and 5.4.)
 CLEAR, STEADY, PLAIN, MOST_OF_IT = 1.5, 2.5, 5.0, 3.0
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
 MATTERS = 0.02
@@ -110,7 +110,7 @@ class Stage:
         Either it is sure, or it removes most of the loss, which no floor of the right height allows.
         """
         error, gain = standard_error(best.evidence.gain), self._counted(best)
-        steady = gain > max(CLEAR * self.threshold, STEADY * error)
+        steady = gain > CLEAR * self.threshold and best.gain > STEADY * error
         sure = steady and gain**2 > PLAIN * self.threshold * error
         return sure or gain > max(MOST_OF_IT * self.threshold, float(self.base.mean()) / 2)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,7 @@ from candata.gap import attribute
 from candata.gap.candidates import candidate
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
-from candata.gap.stage import Stage, error_within, standard_error
+from candata.gap.stage import STEADY, Stage, error_within, standard_error
 from candata.gap.worth import LARGEST, is_full
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
@@ -38,6 +39,14 @@ def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
 def test_a_gain_within_the_nulls_range_counts_when_it_is_plain(gain, plain):
     some = stage(gain)
     assert some.is_plain(some.fits[0]) is plain
+
+
+def test_a_gain_is_as_steady_as_it_is_though_not_all_of_it_counts():
+    gain = np.array([0.5, 0.1, 0.3, 0.0, 0.1, 0.2, 0.3, 0.1])
+    some = replace(stage(gain, reachable=float(BASE.mean()) - 0.12), threshold=0.01)
+    assert some._counted(some.fits[0]) == pytest.approx(0.12)
+    assert 0.12 < STEADY * standard_error(gain) < gain.mean()
+    assert some.is_plain(some.fits[0])
 
 
 def test_a_loss_below_what_a_true_world_reaches_counts_for_nothing():
