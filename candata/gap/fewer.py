@@ -26,8 +26,8 @@ Array = NDArray[np.float64]
 MADE_UP = 0.6
 #: Members worth least of which each two may stand for one effect. Chosen: what stands for one is worth little by half.
 PAIRED = 3
-#: Floors that must be left for one effect to be tried in place of two. Chosen: half of what joint fits are made for; a
-#: softer servo and a gain of the fingertips, for steps half as long beside a mass, left 0.18.
+#: Floors that must be left for one effect to be tried in place of two. Chosen: as much as contact alone leaves. (A
+#: softer servo and a gain of the fingertips, for steps half as long beside a mass, left 0.18.)
 STANDS = 0.1
 
 

@@ -14,7 +14,7 @@ from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shrink import intervals
 from candata.gap.trials import without
-from candata.gap.worth import LARGEST
+from candata.gap.worth import LARGEST, searched
 
 Array = NDArray[np.float64]
 #: Share of the way from its value to the end of its interval within which the neutral value must lie for an effect
@@ -35,7 +35,9 @@ def with_sizes(problem: Problem, found: Attribution) -> Attribution:
     was asked already whether it is worth anything: one by one, thirteen came down to five, and 0.06 floors to 0.37.
     """
     best = found.chosen
-    if best is None or found.force or len(found.tied) > 1 or not 1 < len(best.members) <= LARGEST:
+    if best is None or found.force or len(found.tied) > 1 or len(best.members) < 2:
+        return found
+    if searched(best.members, problem.measured) > LARGEST:
         return found
     return _sized(problem, found, best, (1 - LITTLE) * _explained(replace(problem, score=found.score), best))
 

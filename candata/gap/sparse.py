@@ -88,9 +88,9 @@ def sparse(problem: Problem, start: Fit, base: Array, least: float = 0.0) -> Fit
 def _everything(problem: Problem, start: Fit) -> Members:
     """Return the members of `start` and, at their neutral values, all other candidates that are numbers.
 
-    But those that change a few episodes even at these: no small step from there is a small one. (A depth of contacts,
-    neutral where it is the object's own, replaces that of the fingertips, five times as deep: from 0.8 floors left to
-    2.7, so that no step of all numbers together helped.)
+    But those that change a few episodes even at these, as one value for contacts that are not alike does: no small step
+    from there is a small one. (A depth of contacts that stood in for that of fingertips five times as deep went from
+    0.8 floors left to 2.7, so that no step of all numbers together helped.)
     """
     taken = {c.name for c, _ in start.members} | problem.ruled_out
     every = candidates(problem.replayer.scene, list(problem.recs.readings))

@@ -99,3 +99,14 @@ def test_one_cause_many_tied_ones_and_none_stay(found, two_causes, arm):
         replace(before, chosen=None, tied=()),
     ):
         assert sized.with_sizes(problem, one) is one
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_what_was_measured_does_not_count_among_many(found, arm, monkeypatch, known):
+    problem, before = found
+    (extra,) = members(arm, armature=1e-4)
+    four = replace(before.chosen, members=(*before.chosen.members, extra))
+    asked = []
+    monkeypatch.setattr(sized, "_sized", lambda problem, found, best, least: asked.append(best))
+    sized.with_sizes(replace(problem, measured=(extra,) if known else ()), replace(before, chosen=four, tied=(four,)))
+    assert asked == ([four] if known else [])

@@ -132,7 +132,7 @@ def test_a_choice_that_was_accepted_stays(found, arm):
 
 @pytest.mark.parametrize("jumps", [True, False])
 def test_what_changes_episodes_at_its_neutral_value_is_not_fitted_together(found, monkeypatch, jumps):
-    """Depth of contacts at the object's own replaces that of the fingertips."""
+    """As one value does that stands in for several."""
     _, start, _, problem = found
     real = type(problem).residuals
 
