@@ -18,7 +18,7 @@ from candata.gap.search import Problem
 from candata.gap.shortlist import brief, taken
 from candata.gap.starts import starts
 from candata.gap.stopgap import Stopgap, stopgap
-from candata.gap.suspects import Suspect, otherwise, suspects
+from candata.gap.suspects import Suspect, otherwise, pulls, suspects
 
 Index = NDArray[np.int64]
 #: Episodes that are looked at: enough to describe a force, and what effects that are named leave. Chosen: from twenty,
@@ -122,6 +122,9 @@ def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mend
     play = partial(stopgap, some, world, replay_all(some.replayer, some.recs, some.begin, [world])[0])
     half = np.sort(np.concatenate([fold[::2] for fold in some.parts]))
     best = _best(partial(play, index=half), found, some.parts)
+    if best.closed + MENDS <= 1:
+        drawn = [pull for s in found for pull in pulls(some.replayer.scene, s)]
+        best = _clearest([best, *(play([pull], index=half) for pull in drawn)])
     return Mended(some, index, found, best if len(half) == len(some.recs) else play(best.suspects))
 
 

@@ -107,6 +107,25 @@ def otherwise(suspect: Suspect, parts: Sequence[Index]) -> list[Suspect]:
     return [replace(suspect, found=d) for d in alternatives(suspect.sample, parts, suspect.found.terms)]
 
 
+def pulls(scene: Scene, suspect: Suspect) -> list[Suspect]:
+    """Return pulls of the support, as large as the object's weight where it rests, over each height they fade in.
+
+    No residual force tells of these: the support takes what pulls the object onto it. (Of a magnet as strong as the
+    weight of what stood on it, which three fingers dragged but did not lift, all that showed was friction: played, that
+    closed 0.05 of the gap, and the pull 0.83.) They are made from the `suspect`, a force on the object; none where that
+    is another, or nothing carries the object.
+    """
+    if suspect.place != "object" or suspect.axes.start > 0 or scene.file.support is None:
+        return []
+    weight = float(scene.model.body_subtreemass[scene.object_id] * np.linalg.norm(scene.model.opt.gravity))
+    down, out = np.array([0.0, 0.0, -weight]), []
+    for k, name in enumerate(OBJECT_TERMS):
+        if name == ("nearness to the support",):
+            sample = replace(suspect.sample, force=suspect.sample.terms[..., k] * down)
+            out.append(replace(suspect, sample=sample, found=Description((k,), down[None], suspect.found.gain)))
+    return out
+
+
 def _joint(scene: Scene, j: int, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:
     """Return the suspicion on one joint."""
     rows = _rows(scene)

@@ -23,10 +23,11 @@ from candata.gap.stopgap import Stopgap
 from candata.gap.suspects import suspects
 from candata.gap.unknown import describe
 from candata.reports.files import STOPGAP, write_diagnosis
+from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
 from candata.schema.report import Symptom
 from candata.simulate import at_rest, rollout
-from candata.simulate.episodes import add_noise
+from candata.simulate.episodes import Job, add_noise, make_episodes
 from tests.effects.gripper import ROLES, grip, write_scene
 from tests.gap import hidden
 
@@ -176,20 +177,37 @@ def test_a_wind_on_the_object_is_a_pull_in_its_direction(gripper, hiding):
     assert "on the object towards +y" in found.words
 
 
-def test_a_pull_that_fades_with_height_is_told_from_a_weight(gripper, hiding):
-    """On its support the object shows nothing of it; in the air a constant pull would fit its size, not its motion."""
+def drawn_down(pull: float, fades: float):
+    """A cause that pulls the object onto its support [N], less and less over a height [m]."""
 
     def drawn(scene, memory, x):
         out, height = np.zeros_like(x.added), x.qpos[:, scene.object_qpos + 2]
         rest = memory.setdefault("rest", height.copy())
-        out[:, scene.object_dof + 2] = -1.2 * np.exp(-np.maximum(height - rest, 0) / 0.012)
+        out[:, scene.object_dof + 2] = -pull * np.exp(-np.maximum(height - rest, 0) / fades)
         return out
 
-    found = described(gripper, grips(gripper, hiding(hidden.force(drawn))))
+    return hidden.force(drawn)
+
+
+def test_a_pull_that_fades_with_height_is_told_from_a_weight(gripper, hiding):
+    """On its support the object shows nothing of it; in the air a constant pull would fit its size, not its motion."""
+    found = described(gripper, grips(gripper, hiding(drawn_down(1.2, 0.012))))
     assert found.unknown.acts_on == "object"
     assert found.unknown.depends_on[0] == "nearness to the support"
     assert "on the object towards -z that fades with its height above the table" in found.unknown.words
     assert found.unknown.closable > 0.7
+
+
+def test_a_pull_on_what_is_dragged_and_not_lifted_is_found_by_playing_it(hiding):
+    """The support takes it: all that a residual force shows of it is friction, which closes a tenth of the gap."""
+    scene = load_scene("gripper_tabletop")
+    world = hiding(drawn_down(1.8, 0.02))
+    squeezes = make_episodes(scene, [Job(f"e{i}", i, "squeeze", 3, world) for i in range(8)], duration_s=2.4)
+    found = described(scene, recordings(scene, squeezes)).unknown
+    assert (found.acts_on, found.depends_on) == ("object", ("nearness to the support",))
+    assert "on the object towards -z that fades with its height above the table" in found.words
+    assert found.size == near(1.8)
+    assert found.closable > 0.8
 
 
 def test_a_sensor_with_hysteresis_is_a_reading_and_no_force(gripper, hiding):
