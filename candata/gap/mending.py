@@ -116,14 +116,13 @@ def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mend
         Noise of the null replays.
     """
     some, index = _some(problem, LEFT_OVER if world else LOOKED_AT)
-    found = _standing_out(some, world, rng)
+    found, drawn = _standing_out(some, world, rng)
     if not found:
         return None
     play = partial(stopgap, some, world, replay_all(some.replayer, some.recs, some.begin, [world])[0])
     half = np.sort(np.concatenate([fold[::2] for fold in some.parts]))
     best = _best(partial(play, index=half), found, some.parts)
     if best.closed + MENDS <= 1:
-        drawn = [pull for s in found for pull in pulls(some.replayer.scene, s)]
         best = _clearest([best, *(play([pull], index=half) for pull in drawn)])
     return Mended(some, index, found, best if len(half) == len(some.recs) else play(best.suspects))
 
@@ -166,8 +165,13 @@ def _some(problem: Problem, most: int = LOOKED_AT) -> tuple[Problem, Index]:
     return replace(taken(problem, index), parts=parts), index
 
 
-def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> list[Suspect]:
-    """Return the suspects whose residual force is described better than any in null replays, the best first."""
+def _standing_out(
+    problem: Problem, world: EffectSet, rng: np.random.Generator
+) -> tuple[list[Suspect], list[Suspect]]:
+    """Return the suspects whose residual force is described better than any in null replays, the best first.
+
+    And the pulls of the support, of which no residual force tells.
+    """
     scene, count = problem.replayer.scene, len(problem.recs)
     real = residual_force(problem.replayer, problem.recs, problem.begin, world)
     nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
@@ -175,7 +179,7 @@ def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) 
     found = suspects(scene, real, null, problem.parts)
     own = [_gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
            for r in range(REPLICAS)]  # fmt: skip
-    return [s for s in found if s.gain > max(own)]
+    return [s for s in found if s.gain > max(own)], [pull for s in found for pull in pulls(scene, s)]
 
 
 def _gain(found: Sequence[Suspect]) -> float:

@@ -161,8 +161,13 @@ def test_which_force_mends_most_is_decided_on_half_of_the_episodes_and_judged_on
 
 def test_what_names_leave_is_described_from_fewer_episodes(cogs, named, monkeypatch):
     monkeypatch.setattr(mending, "LEFT_OVER", 8)
-    monkeypatch.setattr(mending, "_standing_out", lambda problem, world, rng: looked.append(len(problem.recs)))
     looked: list[int] = []
+
+    def nothing(problem, world, rng):
+        looked.append(len(problem.recs))
+        return [], []
+
+    monkeypatch.setattr(mending, "_standing_out", nothing)
     mending.mended(cogs, cogs.setting(named.members), rng())
     mending.mended(cogs, (), rng())
     assert looked == [8, 12]
