@@ -10,6 +10,7 @@ from candata.gap.fewer import completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.own_floor import Grown
 from candata.gap.pace import AGAIN, SHARPEN
+from candata.gap.refine import polished
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
@@ -133,6 +134,21 @@ def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members
     return None
 
 
+def _counting(problem: Problem, first: Stage, remains: bool) -> tuple[Stage, Fit | None]:
+    """Return the first look with its best at its sharpest, where that decides, and what of it counts; None of nothing.
+
+    Within the nulls' range a blunt fit shows half of a faint effect, and the luck of all. (A support's rolling
+    friction, worth 0.08 floors, gained 0.038, 2.2 standard errors; sharp 0.084, which is 4.0. Of 100 nulls none was
+    plain when sharp.)
+    """
+    best = first.passing()
+    if best is None or remains or first.is_plain(best):
+        return first, best
+    best = polished(problem, best, first.base)
+    first = replace(first, fits=(best, *first.fits[1:]))
+    return first, best if first.is_plain(best) else None
+
+
 def _uneven(first: Stage, found: tuple[Fit, Problem] | None) -> Attribution | None:
     """Return what one scalar explains in a chaotic world whose floor leaves no gap; None where none does."""
     if found is None:
@@ -156,8 +172,8 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
         # Before the cause is called unknown, all that could explain it is looked at on every episode.
         problem.pace.told("looking at more effects on every episode")
         first = look_again(problem, first)
-    best = first.passing()
-    if best is None or not (remains or first.is_plain(best)):
+    first, best = _counting(problem, first, remains)
+    if best is None:
         return Attribution(first, None, (), problem.score, remains)
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
     several = together(problem, best, as_simulated(problem, first)) if is_far else None

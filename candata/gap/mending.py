@@ -165,9 +165,7 @@ def _some(problem: Problem, most: int = LOOKED_AT) -> tuple[Problem, Index]:
     return replace(taken(problem, index), parts=parts), index
 
 
-def _standing_out(
-    problem: Problem, world: EffectSet, rng: np.random.Generator
-) -> tuple[list[Suspect], list[Suspect]]:
+def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> tuple[list[Suspect], list[Suspect]]:
     """Return the suspects whose residual force is described better than any in null replays, the best first.
 
     And the pulls of the support, of which no residual force tells.

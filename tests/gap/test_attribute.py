@@ -49,6 +49,27 @@ def test_a_gain_is_as_steady_as_it_is_though_not_all_of_it_counts():
     assert some.is_plain(some.fits[0])
 
 
+@pytest.mark.parametrize(("sharp", "remains", "counts", "asked"), [(0.2, False, True, 1), (0.0, False, False, 1),
+                                                                   (0.0, True, True, 0)])  # fmt: skip
+def test_what_is_not_plain_within_the_nulls_range_counts_if_it_is_when_sharp(
+    monkeypatch, sharp, remains, counts, asked
+):
+    some = stage(np.array([0.6, -0.1, 0.5, 0.1, -0.2, 0.3, 0.0, 0.0]))
+    blunt = some.fits[0]
+    calls = []
+
+    def polished(problem, fit, base):
+        calls.append(fit)
+        return replace(fit, evidence=replace(fit.evidence, gain=fit.evidence.gain + sharp))
+
+    monkeypatch.setattr(attribute, "polished", polished)
+    assert some.passing() is blunt
+    assert not some.is_plain(blunt)
+    first, best = attribute._counting(None, some, remains)
+    assert (best is not None, len(calls)) == (counts, asked)
+    assert first.fits[0] is best or best is None
+
+
 def test_a_loss_below_what_a_true_world_reaches_counts_for_nothing():
     gain = np.full(8, 0.15)
     assert stage(gain).passing() is not None
