@@ -17,9 +17,12 @@ from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
 from candata.gap.stage import RIVALS, UNSURE, is_elsewhere, is_tied
 from candata.gap.trials import sharpest
-from candata.gap.worth import LEFT, MOST, extra_of, left_by, settles, worth_adding
+from candata.gap.worth import MOST, extra_of, left_by, settles, worth_adding
 
 Array = NDArray[np.float64]
+#: Floors that must be left for a fault to be tried on other elements. Chosen: as much as contact alone leaves. (One
+#: joint's torque limit, named for that of its finger, left 0.19.)
+OPEN = 0.1
 
 
 def moved(problem: Problem, best: Fit) -> Fit | None:
@@ -30,7 +33,7 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
     as one of them, which left 0.56 floors: of the finger as a whole 0.22 N m had been read off. From another seed they
     were named as all motors, limited to 0.2 N m, which left 0.42.)
     """
-    if left_by(best) < LEFT:
+    if left_by(best) < OPEN:
         return None
     base = problem.score.loss(problem.nominal)
     for c, u in best.members:
