@@ -18,6 +18,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
 from candata.gap.stage import narrowed, sharpened, tied_with, typical
+from candata.scenes import load_scene
 
 BASE = np.full(8, 2.0)
 CHANNELS = ("joint_position", "object_pose", "fingertip_force")
@@ -186,6 +187,28 @@ def test_the_next_joints_fault_is_sharpened_too_but_not_that_of_all(arm, monkeyp
     found = sharpened(problem, staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0))
     assert found.fits[0].labels == (f"joint_damping {first}",)
     assert len(polished) == (2 if other else 1)
+
+
+@pytest.mark.parametrize(
+    ("leaves", "sharp", "first"), [(0.06, -0.02, "right"), (0.06, 0.055, "right_base"), (0.01, -0.02, "right_base")]
+)
+def test_all_of_a_finger_s_numbers_are_sharpened_where_those_of_one_joint_leave_something(
+    monkeypatch, leaves, sharp, first
+):
+    """Named are more numbers only if they surely explain more."""
+    scene = load_scene("gripper_tabletop")
+    one, both = (candidate("joint_offset", scene, name) for name in ("right_base", "right"))
+    losses = {one.label: np.full(8, 1 + leaves), both.label: np.full(8, 1 + sharp)}
+    problem = SimpleNamespace(
+        begin=0, replayer=SimpleNamespace(scene=scene), setting=lambda members: members[0][0].label,
+        losses_from=lambda begins, worlds: np.array([[losses[w] for w in worlds] for _ in begins]),
+    )  # fmt: skip
+    monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
+    monkeypatch.setattr(staging, "polished", lambda problem, f, base: fit(f.members[0][0], losses[f.labels[0]]))
+    monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(one, losses[one.label]))
+    fits = (fit(one, np.full(8, 1 + leaves)), fit(both, np.full(8, 1.13)))
+    found = sharpened(problem, staging.Stage(BASE, np.zeros((4, len(BASE))), fits, 0.0, (), (), (), 0.0))
+    assert found.fits[0].labels == (f"joint_offset {first}",)
 
 
 @pytest.mark.parametrize(("other", "slopes"), [("pose_bias", True), ("pose_latency", False)])
