@@ -36,7 +36,8 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
     if left_by(best) < OPEN:
         return None
     base = problem.score.loss(problem.nominal)
-    for c, u in best.members:
+    # First those of one element: what is everywhere may only make up for one that is in the wrong place.
+    for c, u in sorted(best.members, key=lambda m: m[0].element is None):
         others = tuple(m for m in best.members if m[0].name != c.name)
         all_over: Members = ()
         if c.element is None:

@@ -65,3 +65,14 @@ def test_a_fault_is_as_strong_on_the_groups_that_hold_its_element(name, element,
     problem = SimpleNamespace(replayer=SimpleNamespace(scene=scene))
     some = elsewhere.groups(problem, candidate(name, scene, element), np.array(numbers))
     assert [(c.label, u.tolist()) for c, u in some] == found
+
+
+def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(arm, arm_episodes, planted):
+    recs = recordings(arm, arm_episodes(planted("actuation_delay", "shoulder", delay_s=0.03), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    everywhere = (candidate("actuation_delay", arm), np.array([0.03]))
+    wrong = joint(problem, (everywhere,), problem.score.loss(problem.nominal))
+    assert worth.left_by(wrong) > elsewhere.OPEN
+    found = elsewhere.moved(problem, wrong)
+    assert found.labels == ("actuation_delay shoulder",)
+    assert worth.left_by(found) < 0.2 * worth.left_by(wrong)
