@@ -138,8 +138,8 @@ def _counting(problem: Problem, first: Stage, remains: bool) -> tuple[Stage, Fit
     """Return the first look with its best at its sharpest, where that decides, and what of it counts; None of nothing.
 
     Within the nulls' range a blunt fit shows half of a faint effect, and the luck of all. (A support's rolling
-    friction, worth 0.08 floors, gained 0.038, 2.2 standard errors; sharp 0.084, which is 4.0. Of 100 nulls none was
-    plain when sharp.)
+    friction, worth 0.07 floors, gained 0.038, 2.2 standard errors; sharp 0.084, which is 4.0. Of 100 nulls four
+    passed, and none of these was plain when sharp.)
     """
     best = first.passing()
     if best is None or remains or first.is_plain(best):

@@ -17,12 +17,9 @@ from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
 from candata.gap.stage import RIVALS, UNSURE, is_elsewhere, is_tied
 from candata.gap.trials import sharpest
-from candata.gap.worth import MOST, extra_of, left_by, settles, worth_adding
+from candata.gap.worth import MOST, OPEN, extra_of, left_by, settles, worth_adding
 
 Array = NDArray[np.float64]
-#: Floors that must be left for a fault to be tried on other elements. Chosen: as much as contact alone leaves. (One
-#: joint's torque limit, named for that of its finger, left 0.19.)
-OPEN = 0.1
 
 
 def moved(problem: Problem, best: Fit) -> Fit | None:

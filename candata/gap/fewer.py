@@ -18,7 +18,7 @@ from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief
 from candata.gap.stage import RIVALS, UNSURE, is_tied, unheld
 from candata.gap.trials import least_worth, sharp, without
-from candata.gap.worth import EXTRA, FAINT, LARGEST, is_next, left_by
+from candata.gap.worth import EXTRA, FAINT, LARGEST, OPEN, is_next, left_by
 
 Array = NDArray[np.float64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
@@ -26,9 +26,6 @@ Array = NDArray[np.float64]
 MADE_UP = 0.6
 #: Members worth least of which each two may stand for one effect. Chosen: what stands for one is worth little by half.
 PAIRED = 3
-#: Floors that must be left for one effect to be tried in place of two. Chosen: as much as contact alone leaves. (A
-#: softer servo and a gain of the fingertips, for steps half as long beside a mass, left 0.18.)
-STANDS = 0.1
 
 
 def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
@@ -176,7 +173,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     known = {c.name for c, _ in problem.measured}
     free = [m for m in best.members if m[0].name not in known]
     few = len(best.members) < 3 or len(free) < 2
-    if not remains or left_by(best) < STANDS or few or problem.plays_all:
+    if not remains or left_by(best) < OPEN or few or problem.plays_all:
         return best, problem, remains
     problem.pace.told("trying one effect in place of two")
     part, _ = brief(problem)

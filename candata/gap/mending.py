@@ -122,7 +122,7 @@ def mended(problem: Problem, world: EffectSet, rng: np.random.Generator) -> Mend
     play = partial(stopgap, some, world, replay_all(some.replayer, some.recs, some.begin, [world])[0])
     half = np.sort(np.concatenate([fold[::2] for fold in some.parts]))
     best = _best(partial(play, index=half), found, some.parts)
-    if best.closed + MENDS <= 1:
+    if best.closed + MENDS <= 1:  # else nothing can close clearly more
         best = _clearest([best, *(play([pull], index=half) for pull in drawn)])
     return Mended(some, index, found, best if len(half) == len(some.recs) else play(best.suspects))
 
@@ -166,9 +166,9 @@ def _some(problem: Problem, most: int = LOOKED_AT) -> tuple[Problem, Index]:
 
 
 def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) -> tuple[list[Suspect], list[Suspect]]:
-    """Return the suspects whose residual force is described better than any in null replays, the best first.
+    """Return the suspects whose residual force is described better than any in null replays, and the support's pulls.
 
-    And the pulls of the support, of which no residual force tells.
+    The suspects come best first. Of the pulls no residual force tells: they are played, whatever stands out.
     """
     scene, count = problem.replayer.scene, len(problem.recs)
     real = residual_force(problem.replayer, problem.recs, problem.begin, world)

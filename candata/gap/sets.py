@@ -29,6 +29,7 @@ from candata.gap.worth import (
     LARGEST,
     LEFT,
     MOST,
+    OPEN,
     extra_of,
     has_room,
     is_full,
@@ -47,9 +48,6 @@ CANCELS = 2.0
 #: than `LEFT` is; else every effect is simulated there on a few episodes. Chosen: beside a delay of 40 ms, damping of
 #: contacts promised nothing and was worth all of the 3.4 floors left, and torsional friction all of 0.4.
 BELIEVED = 0.5
-#: Floors that must be left for all effects to be fitted together. Chosen: contact alone leaves as much. (Of a gap of
-#: one floor three of seven little things left 0.19, too much for a verdict; all together left 0.08.)
-OPEN = 0.1
 #: Floors that must be left for a search to be made again, or two effects to be taken in place of one. Chosen.
 SETTLED = 0.5
 #: Share of the best promise from which a rival joins a set on trial, by a fit that simulates no slopes. Chosen: where a

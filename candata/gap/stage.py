@@ -246,9 +246,9 @@ def _wider(problem: Problem, stage: Stage, best: Fit) -> list[Fit]:
     nearly make up for one another, gained less than that of one until they were sharp; then they left none of 0.06.)
     """
     (c, _), scene = best.members[0], problem.replayer.scene
-    own, alike = set(elements_of(c, scene)), [(f, f.members[0][0]) for f in stage.fits if is_near(f, best)]
-    more = [(f, v) for f, v in alike if v.name == c.name and v.size > c.size]
-    wider = [f for f, v in more if own <= set(elements_of(v, scene))]
+    own, near = set(elements_of(c, scene)), [f for f in stage.fits if is_near(f, best)]
+    more = [f for f in near if f.members[0][0].name == c.name and f.members[0][0].size > c.size]
+    wider = [f for f in more if own <= set(elements_of(f.members[0][0], scene))]
     if not wider or best.evidence.loss.mean() <= 1 + MATTERS:
         return []
     sharp = polished(problem, min(wider, key=lambda f: f.members[0][0].size), stage.base)

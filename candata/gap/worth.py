@@ -19,9 +19,11 @@ EXTRA = 0.05
 #: errors than these: one that was missing ends the search, one that makes up for it leaves a part. Chosen: beside a
 #: tracker turned by 8 degrees, a dead band of the fingertips was worth 0.16 of 0.21 floors left, a 28th of the gain.
 FAINT, SURER = 0.05, 3.0
-#: Floors that must be left for pairs, or for a fault to be looked for elsewhere: contact alone leaves a tenth or two
-#: behind a right cause.
-LEFT = 0.2
+#: Floors that must be left for pairs, and for a fault to be tried on other elements, one effect in place of two, or all
+#: together: contact alone leaves a tenth or two behind a right cause. (A softer servo and a gain of the fingertips, for
+#: steps half as long beside a mass, left 0.18; one joint's torque limit, for that of its finger, 0.19. Of a gap of
+#: one floor three of seven little things left 0.19, too much for a verdict; all together left 0.08.)
+LEFT, OPEN = 0.2, 0.1
 #: Share of what is left, where that is more than `LEFT`, that the next effect must take, sharply fitted. Chosen: of two
 #: or three causes the next one takes most of what the others leave; beside the object's mass, named for a magnet,
 #: contact damping took a fifth, then a mass centre a twentieth.

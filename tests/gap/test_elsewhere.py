@@ -72,7 +72,7 @@ def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(a
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     everywhere = (candidate("actuation_delay", arm), np.array([0.03]))
     wrong = joint(problem, (everywhere,), problem.score.loss(problem.nominal))
-    assert worth.left_by(wrong) > elsewhere.OPEN
+    assert worth.left_by(wrong) > worth.OPEN
     found = elsewhere.moved(problem, wrong)
     assert found.labels == ("actuation_delay shoulder",)
     assert worth.left_by(found) < 0.2 * worth.left_by(wrong)

@@ -165,7 +165,7 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
     weak = (candidate("servo_gain", arm, "shoulder"), np.log([0.6]))
     some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), weak)
     right = joint(problem, some, problem.score.loss(problem.nominal))
-    monkeypatch.setattr(fewer, "STANDS", -np.inf)
+    monkeypatch.setattr(fewer, "OPEN", -np.inf)
     assert fewer.merged(problem, right, True) == (right, problem, True)
     for module in (fewer, trials):
         monkeypatch.setattr(module, "joint", lambda *a, **k: pytest.fail("it was fitted"))
@@ -173,7 +173,7 @@ def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, 
     assert fewer.merged(replace(problem, measured=some[:2]), right, True)[0] is right
     assert fewer.merged(replace(problem, simulated=True), right, True)[0] is right
     monkeypatch.undo()
-    little = replace(right, evidence=replace(right.evidence, loss=np.full(12, 1 + 0.99 * fewer.STANDS)))
+    little = replace(right, evidence=replace(right.evidence, loss=np.full(12, 1 + 0.99 * fewer.OPEN)))
     assert fewer.merged(problem, little, True) == (little, problem, True)
 
 

@@ -199,7 +199,7 @@ def test_a_pull_that_fades_with_height_is_told_from_a_weight(gripper, hiding):
 
 
 def test_a_pull_on_what_is_dragged_and_not_lifted_is_found_by_playing_it(hiding):
-    """The support takes it: all that a residual force shows of it is friction, which closes a tenth of the gap."""
+    """The support takes it: all that a residual force shows of it is friction, which closes 0.07 of the gap."""
     scene = load_scene("gripper_tabletop")
     world = hiding(drawn_down(1.8, 0.02))
     squeezes = make_episodes(scene, [Job(f"e{i}", i, "squeeze", 3, world) for i in range(8)], duration_s=2.4)
