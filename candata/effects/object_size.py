@@ -57,7 +57,7 @@ EFFECT = Effect(
             "scale",
             "1",
             fixed(0.8, 1.25),
-            values(0.95, 1.05),
+            values(0.95, 0.98, 1.02, 1.05),
             spans((0.93, 0.97), (1.03, 1.07)),
             "callipers are right to a millimetre; scanned and catalogue models are off by some per cent",
             always(1.0),

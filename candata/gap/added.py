@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, probes
+from candata.gap.compare import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.pace import TOGETHER
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.response import Curve, Plane
@@ -17,7 +18,6 @@ from candata.gap.screen import respond, slope_of
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, fitted
 from candata.gap.sparse import pruned
-from candata.gap.stage import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.together import WITHIN, Responses, exchanged, sums
 from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, has_room, is_next, leaves, left_by, takes, worth_adding
 

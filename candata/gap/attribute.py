@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
+from candata.gap.compare import null_level, tied_with
 from candata.gap.fewer import completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.own_floor import Grown
@@ -15,7 +16,7 @@ from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.sets import SETTLED, compared, forward, joins_first, jointly, with_measured
 from candata.gap.shortlist import WORTH, gains_share, looked_into
-from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, null_level, sharpened, tied_with, unheld
+from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, sharpened, unheld
 from candata.gap.starts import is_toss
 from candata.gap.uneven import alone, recentred
 from candata.gap.worth import LEFT, MOST, leaves, left_by

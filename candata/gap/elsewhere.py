@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from candata.gap.added import residuals_at
 from candata.gap.candidates import Candidate, candidate, elements_of, is_on_slides, local_candidates
+from candata.gap.compare import RIVALS, UNSURE, is_elsewhere, is_tied
 from candata.gap.own_floor import rescored
 from candata.gap.refine import joint
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
-from candata.gap.stage import RIVALS, UNSURE, is_elsewhere, is_tied
 from candata.gap.trials import sharpest
 from candata.gap.worth import MOST, OPEN, extra_of, left_by, settles, worth_adding
 

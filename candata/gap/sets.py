@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.added import ADDED, ALIKE, here_of, lightly, lightly_fitted, pieces_of, residuals_at, together
 from candata.gap.candidates import Candidate
+from candata.gap.compare import RIVALS, UNSURE, is_near, is_tied, standard_error
 from candata.gap.elsewhere import moved
 from candata.gap.mending import Doubt
 from candata.gap.own_floor import Grown, judged, refitted, rescored
@@ -19,7 +20,7 @@ from candata.gap.score import Compact
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, gains_share, looked_into
 from candata.gap.sparse import sparse
-from candata.gap.stage import RIVALS, UNSURE, Stage, as_simulated, is_near, is_tied, look, standard_error, unheld
+from candata.gap.stage import Stage, as_simulated, look, unheld
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses, Sum, beside
 from candata.gap.trials import paired, shared, sharp, sharpest

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.attribute import Attribution
 from candata.gap.candidates import typical_size
+from candata.gap.compare import BLUNT, standard_error
 from candata.gap.recordings import Recordings
 from candata.gap.refine import ENOUGH
 from candata.gap.replay import needs_simulation, replay_all
@@ -18,7 +19,6 @@ from candata.gap.response import Curve, Plane
 from candata.gap.score import weights
 from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import taken
-from candata.gap.stage import BLUNT, standard_error
 from candata.rotation import difference
 from candata.schema.report import Gap
 
@@ -127,7 +127,7 @@ def _outlying(before: Array, after: Array) -> tuple[Index, Index]:
     order, left = np.argsort(-after, kind="stable"), after - 1
     count = 1 + int(np.argmax(np.cumsum(left[order]) > left.sum() / 2))
     few, rest = np.sort(order[:count]), np.sort(order[count:])
-    is_few = count <= len(order) // FEW and min(left.mean(), before[rest].mean() - 1) > REMAINING
+    is_few = count <= len(order) // FEW and left.mean() > DOUBTFUL and before[rest].mean() - 1 > REMAINING
     return (few, rest) if is_few else (NONE, rest)
 
 

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import candidates
+from candata.gap.compare import standard_error
 from candata.gap.refine import WIDTHS, around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
 from candata.gap.score import Score, weights
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
-from candata.gap.stage import standard_error
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

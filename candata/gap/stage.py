@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, candidate, candidates, elements_of, local_candidates, on_slides
+from candata.gap.compare import BLUNT, NEAR, RIVALS, UNSURE, is_elsewhere, is_near, is_tied, null_level, standard_error
 from candata.gap.floor import perturbed
 from candata.gap.folds import null_threshold
 from candata.gap.local import LOCAL, promises
 from candata.gap.refine import PROMISE, joint, polished, refined
 from candata.gap.response import Curve, Plane
-from candata.gap.score import Compact, Score
+from candata.gap.score import Compact
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import Screened, brief, reconsidered, rivals, screened
@@ -32,17 +33,6 @@ Array = NDArray[np.float64]
 CLEAR, STEADY, PLAIN, MOST_OF_IT = 1.5, 2.5, 5.0, 3.0
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
 MATTERS = 0.02
-#: Share of the best gain above which another effect's fit is sharpened too before the two are compared, and how many.
-NEAR, RIVALS = 0.85, 2
-#: Standard errors of the paired difference within which it is sharpened as well, however much less it gains.
-UNSURE = 2.0
-#: The same of a rival that leaves as little as a true cause may: with more the best one has nine chances in ten. (A
-#: contact's damping, a quarter of a clear one, gained 0.12 floors and its compliance 0.09, and the two were tied.)
-BELOW = 1.28
-#: Share of the best gain up to which a difference between two fits is no evidence: of aliases the one that was fitted a
-#: little sharper wins, in every episode alike. Chosen: of five blind cases between damping of servos and of joints,
-#: the wrong one came first by 0.08, 0.13 (named with support 0.88) and 0.8 %, the right one by 1.4 and 3.7 %.
-BLUNT = 0.01
 #: Times what nulls gain within which it is sharpened too: of a faint effect, a fit gains as much by being sharp. (One
 #: motor's damping, worth 0.05 floors, gained 0.023 beside 0.048 of its joint's, and 0.052 beside 0.049 when sharp.)
 LUCKY = 2.0
@@ -269,17 +259,6 @@ def _may_come_near(problem: Problem, stage: Stage, fit: Fit, best: Fit) -> bool:
     return bool(stage.base.mean() - least > NEAR * best.gain)
 
 
-def is_elsewhere(c: Candidate, best: Candidate, scene: Scene) -> bool:
-    """Tell whether a candidate is another effect, or the same on other elements: of two joints either may be at fault.
-
-    (One joint's offset, read off blunt, gained 4.1 of 4.5 floors, and 4.4 as the next joint's.)
-    """
-    if c.name != best.name:
-        return True
-    one_each = c.element is not None and best.element is not None
-    return one_each and not set(elements_of(c, scene)) & set(elements_of(best, scene))
-
-
 def _as_vectors_are(problem: Problem, fit: Fit, base: Array) -> Fit:
     """Return a scalar fitted as vectors are, by slopes, where that gains more: only alike do rivals compare.
 
@@ -324,27 +303,6 @@ def _fits(problem: Problem, responses: Sequence[tuple[Candidate, Curve | Plane]]
     return sorted((fit_one(problem, c, r, base) for c, r in responses), key=lambda f: -f.gain)
 
 
-def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fit]:
-    """Return the fits whose held-out loss is within one standard error of the best one's (Breiman et al. 1984).
-
-    The error is that of the paired difference over episodes. What lies below the loss that true worlds reach could be
-    true, and is tied within `BELOW` errors. The same effect on fewer or more elements is no rival.
-    """
-    rivals = [f for f in fits if f.members[0][0].name != best.members[0][0].name]
-    return [best, *(f for f in rivals if is_tied(f, best, BELOW if f.evidence.loss.mean() <= reachable else 1.0))]
-
-
-def is_near(fit: Fit, best: Fit) -> bool:
-    """Tell whether a fit comes so near the best that only a sharper look can tell which is better."""
-    return fit.gain > NEAR * best.gain or (best.gain > 0 and is_tied(fit, best, UNSURE))
-
-
-def is_tied(fit: Fit, best: Fit, errors: float = 1.0) -> bool:
-    """Tell whether a fit is no worse than the best by more than so many standard errors, or than fits are sharp."""
-    worse = fit.evidence.loss - best.evidence.loss
-    return bool(worse.mean() <= max(errors * standard_error(worse), BLUNT * best.gain))
-
-
 def _simplest(best: Fit, fits: Sequence[Fit], scene: Scene) -> Fit:
     """Return the fit of the same effect that says least: of those tied with the best, one of the fewest numbers.
 
@@ -373,27 +331,3 @@ def _breadth(c: Candidate, scene: Scene) -> tuple[float, bool]:
     some = elements_of(c, scene)
     together = len(some) > 1 and some == scene.file.fingertips
     return inf if c.element is None or together else len(some), c.element is not None
-
-
-def standard_error(values: Array) -> float:
-    """Return the standard error of the mean of independent episodes."""
-    return float(values.std(ddof=1) / np.sqrt(len(values)))
-
-
-def error_within(values: Array, tasks: Sequence[str]) -> float:
-    """Return the standard error of the mean of episodes `(E,)` of these very tasks, as of a stratified sample.
-
-    Each task's own mean varies by its own episodes (Cochran 1977, theorem 5.3); of fewer than two nothing is known, and
-    then the episodes count as if drawn from all tasks.
-    """
-    groups = [values[[i for i, own in enumerate(tasks) if own == task]] for task in sorted(set(tasks))]
-    if min(map(len, groups), default=0) < 2:
-        return standard_error(values)
-    return float(np.sqrt(sum(len(g) * g.var(ddof=1) for g in groups)) / len(values))
-
-
-def null_level(score: Score, rng: np.random.Generator, quantile: float = 0.99, sets: int = 1000) -> float:
-    """Return the quantile of the mean loss of null sets, in floors."""
-    count = score.null_loss.shape[1]
-    chosen = rng.integers(len(score.null_loss), size=(sets, count))
-    return float(np.quantile(score.null_loss[chosen, np.arange(count)].mean(1), quantile))

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from candata.gap.added import TRIED, begun, here_of
 from candata.gap.candidates import Candidate
+from candata.gap.compare import RIVALS, UNSURE, is_tied, standard_error
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
-from candata.gap.stage import RIVALS, UNSURE, is_tied, standard_error
 from candata.gap.worth import (
     EXTRA,
     FAINT,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, probes
+from candata.gap.compare import null_level, standard_error
 from candata.gap.elsewhere import everywhere
 from candata.gap.folds import CrossFit, rest
 from candata.gap.own_floor import in_world
@@ -16,7 +17,7 @@ from candata.gap.response import Plane
 from candata.gap.score import Compact, Score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import few, taken
-from candata.gap.stage import Stage, null_level, standard_error
+from candata.gap.stage import Stage
 
 Array = NDArray[np.float64]
 Member = tuple[Candidate, Array]

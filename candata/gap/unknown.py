@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.compare import standard_error
 from candata.gap.locate import LEVEL, acts_on, slides
 from candata.gap.mending import CLEARLY, Mended, mended
 from candata.gap.replay import EffectSet, replay_all
 from candata.gap.search import Problem
 from candata.gap.shrink import trust
-from candata.gap.stage import standard_error
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect
 from candata.gap.verdict import DOUBTED

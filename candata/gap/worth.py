@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.compare import error_within, null_level, standard_error
 from candata.gap.search import Fit, Members, Problem
-from candata.gap.stage import error_within, null_level, standard_error
 
 Array = NDArray[np.float64]
 #: Most effects of a set that are searched for, beside those that were measured without a fit.

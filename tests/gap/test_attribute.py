@@ -10,9 +10,10 @@ import pytest
 
 from candata.gap import attribute
 from candata.gap.candidates import candidate
+from candata.gap.compare import error_within, standard_error
 from candata.gap.folds import CrossFit
 from candata.gap.search import Fit
-from candata.gap.stage import STEADY, Stage, error_within, standard_error
+from candata.gap.stage import STEADY, Stage
 from candata.gap.worth import LARGEST, is_full
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.

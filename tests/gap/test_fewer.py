@@ -10,13 +10,15 @@ import pytest
 
 from candata.gap import fewer, trials, worth
 from candata.gap.candidates import candidate, local_candidates
+from candata.gap.compare import is_tied
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
-from candata.gap.stage import is_tied
+from candata.scenes import load_scene
+from candata.simulate.episodes import Job, make_episodes
 from tests.gap.conftest import members
 
 
@@ -66,6 +68,32 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
     assert fewer.simplified(problem, one, False) == (one, problem, False)
     known, fit = replace(problem, measured=(some[0], some[2])), blunt_fit(problem, some)
     assert fewer.simplified(known, fit, True)[0] is fit
+
+
+OFFSETS = [0.03, -0.05, 0.02, -0.03, 0.01, -0.02]
+
+
+@pytest.mark.parametrize(("true", "value", "kept"), [
+    ("object_size", {"scale": 0.96}, ("object_size", "object_mass")),
+    ("joint_offset", {"offset_rad": OFFSETS}, ("joint_offset", "object_mass")),
+])  # fmt: skip
+def test_many_numbers_go_that_take_a_part_of_one_more_effect_unless_they_are_true(planted, true, value, kept):
+    """Slopes do not tell: where the numbers stand, without them most of the gap is open however the others move."""
+    scene = load_scene("gripper_tabletop")
+    effects = (*planted(true, **value), *planted("object_mass", mass_scale=1.5))
+    jobs = [Job(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], 3, effects) for i in range(10)]
+    recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
+    problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
+    mass, size = members(scene, object_mass=0.4, object_size=-0.02)
+    stand_in = (candidate("joint_offset", scene), np.array([0.02, -0.03, 0.015, -0.03, 0.0, 0.0]))
+    offsets = (stand_in[0], np.array(OFFSETS))
+    begun = (stand_in, size, mass) if true == "object_size" else (offsets, mass)
+    fit = joint(problem, begun, problem.score.loss(problem.nominal))
+    assert "joint_offset" not in [c.name for c, _ in fewer._spare(problem, fit, fit.members)]
+    found, _, _ = fewer.simplified(problem, fit, True)
+    assert found.labels == kept
+    if true == "object_size":
+        assert np.exp(found.members[0][1]) == pytest.approx(0.96, abs=0.003)
 
 
 def on(arm, name, element):

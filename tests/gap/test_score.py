@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import t
 
+from candata.gap.compare import null_level
 from candata.gap.floor import Floor, spread
 from candata.gap.residuals import Layout
 from candata.gap.score import NU, score, weights
-from candata.gap.stage import null_level
 from candata.schema.scene import Noise
 
 E, B, D, R = 3, 6, 3, 10

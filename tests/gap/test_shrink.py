@@ -97,7 +97,9 @@ def test_few_episodes_that_hold_most_of_what_remains_are_told_apart():
     found = thrown(1.1)
     assert found.closed == pytest.approx(1 - (0.9 * 0.1 + 2.4) / (0.9 * 2 + 2.4), abs=1e-4)
     assert (found.outlying, found.closed_elsewhere) == (("e2", "e12"), pytest.approx(0.95))
-    # No more than it takes.
+    # Also where little remains; no more than it takes.
+    one = gap(np.full(8, 3.0), np.array([*np.ones(7), 3.0]), np.random.default_rng(0), True, list("abcdefgh"))
+    assert (one.closed, one.outlying, one.closed_elsewhere) == (pytest.approx(0.875), ("h",), 1.0)
     assert thrown(1.1, episodes=64, odd=(7,)).outlying == ("e7",)
 
 
@@ -106,7 +108,7 @@ def test_few_episodes_that_hold_most_of_what_remains_are_told_apart():
     [
         thrown(4.0, before=5.0),  # the others hold more
         thrown(1.0, before=1.2),  # the others had next to nothing to explain
-        gap(np.full(8, 3.0), np.array([*np.ones(7), 3.0]), np.random.default_rng(0), True, list("abcdefgh")),
+        gap(np.full(8, 3.0), np.array([*np.ones(7), 1.7]), np.random.default_rng(0), True, list("abcdefgh")),
         gap(np.full(4, 3.0), np.array([1.0, 1.0, 1.0, 9.0]), np.random.default_rng(0), True, list("abcd")),
     ],
     ids=["others hold more", "little elsewhere", "little remains", "too few"],

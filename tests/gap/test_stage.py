@@ -10,6 +10,7 @@ import pytest
 from candata.effects import flatten
 from candata.gap import stage as staging
 from candata.gap.candidates import candidate
+from candata.gap.compare import tied_with
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import CrossFit
 from candata.gap.recordings import recordings
@@ -17,7 +18,7 @@ from candata.gap.replay import Replayer
 from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit
-from candata.gap.stage import narrowed, sharpened, tied_with, typical
+from candata.gap.stage import narrowed, sharpened, typical
 from candata.scenes import load_scene
 
 BASE = np.full(8, 2.0)

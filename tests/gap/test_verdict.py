@@ -79,6 +79,13 @@ def closing(share: float, before: float = 11.0, elsewhere: float | None = None, 
         (found(True), closing(0.14, elsewhere=0.49), "unknown_effect"),
         (found(True), closing(-0.14, elsewhere=0.9), "unknown_effect"),
         (found(True, tied=2), closing(0.14, elsewhere=0.9), "ambiguous"),
+        # Nor do they where little remains and the gap of all others closes.
+        (found(True, names=2), closing(0.7, before=1.9), "unknown_effect"),
+        (found(True, names=2), closing(0.7, before=1.9, elsewhere=0.89), "unknown_effect"),
+        (found(True, names=2), closing(0.7, before=1.9, elsewhere=0.9), "partly_explained"),
+        (found(True, names=4), closing(0.7, before=1.9, elsewhere=0.9), "unknown_effect"),
+        (found(True, tied=2), closing(0.7, before=1.9, elsewhere=0.9), "ambiguous"),
+        (found(True, names=2), closing(0.85, before=2.9, elsewhere=0.9), "explained"),
     ],
 )
 def test_the_table_of_verdicts(attribution, size, word):
