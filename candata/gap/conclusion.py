@@ -28,7 +28,7 @@ from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
 from candata.gap.starts import is_toss
-from candata.gap.unknown import Described, describe, described, least_of, outdoing, unseating
+from candata.gap.unknown import Described, describe, described, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
@@ -135,7 +135,8 @@ def _unseated(
 ) -> Described | None:
     """Return a force that explains clearly more than what would be named, or be left tied; None where none does.
 
-    (For a motor that cogs, two faults of its joint were tied that closed 44 %; the force closes 83 %.)
+    No less is enough where that leaves more than right names do. (For a motor that cogs, two faults of its joint were
+    tied that closed 44 %; the force closes 83 %.)
     """
     nearest = f.found.first.fits[0].labels[0] if f.found.first.fits else None
     if f.found.force:
@@ -143,8 +144,8 @@ def _unseated(
     if word in ("no_gap", "unknown_effect") or nearest is None:
         return None
     problem, chosen, doubt = _judged(f), f.found.chosen, f.found.doubt
-    least = least_of(size)
-    force = cache(lambda: mended(problem, (), rng) if doubt is None or doubt.may_close(least) else None)
+    closed = size.closed or 0.0
+    force = cache(lambda: mended(problem, (), rng) if doubt is None or doubt.may_close(closed) else None)
     found = unseating(force, size, where, nearest)
     if found or chosen is None or is_toss(f.scene):
         return found
