@@ -112,17 +112,20 @@ def test_what_either_of_two_joints_does_as_well_is_said_of_all(arm, two_causes):
     assert world is not problem, "in units of the floor of its own world"
 
 
-@pytest.mark.parametrize(("all_over", "whole"), [(0.5, True), (-0.5, False)])
+@pytest.mark.parametrize(("light", "all_over", "whole"), [
+    (0.5, 0.5, True), (-0.002, 0.02, True), (-0.002, -0.001, False), (-0.5, 0.5, False),
+])  # fmt: skip
 def test_of_all_and_one_element_beside_others_the_one_that_explains_more_is_named(
-    arm, two_causes, monkeypatch, all_over, whole
+    arm, two_causes, monkeypatch, light, all_over, whole
 ):
-    """Where no other element would do as well."""
+    """Where no other element would do as well; sharply fitted only what a light fit cannot tell from the best."""
     problem, base = two_causes
     local = (on(arm, "joint_dry_friction", "shoulder"), np.full(1, 0.3))
     fit = joint(problem, (local, *members(arm, actuation_delay=0.03)), base)
 
-    def fitted(problem, some, base, widths=()):
-        loss = fit.evidence.loss - (all_over if some[0][0].element is None else -9.0)
+    def fitted(problem, some, base, widths=WIDTHS):
+        gained = all_over if widths else light
+        loss = fit.evidence.loss - (gained if some[0][0].element is None else -9.0)
         return replace(fit, members=some, evidence=replace(fit.evidence, loss=loss, gain=base - loss))
 
     monkeypatch.setattr(fewer, "joint", fitted)
