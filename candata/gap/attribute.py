@@ -142,12 +142,12 @@ def _counting(problem: Problem, first: Stage, remains: bool) -> tuple[Stage, Fit
     friction, worth 0.07 floors, gained 0.038, 2.2 standard errors; sharp 0.084, which is 4.0. Of 100 nulls four
     passed, and none of these was plain when sharp.)
     """
-    best = first.passing()
-    if best is None or remains or first.is_plain(best):
+    best, tasks = first.passing(), problem.recs.tasks
+    if best is None or remains or first.is_plain(best, tasks):
         return first, best
     best = polished(problem, best, first.base)
     first = replace(first, fits=(best, *first.fits[1:]))
-    return first, best if first.is_plain(best) else None
+    return first, best if first.is_plain(best, tasks) else None
 
 
 def _uneven(first: Stage, found: tuple[Fit, Problem] | None) -> Attribution | None:

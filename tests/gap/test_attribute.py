@@ -18,6 +18,7 @@ from candata.gap.worth import LARGEST, is_full
 
 #: Losses of eight episodes within the nulls' range: a mean of 1.1 floors.
 BASE = np.array([3.0, 0.2, 1.1, 1.2, 0.1, 1.9, 0.3, 1.0])
+TASKS = ("lift",) * 8
 
 
 def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
@@ -39,7 +40,14 @@ def stage(gain: np.ndarray, reachable: float = 0.0) -> Stage:
 )
 def test_a_gain_within_the_nulls_range_counts_when_it_is_plain(gain, plain):
     some = stage(gain)
-    assert some.is_plain(some.fits[0]) is plain
+    assert some.is_plain(some.fits[0], TASKS) is plain
+
+
+@pytest.mark.parametrize(("tasks", "plain"), [(("lift", "push") * 4, True), (("lift",) * 4 + ("push",) * 4, False)])
+def test_a_gain_in_one_task_alone_counts_where_it_is_the_same_in_each_of_its_episodes(tasks, plain):
+    """One motor's torque limit shows where that joint is driven hard; a few episodes of every task are luck."""
+    some = stage(np.array([0.3, 0.0, 0.29, 0.0, 0.31, 0.01, 0.3, 0.0]))
+    assert some.is_plain(some.fits[0], tasks) is plain
 
 
 def test_a_gain_is_as_steady_as_it_is_though_not_all_of_it_counts():
@@ -47,7 +55,7 @@ def test_a_gain_is_as_steady_as_it_is_though_not_all_of_it_counts():
     some = replace(stage(gain, reachable=float(BASE.mean()) - 0.12), threshold=0.01)
     assert some._counted(some.fits[0]) == pytest.approx(0.12)
     assert 0.12 < STEADY * standard_error(gain) < gain.mean()
-    assert some.is_plain(some.fits[0])
+    assert some.is_plain(some.fits[0], TASKS)
 
 
 @pytest.mark.parametrize(("sharp", "remains", "counts", "asked"), [(0.2, False, True, 1), (0.0, False, False, 1),
@@ -65,8 +73,8 @@ def test_what_is_not_plain_within_the_nulls_range_counts_if_it_is_when_sharp(
 
     monkeypatch.setattr(attribute, "polished", polished)
     assert some.passing() is blunt
-    assert not some.is_plain(blunt)
-    first, best = attribute._counting(None, some, remains)
+    assert not some.is_plain(blunt, TASKS)
+    first, best = attribute._counting(SimpleNamespace(recs=SimpleNamespace(tasks=TASKS)), some, remains)
     assert (best is not None, len(calls)) == (counts, asked)
     assert first.fits[0] is best or best is None
 
