@@ -40,12 +40,14 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     if len(best.members) < 2:
         return best, problem, remains
     free = _free(problem, best)
-    found = _without_vector(problem, best, free) or _without_some(problem, best, _spare(problem, best, free))
+    lighter = _without_vector(problem, best, free)
+    found = lighter or _without_some(problem, best, _spare(problem, best, free))
     if found is None:
         return best, problem, remains
     found, world, remains = judged(problem, found)
-    # Of what is still many, all that can be was left out.
-    return (found, world, remains) if len(found.members) > LARGEST else simplified(world, found, remains)
+    # Of what is still many, all that can be was left out at once.
+    is_done = lighter is None and len(found.members) > LARGEST
+    return (found, world, remains) if is_done else simplified(world, found, remains)
 
 
 def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:

@@ -96,6 +96,17 @@ def test_many_numbers_go_that_take_a_part_of_one_more_effect_unless_they_are_tru
         assert np.exp(found.members[0][1]) == pytest.approx(0.96, abs=0.003)
 
 
+def test_what_else_can_be_left_out_goes_after_many_numbers(monkeypatch):
+    """Beside two right names, six joint offsets hid that an object's size and a support's height were worth nothing."""
+    many, lighter, fewest = (SimpleNamespace(members=tuple(range(count))) for count in (5, 4, 2))
+    monkeypatch.setattr(fewer, "_free", lambda problem, best: ())
+    monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: ())
+    monkeypatch.setattr(fewer, "_without_vector", lambda problem, best, free: lighter if best is many else None)
+    monkeypatch.setattr(fewer, "_without_some", lambda problem, best, spare: fewest if best is lighter else None)
+    monkeypatch.setattr(fewer, "judged", lambda problem, fit: (fit, problem, False))
+    assert fewer.simplified("problem", many, True) == (fewest, "problem", False)
+
+
 def on(arm, name, element):
     """An effect on one element, as a candidate."""
     return next(c for c in local_candidates(candidate(name, arm), arm) if c.element == element)
