@@ -42,7 +42,7 @@ Array = NDArray[np.float64]
 #: that a few episodes of 20 make has few standard errors, whatever nulls gain. (Of 100 nulls of another scene four
 #: gained 3.4 to 4.8 times their threshold, 1.6 to 2.2 standard errors; two faint effects there 2.9 and 5.4.)
 CLEAR, STEADY, PLAIN, MOST_OF_IT = 1.5, 2.5, 5.0, 3.0
-#: How many times a gain's standard error within tasks counts where it is told by that. Chosen: of some 300 nulls one
+#: How many times a gain's standard error within tasks counts where it is told by that. Chosen: of some 250 nulls one
 #: gained 2.6 such errors sharply fitted, and none as much as this asks.
 WITHIN = 1.5
 #: Held-out gain [floors] below which an effect is not worth a name, significant or not.
@@ -113,7 +113,7 @@ class Stage:
 
         Either it is sure, or it removes most of the loss, which no floor of the right height allows. Within `tasks` it
         may be so sure, and half as much again. (One motor's torque limit gained 0.28 to 0.33 floors in each episode of
-        one task of five, and nothing in the others: 2.2 standard errors of all, 24 within tasks.)
+        one task of five, and nothing in the others: 2.2 standard errors of all, 25 within tasks.)
         """
         each, gain = best.evidence.gain, self._counted(best)
         error = min(standard_error(each), WITHIN * error_within(each, tasks))

@@ -27,8 +27,8 @@ Force = Callable[[], Mended | None]
 LITTLE = 0.02
 #: What is named must leave this, in floors and of the gap, for a force to be tried in its place, and what share of that
 #: the force may leave more. Chosen: of 24 right names alone and 59 right sets those that left more floors left 0.04 of
-#: the gap at most; of 13 that did leave more, no force came nearer than 2.3 standard errors; winds, magnets and fading
-#: motors that were named as two to three effects were within 0.9 of them.
+#: the gap at most; of 11 others that did leave more, no force came nearer than 2.9 standard errors; to a wind, a magnet
+#: and a fading motor that were named as one to three effects one came within 0.5.
 SOMETHING, SELDOM, HALF = 0.03, 0.05, 0.5
 #: Share of its largest size above which a force counts as acting.
 ACTS = 0.25
