@@ -19,7 +19,7 @@ from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief, fitted
 from candata.gap.sparse import pruned
 from candata.gap.together import WITHIN, Responses, exchanged, sums
-from candata.gap.worth import LARGEST, LEFT, MOST, extra_of, has_room, is_next, leaves, left_by, takes, worth_adding
+from candata.gap.worth import FAINT, LARGEST, LEFT, MOST, extra_of, is_next, leaves, left_by, takes, worth_adding
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -184,7 +184,7 @@ def challenged(
         for one in some[:ADDED]
     ]
     much = far and left_by(best) > LEFT
-    choices = _choices(best.members, rough) if much and has_room(best) else []
+    choices = _choices(best.members, rough) if far and left_by(best) > FAINT else []
     light = [joint(world, members, base, widths=()) for members in _nearest(part, best.members, others, choices, much)]
     near = [joint(world, f.members, base) for f in light if is_tied(f, best, UNSURE)]
     first = min([best, *near], key=lambda f: float(f.evidence.loss.mean()))

@@ -55,6 +55,12 @@ def test_a_quarter_lies_a_quarter_of_the_way_for_what_the_model_lacks(hand):
     assert weakened(hand, off, 0.25).parameters["offset_m"] == pytest.approx((0.0025, 0.0, -0.002))
 
 
+def test_a_quarter_of_what_no_contact_resists_with_is_a_quarter_of_its_value(hand):
+    """The least friction that the simulator takes stands for none: from there a logarithm would count 4e-5."""
+    rolls = EffectSetting(name="rolling_friction", parameters={"rolling_m": 0.004})
+    assert weakened(hand, rolls, 0.25).parameters["rolling_m"] == pytest.approx(0.001, rel=0.01)
+
+
 def test_pairs_and_triples_have_distinct_names(labels):
     for kind, count in (("pair", 2), ("triple", 3)):
         assert all(len({e.name for e in one.effects}) == count for one in of(labels, kind))

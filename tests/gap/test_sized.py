@@ -51,6 +51,18 @@ def test_what_may_as_well_be_neutral_is_left_out_and_the_others_fitted_again(fou
     assert not after.remains
 
 
+@pytest.mark.parametrize("told", [True, False])
+def test_what_does_as_well_and_is_told_from_none_takes_the_place_of_what_is_not(arm, found, monkeypatch, told):
+    problem, before = found
+    base = problem.score.loss(problem.nominal)
+    rival = joint(problem, members(arm, joint_dry_friction=0.3, actuation_delay=0.03, servo_damping=0.01), base)
+    monkeypatch.setattr(sized, "intervals", reaching(servo_gain=4.0, servo_damping=0.1 if told else 4.0))
+    after = sized.with_sizes(problem, replace(before, rivals=(before.chosen, rival)))
+    others = ("joint_dry_friction", "actuation_delay")
+    assert after.chosen.labels == ((*others, "servo_damping") if told else others)
+    assert after.rivals == ()
+
+
 def test_what_is_worth_much_stays_however_wide_its_interval(found, monkeypatch):
     problem, before = found
     monkeypatch.setattr(sized, "intervals", reaching(joint_dry_friction=9.0, actuation_delay=9.0))

@@ -102,11 +102,14 @@ def _own(p: Parameter, scene: Scene) -> float:
 
 
 def weakened(scene: Scene, given: EffectSetting, part: float) -> EffectSetting:
-    """Return an effect at a part of its distance from the identity; scales and times in their logarithm."""
+    """Return an effect at a part of its distance from the identity; scales and times in their logarithm.
+
+    What the model lacks, whose least value stands for none, has no scale: a part of it is a part of its value.
+    """
     values = {}
     for p in parameters_on(given.name, scene, given.element):
         own, x = _own(p, scene), np.asarray(given.parameters[p.name], float)
-        is_log = own > 0 and p.bounds(scene).low > 0
+        is_log = own > p.bounds(scene).low > 0
         near = own * (x / own) ** part if is_log else own + part * (x - own)
         values[p.name] = float(near) if near.ndim == 0 else tuple(float(v) for v in near)
     return given.model_copy(update={"parameters": values})
@@ -126,7 +129,7 @@ def localised(scene: Scene, only: Sequence[str]) -> tuple[str, ...]:
 def background(scene: Scene, rng: np.random.Generator, spare: str) -> tuple[EffectSetting, ...]:
     """Return every parameter of joints, motors, object and contacts about 5 % wrong, except the effect `spare`.
 
-    What scales or replaces a value of the model is off by a normal 5 % of it; what the model lacks (identity 0) is
+    What scales or replaces a value of the model is off by a normal 5 % of it; what the model lacks is
     there with a normal 5 % of the smallest value a clear fault is drawn with.
     """
     found = []
@@ -143,7 +146,7 @@ def _off(p: Parameter, scene: Scene, rng: np.random.Generator) -> Array:
     """Return `(size,)` values of one parameter that are about 5 % wrong, within its bounds."""
     own, (low, high) = _own(p, scene), p.bounds(scene)
     shift = BACKGROUND * rng.standard_normal(p.size(scene))
-    if own > 0:
+    if own > max(low, 0.0):
         return np.clip(own * np.exp(shift), low, high)
     clear = float(np.abs(p.draws(scene)).min())
     return np.clip(np.abs(shift) * clear if low >= 0 else shift * clear, low, high)
