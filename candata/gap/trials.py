@@ -103,9 +103,12 @@ def paired(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if pairs else 0.0
     sets = [begun(part, best.members, pair) for pair in pairs]
     found = sharp(problem, [members for loss, members in sets if loss < now], best)
-    if found is None or not (worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)):
-        return None
-    return found
+    return found if found is not None and are_worth_two(best, found) else None
+
+
+def are_worth_two(best: Fit, found: Fit) -> bool:
+    """Tell whether two more effects are worth a name each, and together take enough of what is left."""
+    return worth_adding(extra_of(best, found) / 2, best.gain) and takes(best, found)
 
 
 def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:

@@ -285,7 +285,7 @@ def test_a_right_set_stays_whatever_its_rivals(posed, right, monkeypatch):
 def test_what_is_far_where_it_is_simulated_is_not_fitted(posed, right, monkeypatch):
     problem, first = posed
     monkeypatch.setattr(added, "joint", lambda *a, **k: pytest.fail("it was fitted"))
-    assert added.challenged(problem, problem, right, first.rough) == (right, [])
+    assert added.challenged(problem, problem, right, first.rough, far=False) == (right, [])
 
 
 def test_what_was_simulated_on_the_recording_replaces_its_chord(posed):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from candata.gap import added, trials, worth
+from candata.gap import added, sets, trials, worth
 from candata.gap.candidates import candidate, probes
 from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
@@ -184,3 +184,26 @@ def test_a_pair_that_gains_at_no_share_is_not_fitted(arm, two_causes, monkeypatc
     ]
     monkeypatch.setattr(trials, "joint", lambda *_: pytest.fail("it was fitted"))
     assert trials.paired(problem, best, alone) is None
+
+
+@pytest.mark.parametrize(
+    ("alone", "both", "names", "found"),
+    [
+        (0.148, 0.76, 2, True),  # what needs another: by itself a little less than a quarter of 0.6 floors
+        (0.148, 0.2, 2, False),  # the two are not worth a name each
+        (0.05, 0.76, 2, False),  # by itself it is worth nothing
+        (0.148, 0.76, 3, False),  # no room
+    ],
+)
+def test_what_takes_too_little_by_itself_is_kept_with_what_it_makes_room_for(monkeypatch, alone, both, names, found):
+    def fit(loss, count):
+        some = tuple((SimpleNamespace(name=name), None) for name in "abcd"[:count])
+        return SimpleNamespace(
+            members=some, evidence=SimpleNamespace(loss=np.full(12, loss), gain=np.full(12, 10 - loss)), gain=2.2
+        )
+
+    problem = SimpleNamespace(measured=(), recs=SimpleNamespace(tasks=()))
+    best, grown, two = fit(9.0, names - 1), fit(9.0 - alone, names), fit(9.0 - both, names + 1)
+    monkeypatch.setattr(sets, "_next", lambda problem, held: two if held is grown else pytest.fail("not beside it"))
+    assert sets._further(problem, best, grown) is (two if found else None)
+    assert sets._further(problem, best, None) is None
