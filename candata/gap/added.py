@@ -167,7 +167,7 @@ def challenged(
     world : Problem
         The same in units of the floor that `best` was judged by.
     far : bool
-        Whether exchanges are fitted from farther off, and choices tried too, where much is left.
+        Whether exchanges are fitted from farther off where much is left, and choices tried where any is to speak of.
     """
     known = {c.name for c, _ in problem.measured} & {c.name for c, _ in best.members}
     if known or not rough or not 1 < len(best.members) <= LARGEST or problem.simulated:

@@ -109,7 +109,7 @@ def forward(
             if left_by(best) > RETRIED * best.gain:
                 world.pace.told("trying other effects in place of what was found early")
                 # But of tosses, each member of what is found is challenged in the end, for less.
-                grown = _further(world, best, grown) or _swapped(world, best) if world.plays_all else None
+                grown = (_further(world, best, grown) or _swapped(world, best)) if world.plays_all else None
                 grown = grown or moved(world, best) or shared(world, best, alone)
                 grown = grown or paired(world, best, alone) or _retraced(world, best)
             else:

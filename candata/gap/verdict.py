@@ -22,9 +22,9 @@ DOUBTED = 0.5
 #: So much must close on the other episodes, and anything on all, where less than `PARTLY` does for the sake of a few.
 LARGER_PART = 0.5
 #: Where a few episodes hold most of what remains, the share of the gap of all others that a set of no more names than
-#: are searched for must close to pass although it leaves little and is not trusted. Chosen: of
-#: the 1.08 floors of a mass and a solver setting, both near the truth, 0.25 stayed open, most of them in one of 20
-#: episodes, and of the gap of the others more than this closed; of eight causes in no library none is let through.
+#: are searched for must close to pass although it leaves little and is not trusted. Chosen: of the 1.08 floors of a
+#: mass and a solver setting, both near the truth, 0.25 stayed open, most of them in one of 20 episodes, and of the gap
+#: of the others more than this closed; of eight causes in no library none is let through.
 ALL_BUT_A_FEW = 0.9
 #: Fewest episodes on which anything is decided.
 FEWEST = 8

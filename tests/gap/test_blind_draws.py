@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from candata.effects import effect, effect_names, flatten
-from candata.gap.blind.draws import COUNTS, SOLVER, draw_labels, draw_setting, neutral, possible_effects, weakened
+from candata.gap.blind.draws import (
+    COUNTS,
+    SOLVER,
+    background,
+    draw_labels,
+    draw_setting,
+    neutral,
+    possible_effects,
+    weakened,
+)
 from candata.schema.effect import EffectSetting
 
 
@@ -59,6 +68,14 @@ def test_a_quarter_of_what_no_contact_resists_with_is_a_quarter_of_its_value(han
     """The least friction that the simulator takes stands for none: from there a logarithm would count 4e-5."""
     rolls = EffectSetting(name="rolling_friction", parameters={"rolling_m": 0.004})
     assert weakened(hand, rolls, 0.25).parameters["rolling_m"] == pytest.approx(0.001, rel=0.01)
+
+
+def test_a_background_holds_a_little_of_what_no_contact_resists_with(hand):
+    """A twentieth of a clear fault, not of the least friction that the simulator takes."""
+    drawn = [background(hand, np.random.default_rng(seed), "") for seed in range(5)]
+    rolls = [e.parameters["rolling_m"] for some in drawn for e in some if e.name == "rolling_friction"]
+    assert len(rolls) == 5
+    assert 2e-5 < max(rolls) < 5e-4
 
 
 def test_pairs_and_triples_have_distinct_names(labels):

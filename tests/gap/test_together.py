@@ -288,6 +288,17 @@ def test_what_is_far_where_it_is_simulated_is_not_fitted(posed, right, monkeypat
     assert added.challenged(problem, problem, right, first.rough, far=False) == (right, [])
 
 
+@pytest.mark.parametrize(("left", "far", "tried"), [(0.06, True, True), (0.04, True, False), (0.06, False, False)])
+def test_choices_are_tried_in_each_place_where_something_is_left(posed, right, monkeypatch, left, far, tried):
+    problem, first = posed
+    loss = np.full_like(right.evidence.loss, 1 + left)
+    asked = []
+    monkeypatch.setattr(added, "_nearest", lambda part, held, others, choices, much: asked.append(choices) or [])
+    best = replace(right, evidence=replace(right.evidence, loss=loss))
+    assert added.challenged(problem, problem, best, first.rough, far=far) == (best, [])
+    assert bool(asked[0]) is tried
+
+
 def test_what_was_simulated_on_the_recording_replaces_its_chord(posed):
     """The sum of two effects is read off these curves: its error is theirs."""
     problem, first = posed

@@ -129,8 +129,8 @@ def localised(scene: Scene, only: Sequence[str]) -> tuple[str, ...]:
 def background(scene: Scene, rng: np.random.Generator, spare: str) -> tuple[EffectSetting, ...]:
     """Return every parameter of joints, motors, object and contacts about 5 % wrong, except the effect `spare`.
 
-    What scales or replaces a value of the model is off by a normal 5 % of it; what the model lacks is
-    there with a normal 5 % of the smallest value a clear fault is drawn with.
+    What scales or replaces a value of the model is off by a normal 5 % of it; what the model lacks is there with a
+    normal 5 % of the smallest value a clear fault is drawn with.
     """
     found = []
     for name in continuous(scene, ()):
