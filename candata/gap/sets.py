@@ -278,7 +278,7 @@ def _further(problem: Problem, best: Fit, grown: Fit | None) -> Fit | None:
     """Return the set with two more effects: the next one, which takes too little by itself, and what it makes room for.
 
     None where the two are not worth their names. (In one split of cube tosses inertia took 0.148 of the 0.150 floors
-    asked for, and beside it the contact's compliance takes 0.6.)
+    asked for, and beside it the contact's compliance takes 0.5.)
     """
     if grown is None or not worth_adding(extra_of(best, grown), best.gain) or is_full(grown.members, problem.measured):
         return None
