@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from candata.gap.added import aliases, challenged, together
+from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import null_level, tied_with
 from candata.gap.fewer import completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
@@ -26,6 +27,8 @@ from candata.gap.worth import LEFT, MOST, leaves, left_by
 FAR = 0.25
 #: To what share of what the first search leaves a second one must come down to replace it. Chosen.
 SMALLER = 0.8
+#: Loss above the floor [floors] below which what is faint is looked for in the mean over many replays. Chosen.
+FAINT = 0.1
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Attribution:
         A force that explains clearly more than what was found, where that ended the search.
     doubt : Doubt or None
         What one force closes in the place of effects; None of tosses.
+    mean : Averaged or None
+        The replays in the mean over which alone the effect shows, or where it acts.
     """
 
     first: Stage
@@ -62,6 +67,7 @@ class Attribution:
     rivals: tuple[Fit, ...] = ()
     force: Mended | None = None
     doubt: Doubt | None = None
+    mean: Averaged | None = None
 
 
 def attribute(problem: Problem) -> Attribution:
@@ -78,7 +84,9 @@ def attribute(problem: Problem) -> Attribution:
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
-    return replace(_attributed(problem, doubt), doubt=doubt)
+    found = _attributed(problem, doubt)
+    shown = None if found.force or is_toss(problem.replayer.scene) else _in_mean(problem, found)
+    return replace(shown or found, doubt=doubt)
 
 
 def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
@@ -115,6 +123,21 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
     left, _ = _left(problem, other)
     # Of a gap of less than `LEFT` no share is told: there a set that passes is better than none.
     return other if left < SMALLER * share or (share == 0 and other.chosen is not None) else found
+
+
+def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
+    """Return what the mean over many replays shows of a faint gap: an effect, or where one acts; None of any other."""
+    chosen, shown = found.chosen, None
+    if chosen is None:
+        little = float(found.first.base.mean()) < 1 + FAINT
+        shown = faint(problem, found.first) if little or not found.remains else None
+    elif chosen.gain < FAINT and len(chosen.members) == len(found.tied) == 1:
+        shown = placed(problem, chosen)
+    if shown is None:
+        return None
+    fit, mean = shown
+    first = replace(found.first, fits=(fit, *(f for f in found.first.fits if f.labels != fit.labels)))
+    return Attribution(first, fit, (fit,), problem.score, False, mean=mean)
 
 
 def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members] | None:

@@ -15,6 +15,7 @@ from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
 from candata.gap.attribute import attribute
+from candata.gap.averaged import ALL, SOME, sizes_in_mean
 from candata.gap.budget import Budget
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
@@ -47,6 +48,11 @@ Progress = Callable[[str], None]
 SEARCHED, TOSSES = 64, 128
 #: Fewest episodes left untouched; where fewer would be, all are searched. Chosen: an interval over few tells little.
 UNTOUCHED = 16
+#: Said of an effect that shows, or acts where it does, in the mean over many replays alone.
+IN_MEAN = (
+    "worth less than one replay of contact differs from the next: found, and the gap measured, in the mean over "
+    f"{ALL - SOME} replays of each episode"
+)
 
 
 def diagnose(
@@ -100,7 +106,11 @@ def diagnose(
     problem.pace.say("measuring on held-out episodes", REST)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
-    if len(untouched):
+    if found.mean and found.chosen:
+        before, after = sizes_in_mean(found.mean, found.chosen)
+        held = replace(held, size_before=before, size_after=after)
+        problem = replace(problem, recs=replace(problem.recs, notes=(*problem.recs.notes, IN_MEAN)))
+    elif len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
     return concluded(Findings(dataset, scene, problem, found, world, held, len(everything)), problem.rng)
 

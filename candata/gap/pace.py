@@ -28,6 +28,8 @@ BESIDE = Span(20, 60)
 TOGETHER = Span(6, 50)
 #: Counting the episodes that one value explains, of one scalar or two, and the floors of two worlds: by their numbers.
 COUNT = Span(10, 55)
+#: Looking for a faint effect in the mean over many replays, or for where it acts: 13 drawn cases of a gripper.
+MEAN = Span(12, 190)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.
 SIGNATURE = 2.0
 #: Seconds of fitting in any step, and how much time left is worth a word.

@@ -1,0 +1,252 @@
+"""Faint effects are found in the mean over replays that chaos deals other outcomes; null worlds are not named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from candata.gap import attribute, averaged, diagnosis
+from candata.gap.averaged import Averaged, faint, placed
+from candata.gap.candidates import candidate, local_candidates
+from candata.gap.diagnosis import _problem
+from candata.gap.folds import CrossFit
+from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
+from candata.gap.screen import respond
+from candata.gap.search import Fit
+from candata.gap.shortlist import brief
+from candata.gap.stage import Stage
+from candata.scenes import load_scene
+
+#: The fault that one replay hides: one fingertip's rolling friction [m], at a place of the range it is drawn from.
+ROLLING_M, TIP = 0.0035, "left_tip"
+
+
+@pytest.fixture(scope="module")
+def gripper():
+    return load_scene("gripper_tabletop")
+
+
+@pytest.fixture(scope="module")
+def posed(gripper, played):
+    """The function that poses the problem of 20 recordings, and a first look at the effects named."""
+
+    def make(effects, *names):
+        recs = recordings(gripper, played(gripper, effects, count=20, duration_s=2.4))
+        problem = _problem(Replayer(gripper), recs, np.random.default_rng(0), None, lambda stage: None)
+        part, _ = brief(problem)
+        responses, _ = respond(part, part.nominal, [candidate(n, gripper) for n in names])
+        base = problem.score.loss(problem.nominal)
+        return problem, Stage(base, np.zeros((1, len(base))), (), 0.02, (), (), (), 0.97, responses)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def hidden(posed, planted):
+    """A problem of one fingertip's rolling friction, and the look at that effect."""
+    return posed(planted("rolling_friction", TIP, rolling_m=ROLLING_M), "rolling_friction")
+
+
+@pytest.fixture(scope="module")
+def null(posed):
+    return posed((), "rolling_friction", "torsional_friction")
+
+
+def test_a_fault_of_one_fingertip_that_one_replay_hides_is_found_there(hidden):
+    problem, first = hidden
+    assert first.base.mean() - 1 < attribute.FAINT, "a gap as small as nulls have"
+    fit, many = faint(problem, first)
+    assert fit.labels == (f"rolling_friction {TIP}",)
+    assert np.exp(fit.members[0][1][0]) == pytest.approx(ROLLING_M, rel=0.5)
+    assert fit.gain > averaged.NAMED
+    before, after = averaged.sizes_in_mean(many, fit)
+    assert after.mean() < before.mean()
+
+
+def test_of_a_null_world_nothing_is_named(null):
+    problem, first = null
+    assert len(averaged._quiet(problem, first)) >= 7, "each fingertip's rolling and torsional friction, and the table's"
+    assert faint(problem, first) is None
+
+
+def test_a_null_world_has_one_floor_in_the_mean(null):
+    problem, _ = null
+    assert Averaged(problem, 1).sizes([None], 8).mean() == pytest.approx(1.0, abs=0.03)
+
+
+def test_the_mean_varies_less_than_one_replay_does(null, gripper):
+    """What an effect gains over a null: by pairs of replays, and by eight of each."""
+    problem, _ = null
+    (c,) = [v for v in local_candidates(candidate("rolling_friction", gripper), gripper) if v.element == TIP]
+    point = (c, np.log([0.0025]))
+    one, eight = [], []
+    for seed in range(4):
+        many = Averaged(problem, seed)
+        nominal, own = (many.losses([m], 8) for m in (None, point))
+        eight.append(float((nominal - own).mean()))
+        one += [float((many.losses([None], k + 1, k) - many.losses([point], k + 1, k)).mean()) for k in range(8)]
+    assert np.std(eight) < 0.6 * np.std(one)
+
+
+def test_worlds_follow_the_same_noise_and_are_played_once(null, monkeypatch):
+    problem, _ = null
+    many = Averaged(problem, 3)
+    twice = many.losses([None, None], 2)
+    assert np.array_equal(twice[0], twice[1])
+    assert np.array_equal(Averaged(problem, 3).losses([None], 2), twice[:1])
+    assert not np.array_equal(Averaged(problem, 4).losses([None], 2), twice[:1])
+    each = [many.losses([None], k + 1, k)[0] for k in range(2)]
+    assert twice[0] == pytest.approx(np.mean(each, axis=0))
+    monkeypatch.setattr(averaged, "replay_all", lambda *a: pytest.fail("played again"))
+    many.losses([None], 2)
+
+
+def test_noise_is_laid_over_what_is_followed_alone(null):
+    problem, _ = null
+    joints = problem.recs.readings["joint_position"].copy()
+    joints[0, 3] = np.nan
+    recs = replace(problem.recs, readings=problem.recs.readings | {"joint_position": joints})
+    noisy = averaged._jittered(recs, problem.noise, np.random.default_rng(0)).readings
+    joints = noisy["joint_position"] - recs.readings["joint_position"]
+    assert np.isnan(noisy["joint_position"][0, 3]).all()
+    assert np.nanstd(joints) == pytest.approx(problem.noise.joint_position, rel=0.05)
+    shift = (noisy["object_pose"] - recs.readings["object_pose"])[..., :3]
+    assert shift.std() == pytest.approx(problem.noise.object_pose[0], rel=0.05)
+    assert np.linalg.norm(noisy["object_pose"][..., 3:], axis=-1) == pytest.approx(1.0)
+    assert noisy["fingertip_force"] is recs.readings["fingertip_force"]
+    arm = replace(recs, readings={"joint_position": recs.readings["joint_position"]})
+    assert set(averaged._jittered(arm, problem.noise, np.random.default_rng(0)).readings) == {"joint_position"}
+
+
+class Told:
+    """Losses that are told: `(of replays that choose, of those that decide)` by element, 1.0 of the nominal world."""
+
+    def __init__(self, problem, gains):
+        self.problem, self.gains = problem, gains
+
+    def losses(self, members, copies, first=0):
+        count = len(self.problem.recs)
+        some = [0.0 if m is None else self._gain(m, first) for m in members]
+        return np.array([np.full(count, 1.0 - gain) for gain in some])
+
+    def _gain(self, member, first):
+        c, u = member
+        best, decides = self.gains[c.element]
+        return (decides if first else best) - 0.1 * (u[0] - np.log(0.003)) ** 2
+
+
+def test_what_chose_a_value_does_not_decide(null, gripper):
+    """The luckiest of the replays that choose comes second where others decide."""
+    problem, _ = null
+    tips = {v.element: v for v in local_candidates(candidate("rolling_friction", gripper), gripper)}
+    many = Told(problem, {"left_tip": (0.06, 0.01), "right_tip": (0.05, 0.04), "thumb_tip": (-0.05, 0.9)})
+    points = [(tips[e], np.log([0.0025])) for e in many.gains]
+    fits = averaged._compared(many, points)
+    assert [f.labels for f in fits] == [("rolling_friction right_tip",), ("rolling_friction left_tip",)]
+    assert fits[0].gain == pytest.approx(0.04, abs=1e-3)
+    assert np.exp(fits[0].members[0][1][0]) == pytest.approx(0.003, rel=0.02), "where the parabola is least"
+
+
+def test_where_nothing_gains_nothing_is_compared(null, gripper):
+    problem, _ = null
+    tips = [v for v in local_candidates(candidate("rolling_friction", gripper), gripper) if v.element == TIP]
+    assert averaged._compared(Told(problem, {TIP: (0.0, 0.5)}), [(tips[0], np.log([0.003]))]) == []
+    assert averaged._compared(Told(problem, {}), []) == []
+
+
+def told(problem, gripper, label, losses):
+    """Return a fit of an effect that leaves such losses."""
+    name, _, element = label.partition(" ")
+    c = candidate(name, gripper, element or None)
+    loss = np.asarray(losses, float)
+    return Fit(((c, c.neutral + 1.0),), None, CrossFit(1.1 - loss, loss, np.zeros((4, 1))))
+
+
+@pytest.mark.parametrize(
+    ("more", "found"), [(0.05, True), (0.0, False), (-0.05, False)], ids=["surely", "as much", "less"]
+)
+def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, gripper, monkeypatch, more, found):
+    problem, _ = null
+    spread = 0.01 * np.random.default_rng(0).standard_normal(20)
+    whole = told(problem, gripper, "torsional_friction", 1.05 + spread)
+    tip = told(problem, gripper, "torsional_friction left_tip", 1.05 - more - spread)
+    monkeypatch.setattr(averaged, "_compared", lambda many, points: sorted((whole, tip), key=lambda f: -f.gain))
+    shown = placed(problem, whole)
+    assert (shown is not None) == found
+    if shown:
+        assert shown[0] is tip
+
+
+@pytest.mark.parametrize("label", ["object_inertia", "tactile_dead_band", "friction_cone", "joint_offset"])
+def test_what_has_no_elements_or_needs_no_simulation_or_has_many_numbers_stays(null, gripper, monkeypatch, label):
+    problem, _ = null
+    monkeypatch.setattr(averaged, "_compared", lambda *a: pytest.fail("compared"))
+    assert placed(problem, told(problem, gripper, label, np.ones(20))) is None
+
+
+@pytest.mark.parametrize(
+    ("chosen", "remains", "base", "asked"),
+    [
+        (None, False, 1.3, "faint"),
+        (None, True, 1.05, "faint"),
+        (None, True, 1.3, None),
+        ("torsional_friction", False, 1.06, "placed"),
+        ("loud", False, 1.3, None),
+    ],
+)
+def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chosen, remains, base, asked):
+    problem, first = null
+    first = replace(first, base=np.full(20, base))
+    fit = (
+        told(problem, gripper, "torsional_friction", np.full(20, 1.05 if chosen != "loud" else 0.9)) if chosen else None
+    )
+    better = told(problem, gripper, "torsional_friction left_tip", np.full(20, 1.0))
+    called = []
+    for name in ("faint", "placed"):
+        monkeypatch.setattr(attribute, name, lambda *a, name=name: called.append(name) or (better, "many"))
+    found = attribute._in_mean(
+        problem, attribute.Attribution(first, fit, (fit,) if fit else (), problem.score, remains)
+    )
+    assert called == ([asked] if asked else [])
+    if asked:
+        assert (found.chosen, found.mean, found.first.fits[0]) == (better, "many", better)
+        assert not found.remains
+
+
+def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, gripper, played, planted, judge, monkeypatch):
+    """The gap is that in the mean, and one of the notes says so."""
+    _, first = hidden
+
+    def search(problem):
+        found = attribute.Attribution(first, None, (), problem.score, False)
+        return attribute._in_mean(problem, found)
+
+    monkeypatch.setattr(diagnosis, "attribute", search)
+    monkeypatch.setattr(diagnosis, "sizes_in_mean", lambda *a: (np.full(20, 1.05), np.full(20, 1.0)))
+    effects = planted("rolling_friction", TIP, rolling_m=ROLLING_M)
+    report = judge(gripper, played(gripper, effects, count=20, duration_s=2.4)).report
+    assert [(e.name, e.element) for e in report.effects] == [("rolling_friction", TIP)]
+    assert (report.gap.before, report.gap.after) == (1.05, 1.0)
+    assert any("mean over 8 replays" in note for note in report.data.notes)
+
+
+def test_a_dataset_without_a_faint_effect_keeps_its_notes(null, gripper, played, judge, monkeypatch):
+    _, first = null
+    monkeypatch.setattr(
+        diagnosis, "attribute", lambda problem: attribute.Attribution(first, None, (), problem.score, False)
+    )
+    report = judge(gripper, played(gripper, count=20, duration_s=2.4)).report
+    assert report.verdict == "no_gap"
+    assert not any("mean over" in note for note in report.data.notes)
+
+
+def test_steps_are_told(hidden):
+    problem, first = hidden
+    said = []
+    problem = replace(problem, pace=SimpleNamespace(say=lambda text, span: said.append(text)))
+    faint(problem, replace(first, rough=()))
+    assert said == ["looking for what contact hides, in the mean over many replays"]
