@@ -217,6 +217,17 @@ def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chos
         assert not found.remains
 
 
+@pytest.mark.parametrize(("force", "toss"), [(None, False), ("a pull", False), (None, True)])
+def test_the_mean_is_not_asked_after_a_force_or_of_tosses(null, monkeypatch, force, toss):
+    problem, first = null
+    found = attribute.Attribution(first, None, (), problem.score, False, force=force)
+    better = replace(found, mean="many")
+    monkeypatch.setattr(attribute, "is_toss", lambda scene: toss)
+    monkeypatch.setattr(attribute, "_attributed", lambda *a: found)
+    monkeypatch.setattr(attribute, "_in_mean", lambda *a: better)
+    assert (attribute.attribute(problem).mean == "many") == (force is None and not toss)
+
+
 def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, gripper, played, planted, judge, monkeypatch):
     """The gap is that in the mean, and one of the notes says so."""
     _, first = hidden

@@ -227,6 +227,7 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
     monkeypatch.setattr(attribute, "_left", lambda *a: (left, floors))
     monkeypatch.setattr(attribute, "recentred", lambda *a: ("one value", SimpleNamespace(score="another floor")))
     monkeypatch.setattr(attribute, "alone", lambda *a: None)
+    monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(
         replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
     )
@@ -247,6 +248,7 @@ def test_one_of_a_set_is_looked_for_where_nothing_is_tied_with_it(arm, monkeypat
     monkeypatch.setattr(attribute, "_left", lambda *a: (0.1, 0.3))
     asked = []
     monkeypatch.setattr(attribute, "alone", lambda problem, *a: asked.append(a))
+    monkeypatch.setattr(attribute, "_in_mean", lambda *a: None)
     problem = SimpleNamespace(
         replayer=SimpleNamespace(scene=arm), nominal=None, score=None, rng=np.random.default_rng(0)
     )
