@@ -136,6 +136,8 @@ def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
     if shown is None:
         return None
     fit, mean = shown
+    # Fresh noise on top costs every world as much: beside other fits it counts by what it gains.
+    fit = replace(fit, evidence=replace(fit.evidence, loss=found.first.base - fit.evidence.gain))
     first = replace(found.first, fits=(fit, *(f for f in found.first.fits if f.labels != fit.labels)))
     return Attribution(first, fit, (fit,), problem.score, False, mean=mean)
 

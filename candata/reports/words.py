@@ -24,8 +24,8 @@ HEADLINES: dict[Verdict, str] = {
 
 _MEANINGS: dict[Verdict, str] = {
     "no_gap": "The recordings differ from the simulation no more than sensor noise alone would make them.",
-    "explained": "The named effects pass the held-out test and close most of the gap: at least 80 % of it, or half "
-    "where no more than 0.30 floors remain.",
+    "explained": "The named effects pass the held-out test and close most of the gap: at least 80 % of it, half "
+    "where no more than 0.30 floors remain, or what can be told of a gap smaller than that.",
     "partly_explained": "The named effects pass the held-out test and close at least 30 % of the gap (one name alone "
     "half), of all episodes or of all but a few, but something else remains.",
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",

@@ -213,8 +213,10 @@ def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chos
     )
     assert called == ([asked] if asked else [])
     if asked:
-        assert (found.chosen, found.mean, found.first.fits[0]) == (better, "many", better)
+        assert (found.chosen.labels, found.mean, found.first.fits[0]) == (better.labels, "many", found.chosen)
         assert not found.remains
+        assert found.chosen.gain == pytest.approx(better.gain)
+        assert found.chosen.evidence.loss + found.chosen.evidence.gain == pytest.approx(first.base), "beside other fits"
 
 
 @pytest.mark.parametrize(("force", "toss"), [(None, False), ("a pull", False), (None, True)])
