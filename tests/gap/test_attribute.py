@@ -124,3 +124,31 @@ def test_beside_one_in_place_of_two_the_search_goes_on_where_a_gap_remains(monke
     monkeypatch.setattr(attribute, "forward", lambda world, best, alone, doubt: grown)
     after = attribute._as_one("world", three, True, ())
     assert after == (grown if grows else (found, "its world", left))
+
+
+def left(*labels: str, floors: float) -> SimpleNamespace:
+    """Return a set of effects that leaves so much."""
+    evidence = SimpleNamespace(loss=np.full(8, 1 + floors))
+    return SimpleNamespace(labels=labels, members=labels, evidence=evidence)
+
+
+WHOLE = left("mass", "servo", "tip", floors=0.18)
+MASS, SERVO = left("mass", floors=0.37), left("mass", "servo", floors=0.19)
+OTHER, RIGHT = left("mass", "time step", "tip", floors=0.01), left("mass", "time step", floors=0.01)
+
+
+@pytest.mark.parametrize(
+    ("fewer", "better", "found"),
+    [
+        (MASS, OTHER, RIGHT),  # much is left without what made up for the time step
+        (MASS, WHOLE, MASS),  # but nothing else explains it
+        (SERVO, OTHER, SERVO),  # what is left is little
+        (WHOLE, OTHER, WHOLE),  # nothing can be left out
+    ],
+    ids=["another", "no other", "little", "whole"],
+)
+def test_where_much_is_left_without_members_others_are_tried_in_their_place(monkeypatch, fewer, better, found):
+    lighter = {WHOLE.labels: fewer, OTHER.labels: RIGHT}
+    monkeypatch.setattr(attribute, "simplified", lambda world, fit, remains: (lighter[fit.labels], world, remains))
+    monkeypatch.setattr(attribute, "challenged", lambda problem, world, fit, rough: (better, []))
+    assert attribute._simpler("problem", (WHOLE, "world", False), ()) == (found, "world", False)
