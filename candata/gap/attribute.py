@@ -246,7 +246,7 @@ def _simpler(problem: Problem, grown: Grown, rough: Responses) -> Grown:
     """Return a set without members that the others make up for, or with others in their place where much is left so.
 
     Each left out costs little, all of them more: what made up for one missing effect is not seen once it is gone.
-    (Beside a mass, softer servos and a gain of the fingertips stood for a longer time step, and left 0.18 floors. The
+    (Beside a mass, softer servos and a gain of the fingertips stood for a shorter time step, and left 0.18 floors. The
     mass alone left 0.37, which was no gap where an object slips; with the time step in the servos' place none is.)
     """
     whole, world, remains = grown
