@@ -28,8 +28,9 @@ from candata.gap.worth import LEFT, MOST, leaves, left_by
 FAR = 0.25
 #: To what share of what the first search leaves a second one must come down to replace it. Chosen.
 SMALLER = 0.8
-#: Loss above the floor [floors] below which what is faint is looked for in the mean over many replays. Chosen.
-FAINT = 0.1
+#: Loss above the floor, and gain [floors], below which what is faint, or where it acts, is looked for in the mean over
+#: many replays. Chosen.
+HIDDEN = 0.1
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def attribute(problem: Problem) -> Attribution:
     named and explains less than half may hide the true cause: without it all is simulated too. (Of fingertips that
     bounced, damping 0.3 times as strong, a friction of one was named for a seventh of the gap; alone, 0.32 left 1.1
     floors, where nulls reach 1.5, and beside that friction nothing showed.) Where one force explains clearly more than
-    what is found, no more is looked for.
+    what is found, no more is looked for. In the end the mean over many replays shows what contact hides from one.
     """
     # A toss has no motion that a force could be read off.
     doubt = None if is_toss(problem.replayer.scene) else Doubt(problem, problem.rng.spawn(1)[0])
@@ -130,9 +131,9 @@ def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
     """Return what the mean over many replays shows of a faint gap: an effect, or where one acts; None of any other."""
     chosen, shown = found.chosen, None
     if chosen is None:
-        little = float(found.first.base.mean()) < 1 + FAINT
+        little = float(found.first.base.mean()) < 1 + HIDDEN
         shown = faint(problem, found.first) if little or not found.remains else None
-    elif chosen.gain < FAINT and len(chosen.members) == len(found.tied) == 1:
+    elif chosen.gain < HIDDEN and len(chosen.members) == len(found.tied) == 1:
         shown = placed(problem, chosen)
     if shown is None:
         return None

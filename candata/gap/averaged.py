@@ -37,10 +37,12 @@ FIRST, SOME, ALL = 2, 8, 16
 #: Null recordings of each episode that tell what a discrepancy is in such a mean without any effect.
 NULLS = 6
 #: Mean gain [floors] from which a value is looked at over more replays, and from which others are tried around it.
+#: Chosen: the mean of two differs by some 0.015 from that of many. (Of 73 nulls two came so far as to be compared.)
 WORTH, TRIED = -0.015, 0.005
 #: How many effects are compared at the end, and what share of the best gain so far they must have. Chosen.
 COMPARED, RIVAL = 2, 0.4
-#: Mean gain [floors], and standard errors of it, from which an effect is named.
+#: Mean gain [floors], and standard errors of it, from which an effect is named. Chosen: of those two nulls one lost
+#: 0.007 floors and one gained 0.003; of eight faults that one replay hid, none gained less than 0.014 or 2.1 errors.
 NAMED, STEADY = 0.01, 1.5
 
 

@@ -58,7 +58,7 @@ def null(posed):
 
 def test_a_fault_of_one_fingertip_that_one_replay_hides_is_found_there(hidden):
     problem, first = hidden
-    assert first.base.mean() - 1 < attribute.FAINT, "a gap as small as nulls have"
+    assert first.base.mean() - 1 < attribute.HIDDEN, "a gap as small as nulls have"
     fit, many = faint(problem, first)
     assert fit.labels == (f"rolling_friction {TIP}",)
     assert np.exp(fit.members[0][1][0]) == pytest.approx(ROLLING_M, rel=0.5)

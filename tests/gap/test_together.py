@@ -29,10 +29,7 @@ TRUE = {"joint_dry_friction", "actuation_delay"}
 @pytest.fixture(scope="module")
 def posed(arm, arm_episodes, planted, tmp_path_factory):
     """The problem that an arm with two causes poses, and a look at every effect alone."""
-    effects = (
-        *planted("joint_dry_friction", frictionloss_Nm=0.3),
-        *planted("actuation_delay", delay_s=0.03),
-    )
+    effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(
         Replayer(arm), recs, np.random.default_rng(0), tmp_path_factory.mktemp("kept"), lambda stage: None, share=True
