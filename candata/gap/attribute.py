@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from candata.gap.added import aliases, challenged, together
 from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import null_level, tied_with
-from candata.gap.fewer import completed, merged, simplified, widened
+from candata.gap.fewer import by_choice, completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.own_floor import Grown
 from candata.gap.pace import AGAIN, SHARPEN
@@ -28,9 +28,9 @@ from candata.gap.worth import LEFT, MOST, leaves, left_by
 FAR = 0.25
 #: To what share of what the first search leaves a second one must come down to replace it. Chosen.
 SMALLER = 0.8
-#: Loss above the floor, and gain [floors], below which what is faint, or where it acts, is looked for in the mean over
-#: many replays. Chosen.
-HIDDEN = 0.1
+#: Loss above the floor below which what is faint is looked for in the mean over many replays, and gain [floors] below
+#: which it is asked there on which element an effect acts. Chosen.
+HIDDEN, UNPLACED = 0.1, 0.3
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
     if chosen is None:
         little = float(found.first.base.mean()) < 1 + HIDDEN
         shown = faint(problem, found.first) if little or not found.remains else None
-    elif chosen.gain < HIDDEN and len(chosen.members) == len(found.tied) == 1:
+    elif chosen.gain < UNPLACED and len(chosen.members) == len(found.tied) == 1:
         shown = placed(problem, chosen)
     if shown is None:
         return None
@@ -259,10 +259,11 @@ def _simpler(problem: Problem, grown: Grown, rough: Responses) -> Grown:
 
 
 def _as_one(world: Problem, chosen: Fit, remains: bool, alone: Sequence[Fit], doubt: Doubt | None = None) -> Grown:
-    """Return the set with one effect in place of two that stand for it, and with what these left no room for.
+    """Return the set with one effect in place of two or more that stand for it, and with what these left no room for.
 
     (Softer servos and an inertia of the joints stood for their damping, and a torsional friction was missing.)
     """
-    found, other, left = merged(world, chosen, remains)
+    fewer, other, left = by_choice(world, chosen, remains)
+    found, other, left = merged(other, fewer, left)
     grows = left and found.labels != chosen.labels
     return forward(other, found, alone, doubt=doubt) if grows else (found, other, left)

@@ -106,8 +106,8 @@ def placed(problem: Problem, chosen: Fit) -> tuple[Fit, Averaged] | None:
         return None
     problem.pace.say("asking where it acts, in the mean over many replays", MEAN)
     many = _of(problem)
-    points = [(v, at) for v in single for at in (u, *_clear(problem, v))]
-    fits = _compared(many, [(whole, u), *points])
+    places = (c, *(v for v in (whole, *single) if v.label != c.label))
+    fits = _compared(many, [(v, at) for v in places for at in (u, *_clear(problem, v))])
     own = next((f for f in fits if f.labels == chosen.labels), None)
     if not fits or fits[0].labels == chosen.labels or (own is not None and is_tied(own, fits[0])):
         return None

@@ -16,8 +16,8 @@ from candata.gap.screen import respond
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.shortlist import brief
 from candata.gap.sparse import pruned
-from candata.gap.trials import sharpest
-from candata.gap.worth import MOST, OPEN, extra_of, left_by, settles, worth_adding
+from candata.gap.trials import least_worth, sharpest
+from candata.gap.worth import LARGEST, MOST, OPEN, extra_of, left_by, settles, worth_adding
 
 Array = NDArray[np.float64]
 
@@ -28,13 +28,14 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
     None where it does not. Under other causes a fault first shows on the element that they spare, or that moves what it
     moves; what made up for the wrong place is dropped with it. (A finger's motors, all limited to 0.19 N m, were named
     as one of them, which left 0.56 floors: of the finger as a whole 0.22 N m had been read off. From another seed they
-    were named as all motors, limited to 0.2 N m, which left 0.42.)
+    were named as all motors, limited to 0.2 N m, which left 0.42.) Of many only those are asked that are worth most.
     """
     if left_by(best) < OPEN:
         return None
     base = problem.score.loss(problem.nominal)
     # First those of one element: what is everywhere may only make up for one that is in the wrong place.
-    for c, u in sorted(best.members, key=lambda m: m[0].element is None):
+    asked = best.members if len(best.members) <= LARGEST else least_worth(brief(problem)[0], best, ())[-LARGEST:]
+    for c, u in sorted(asked, key=lambda m: m[0].element is None):
         others = tuple(m for m in best.members if m[0].name != c.name)
         all_over: Members = ()
         if c.element is None:

@@ -120,6 +120,7 @@ def test_what_was_measured_takes_no_place_in_the_set(cube):
 def test_beside_one_in_place_of_two_the_search_goes_on_where_a_gap_remains(monkeypatch, labels, left, grows):
     three, found = SimpleNamespace(labels=tuple("abc")), SimpleNamespace(labels=tuple(labels))
     grown = (SimpleNamespace(labels=tuple("acd")), "its world", False)
+    monkeypatch.setattr(attribute, "by_choice", lambda *a: a)
     monkeypatch.setattr(attribute, "merged", lambda *a: (found, "its world", left))
     monkeypatch.setattr(attribute, "forward", lambda world, best, alone, doubt: grown)
     after = attribute._as_one("world", three, True, ())

@@ -181,6 +181,16 @@ def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, gripper,
         assert shown[0] is tip
 
 
+def test_an_effect_of_a_group_is_compared_with_all_and_with_each_element(null, gripper, monkeypatch):
+    problem, _ = null
+    asked = []
+    monkeypatch.setattr(averaged, "_compared", lambda many, points: asked.extend(points) or [])
+    assert placed(problem, told(problem, gripper, "torque_limit right", np.ones(20))) is None
+    labels = [c.label for c, _ in asked]
+    assert {"torque_limit", "torque_limit right", "torque_limit right_base", "torque_limit left_base"} <= set(labels)
+    assert all(labels.count(label) == labels.count("torque_limit") for label in labels), "each at as many values"
+
+
 @pytest.mark.parametrize("label", ["object_inertia", "tactile_dead_band", "friction_cone", "joint_offset"])
 def test_what_has_no_elements_or_needs_no_simulation_or_has_many_numbers_stays(null, gripper, monkeypatch, label):
     problem, _ = null
@@ -202,7 +212,7 @@ def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chos
     problem, first = null
     first = replace(first, base=np.full(20, base))
     fit = (
-        told(problem, gripper, "torsional_friction", np.full(20, 1.05 if chosen != "loud" else 0.9)) if chosen else None
+        told(problem, gripper, "torsional_friction", np.full(20, 1.05 if chosen != "loud" else 0.7)) if chosen else None
     )
     better = told(problem, gripper, "torsional_friction left_tip", np.full(20, 1.0))
     called = []

@@ -19,7 +19,7 @@ from candata.gap.replay import Replayer
 from candata.gap.search import Fit
 from candata.scenes import load_scene
 from candata.simulate.episodes import Job, make_episodes
-from tests.gap.conftest import members
+from tests.gap.conftest import members, plant
 
 
 def blunt_fit(problem, some):
@@ -235,6 +235,31 @@ def test_one_in_place_of_two_that_makes_up_for_little_is_not_fitted_on_all(arm, 
     monkeypatch.setattr(fewer, "lightly_fitted", real)
     with pytest.raises(pytest.fail.Exception):
         fewer.merged(problem, wrong, True)
+
+
+@pytest.mark.parametrize("true", [plant("time_step", time_step_s=0.005), plant("armature", armature_kgm2=0.002)])
+def test_a_choice_takes_the_place_of_many_that_stand_for_it(arm, arm_episodes, planted, true):
+    recs = recordings(arm, arm_episodes((*true, *planted("joint_dry_friction", frictionloss_Nm=0.3)), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    many = {"joint_dry_friction": 0.3, "joint_damping": 0.06, "actuation_delay": 0.005, "armature": 0.002}
+    wrong = joint(problem, members(arm, **many), problem.score.loss(problem.nominal))
+    found, world, _ = fewer.by_choice(problem, wrong, True)
+    if true[0].name == "time_step":
+        assert found.labels == ("joint_dry_friction", "time_step"), "what is idle beside it goes, too"
+        assert found.gain > wrong.gain
+        assert world is not problem, "in units of the floor of its own world"
+    else:
+        assert found is wrong
+
+
+def test_no_choice_is_tried_in_place_of_few(arm, two_causes, monkeypatch):
+    problem, _ = two_causes
+    some = members(arm, joint_dry_friction=0.3, actuation_delay=0.03, joint_damping=0.03, armature=3e-5)
+    monkeypatch.setattr(fewer, "lightly", lambda *a: pytest.fail("it was tried"))
+    few = blunt_fit(problem, some[:3])
+    assert fewer.by_choice(problem, few, True) == (few, problem, True)
+    with pytest.raises(pytest.fail.Exception):
+        fewer.by_choice(problem, blunt_fit(problem, some), True)
 
 
 def test_of_a_fit_of_many_all_that_is_spare_goes_at_once(arm, two_causes, monkeypatch):

@@ -17,9 +17,10 @@ from candata.gap.floor import perturbed
 from candata.gap.folds import cross_fit
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
-from candata.gap.response import Plane
+from candata.gap.response import Curve, Plane
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, fit_one
+from candata.gap.shortlist import brief
 
 
 @pytest.fixture(scope="module")
@@ -292,3 +293,33 @@ def test_slopes_are_read_inside_the_bounds(pair, at):
     seen, slope = asked(valley, members, partial(refine.divided, members), valley.slope)
     assert all((np.abs(u) <= 9.0).all() for u in seen)
     assert slope == pytest.approx(valley.slope, abs=1e-4)
+
+
+def far_off(problem, name, *values):
+    """The fit of a scalar that was simulated at some values alone, and the base loss."""
+    c = candidate(name, problem.replayer.scene)
+    at = [np.array([v]) for v in (float(c.neutral[0]), *values)]
+    zs = np.stack(problem.residuals([problem.setting([(c, u)]) for u in at]))
+    base = problem.score.loss(problem.nominal)
+    curve = Curve(c, np.concatenate(at), zs, np.ones(len(at), bool))
+    return fit_one(problem, c, curve, base), base
+
+
+def test_a_scalar_is_found_between_far_points_where_a_few_episodes_show_it(problem):
+    best, base = far_off(problem, "joint_dry_friction", 1.9, 2.1)
+    found = refine.scanned(problem, brief(problem)[0], best, base)
+    assert found.members[0][1] == pytest.approx(0.3, rel=0.05)
+    assert best.gain < 0.5 * found.gain, "lines between the points lead past it"
+
+
+def test_a_scalar_that_gains_no_more_and_what_is_none_stay(problem, rollouts):
+    best, base = far_off(problem, "joint_dry_friction", 0.27, 0.3, 0.33)
+    sharp = refine.polished(problem, best, base)
+    assert refine.scanned(problem, brief(problem)[0], sharp, base).gain >= sharp.gain
+    rollouts.clear()
+    choice, _ = far_off(problem, "time_step", np.log(0.005))
+    plane = refine.joint(problem, best.members, base, widths=())
+    rollouts.clear()
+    assert refine.scanned(problem, problem, choice, base) is choice
+    assert refine.scanned(problem, problem, plane, base) is plane
+    assert rollouts == []
