@@ -97,8 +97,11 @@ def faint(problem: Problem, first: Stage) -> tuple[Fit, Averaged] | None:
     return (fits[0], many) if fits and fits[0].gain > least else None
 
 
-def placed(problem: Problem, chosen: Fit) -> tuple[Fit, Averaged] | None:
-    """Return a faint effect elsewhere, on an element or all, if it surely gains more there in the mean; else None."""
+def placed(problem: Problem, chosen: Fit) -> tuple[Fit | None, Averaged] | None:
+    """Return a faint effect elsewhere, on an element or all, if it surely gains more there in the mean; else None.
+
+    No fit stands for an effect that gains nothing in the mean, wherever it acts: what it gained in one replay was luck.
+    """
     (c, u), scene = chosen.members[0], problem.replayer.scene
     whole = candidate(c.name, scene)
     single = _single(problem, whole)
@@ -108,8 +111,10 @@ def placed(problem: Problem, chosen: Fit) -> tuple[Fit, Averaged] | None:
     many = _of(problem)
     places = (c, *(v for v in (whole, *single) if v.label != c.label))
     fits = _compared(many, [(v, at) for v in places for at in (u, *_clear(problem, v))])
+    if not fits:
+        return None, many
     own = next((f for f in fits if f.labels == chosen.labels), None)
-    if not fits or fits[0].labels == chosen.labels or (own is not None and is_tied(own, fits[0])):
+    if fits[0].labels == chosen.labels or (own is not None and is_tied(own, fits[0])):
         return None
     return fits[0], many
 

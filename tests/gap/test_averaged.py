@@ -185,7 +185,7 @@ def test_an_effect_of_a_group_is_compared_with_all_and_with_each_element(null, g
     problem, _ = null
     asked = []
     monkeypatch.setattr(averaged, "_compared", lambda many, points: asked.extend(points) or [])
-    assert placed(problem, told(problem, gripper, "torque_limit right", np.ones(20))) is None
+    assert placed(problem, told(problem, gripper, "torque_limit right", np.ones(20)))[0] is None, "nothing gains"
     labels = [c.label for c, _ in asked]
     assert {"torque_limit", "torque_limit right", "torque_limit right_base", "torque_limit left_base"} <= set(labels)
     assert all(labels.count(label) == labels.count("torque_limit") for label in labels), "each at as many values"
@@ -227,6 +227,46 @@ def test_the_mean_is_asked_where_a_gap_is_faint(null, gripper, monkeypatch, chos
         assert not found.remains
         assert found.chosen.gain == pytest.approx(better.gain)
         assert found.chosen.evidence.loss + found.chosen.evidence.gain == pytest.approx(first.base), "beside other fits"
+
+
+@pytest.mark.parametrize(("other", "asked"), [(0.55, True), (0.75, False)], ids=["as much", "less"])
+def test_the_mean_is_asked_of_what_other_elements_explain_as_well(null, gripper, monkeypatch, other, asked):
+    problem, first = null
+    spread = 0.1 * np.random.default_rng(0).standard_normal(20)
+    whole = told(problem, gripper, "torsional_friction", 0.6 + spread)
+    tip = told(problem, gripper, "torsional_friction left_tip", other - spread)
+    assert whole.gain > attribute.UNPLACED
+    called = []
+    monkeypatch.setattr(attribute, "placed", lambda *a: called.append(a))
+    found = attribute.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
+    assert attribute._in_mean(problem, found) is None
+    assert bool(called) == asked
+
+
+@pytest.mark.parametrize(("base", "stays"), [(1.06, False), (1.3, True)], ids=["faint", "a gap"])
+def test_what_gains_nothing_in_the_mean_is_luck_where_nulls_have_as_much(null, gripper, monkeypatch, base, stays):
+    problem, first = null
+    whole = told(problem, gripper, "torsional_friction", np.full(20, 1.05))
+    monkeypatch.setattr(attribute, "placed", lambda *a: (None, "many"))
+    first = replace(first, base=np.full(20, base), fits=(whole,))
+    shown = attribute._in_mean(problem, attribute.Attribution(first, whole, (whole,), problem.score, False))
+    assert (shown is None) == stays
+    if shown:
+        assert (shown.chosen, shown.tied, shown.remains, shown.first) == (None, (), False, first)
+
+
+def test_what_one_replay_shows_has_its_value_from_that(null, gripper, monkeypatch):
+    problem, first = null
+    labels = ("torsional_friction", "torsional_friction left_tip")
+    whole, tip = (told(problem, gripper, label, np.full(20, 0.9)) for label in labels)
+    sharp = told(problem, gripper, labels[1], np.full(20, 0.7))
+    monkeypatch.setattr(attribute, "placed", lambda *a: (told(problem, gripper, labels[1], np.ones(20)), "many"))
+    monkeypatch.setattr(attribute, "polished", lambda problem, fit, base: sharp if fit is tip else pytest.fail("other"))
+    monkeypatch.setattr(attribute, "judged", lambda problem, fit: (fit, problem, True))
+    found = attribute.Attribution(replace(first, fits=(whole, tip)), whole, (whole,), problem.score, False)
+    shown = attribute._in_mean(problem, found)
+    assert (shown.chosen, shown.tied, shown.mean, shown.remains) == (sharp, (sharp,), None, True)
+    assert shown.first.fits == (sharp, whole)
 
 
 @pytest.mark.parametrize(("force", "toss"), [(None, False), ("a pull", False), (None, True)])
