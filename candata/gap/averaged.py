@@ -39,6 +39,8 @@ NULLS = 6
 #: Mean gain [floors] from which a value is looked at over more replays, and from which others are tried around it.
 #: Chosen: the mean of two differs by some 0.015 from that of many. (Of 73 nulls two came so far as to be compared.)
 WORTH, TRIED = -0.015, 0.005
+#: How much nearer the three values of a second parabola lie. Chosen.
+NEARER = 3.0
 #: How many effects are compared at the end, and what share of the best gain so far they must have. Chosen.
 COMPARED, RIVAL = 2, 0.4
 #: Mean gain [floors], and standard errors of it, from which an effect is named. Chosen: of those two nulls one lost
@@ -194,14 +196,16 @@ def _sides(problem: Problem, c: Candidate) -> Array:
 def _fitted(many: Averaged, c: Candidate, u: Array) -> Fit:
     """Return the fit of an effect near a value that gains, each episode held out by what the others choose.
 
-    Chosen is where the parabola through the mean losses at three values is least.
+    Chosen is where the parabola through the mean losses at three values is least, and again nearer to that.
     """
     problem = many.problem
-    step = float(np.abs(np.diff(_sides(problem, c))).max()) / 2
-    at = np.clip(np.array([u[0] - step, u[0], u[0] + step]), c.low[0], c.high[0])
-    losses = many.losses([(c, at[[i]]) for i in range(3)], SOME)
+    step, own = float(np.abs(np.diff(_sides(problem, c))).max()) / 2, u
     train = [rest(problem.parts, f) for f in range(len(problem.parts))]
-    *chosen, own = (np.array([_least(at, losses[:, some].mean(1))]) for some in (*train, np.arange(losses.shape[1])))
+    for near in (step, step / NEARER):
+        at = np.clip(own[0] + near * np.array([-1.0, 0.0, 1.0]), c.low[0], c.high[0])
+        losses = many.losses([(c, at[[i]]) for i in range(3)], SOME)
+        every = (*train, np.arange(losses.shape[1]))
+        *chosen, own = (np.array([_least(at, losses[:, some].mean(1))]) for some in every)
     base, *fresh = many.losses([None, *((c, point) for point in chosen)], ALL, SOME)
     loss = _pieced(fresh, problem.parts)
     z = problem.residuals([problem.setting([(c, own)])])[0]
