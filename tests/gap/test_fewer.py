@@ -173,6 +173,21 @@ def test_all_numbers_of_a_vector_take_the_place_of_one_s_and_of_what_makes_up_fo
     assert world is not problem, "in units of the floor of its own world"
 
 
+@pytest.mark.parametrize("offsets", [(0.05, -0.04), (0.05, 0.0)], ids=["two joints", "one that shows nothing"])
+def test_all_numbers_of_a_vector_take_the_place_of_one_s_beside_what_is_true(arm, arm_episodes, planted, offsets):
+    true = (*planted("joint_offset", offset_rad=offsets), *planted("joint_dry_friction", frictionloss_Nm=0.3))
+    recs = recordings(arm, arm_episodes(true, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    some = ((on(arm, "joint_offset", "shoulder"), np.full(1, 0.04)), *members(arm, joint_dry_friction=0.3))
+    fit = joint(problem, some, problem.score.loss(problem.nominal))
+    found, _, _ = fewer.completed(problem, fit, True)
+    if offsets[1]:
+        assert set(found.labels) == {"joint_offset", "joint_dry_friction"}
+        assert found.members[0][1][1] == pytest.approx(offsets[1], rel=0.05)
+    else:
+        assert found is fit
+
+
 def test_the_numbers_of_one_element_stay_alone_where_no_other_is_off(arm, arm_episodes, planted):
     effects = (
         *planted("joint_offset", "elbow", offset_rad=0.05),
