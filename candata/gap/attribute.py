@@ -128,31 +128,46 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
 
 
 def _in_mean(problem: Problem, found: Attribution) -> Attribution | None:
-    """Return what the mean over many replays shows of a faint gap: an effect, where one acts, or that what was named is
-    luck; None of any other.
+    """Return what the mean over many replays shows of a faint gap, or of where an effect acts; None of any other."""
+    chosen = found.chosen
+    if chosen is None:
+        shown = faint(problem, found.first) if _is_little(found.first) or not found.remains else None
+        return _shown(problem, found.first, *shown) if shown else None
+    alone = len(chosen.members) == len(found.tied) == 1
+    asked = alone and (chosen.gain < UNPLACED or _is_anyones(found.first, chosen))
+    return _located(problem, found.first, chosen) if asked else None
+
+
+def _located(problem: Problem, first: Stage, chosen: Fit) -> Attribution | None:
+    """Return an effect alone where it acts by the mean, or none where it is luck; None where it stays as it is.
 
     (Of one null, a support that is a little softer gained 0.04 floors in one replay, and in the mean of many nothing.)
     """
-    chosen, little = found.chosen, float(found.first.base.mean()) < 1 + HIDDEN
-    shown: tuple[Fit | None, Averaged] | None = None
-    if chosen is None:
-        shown = faint(problem, found.first) if little or not found.remains else None
-    elif len(chosen.members) == len(found.tied) == 1 and (chosen.gain < UNPLACED or _is_anyones(found.first, chosen)):
-        shown = placed(problem, chosen)
+    shown = placed(problem, chosen)
     if shown is None:
         return None
     fit, mean = shown
     if fit is None:
-        return Attribution(found.first, None, (), problem.score, False) if little else None
-    alone = next((f for f in found.first.fits if f.labels == fit.labels), None)
-    if chosen is not None and chosen.gain >= HIDDEN and alone is not None:
-        # One replay shows it well enough to tell its value.
-        alone = polished(problem, alone, found.first.base)
-        fit, world, remains = judged(problem, alone)
-        return Attribution(_headed(found.first, alone), fit, (fit,), world.score, remains)
+        return Attribution(first, None, (), problem.score, False) if _is_little(first) else None
+    own = next((f for f in first.fits if f.labels == fit.labels), None)
+    if chosen.gain < HIDDEN or own is None:
+        return _shown(problem, first, fit, mean)
+    # One replay shows it well enough to tell its value.
+    sharp = polished(problem, own, first.base)
+    fit, world, remains = judged(problem, sharp)
+    return Attribution(_headed(first, sharp), fit, (fit,), world.score, remains)
+
+
+def _shown(problem: Problem, first: Stage, fit: Fit, mean: Averaged) -> Attribution:
+    """Return an effect that shows in the mean alone."""
     # Fresh noise on top costs every world as much: beside other fits it counts by what it gains.
-    fit = replace(fit, evidence=replace(fit.evidence, loss=found.first.base - fit.evidence.gain))
-    return Attribution(_headed(found.first, fit), fit, (fit,), problem.score, False, mean=mean)
+    fit = replace(fit, evidence=replace(fit.evidence, loss=first.base - fit.evidence.gain))
+    return Attribution(_headed(first, fit), fit, (fit,), problem.score, False, mean=mean)
+
+
+def _is_little(first: Stage) -> bool:
+    """Tell whether the gap is as small as nulls have."""
+    return float(first.base.mean()) < 1 + HIDDEN
 
 
 def _headed(first: Stage, best: Fit) -> Stage:
@@ -166,9 +181,9 @@ def _is_anyones(first: Stage, chosen: Fit) -> bool:
     (Of one fingertip, torsional friction gained 0.34 floors, that of all 0.30, and of either other 0.2.)
     """
     (name,) = {c.name for c, _ in chosen.members}
-    others = [f for f in first.fits if f.members[0][0].name == name and f.labels != chosen.labels]
-    best = max((chosen, *others), key=lambda f: f.gain)
-    return any(is_tied(f, best, UNSURE) for f in (chosen, *others) if f is not best)
+    # All of them in units of the nominal world's floor, as `chosen` is not.
+    same = sorted((f for f in first.fits if f.members[0][0].name == name), key=lambda f: -f.gain)
+    return any(is_tied(f, same[0], UNSURE) for f in same[1:])
 
 
 def _looked_into(problem: Problem, found: Attribution) -> tuple[Problem, Members] | None:

@@ -196,16 +196,16 @@ def _sides(problem: Problem, c: Candidate) -> Array:
 def _fitted(many: Averaged, c: Candidate, u: Array) -> Fit:
     """Return the fit of an effect near a value that gains, each episode held out by what the others choose.
 
-    Chosen is where the parabola through the mean losses at three values is least, and again nearer to that.
+    Chosen is where the parabola through the mean losses at three values is least: first of all episodes, then of each
+    fold's others, at three values nearer to that.
     """
     problem = many.problem
     step, own = float(np.abs(np.diff(_sides(problem, c))).max()) / 2, u
-    train = [rest(problem.parts, f) for f in range(len(problem.parts))]
+    train, everything = [rest(problem.parts, f) for f in range(len(problem.parts))], np.arange(len(problem.recs))
     for near in (step, step / NEARER):
         at = np.clip(own[0] + near * np.array([-1.0, 0.0, 1.0]), c.low[0], c.high[0])
         losses = many.losses([(c, at[[i]]) for i in range(3)], SOME)
-        every = (*train, np.arange(losses.shape[1]))
-        *chosen, own = (np.array([_least(at, losses[:, some].mean(1))]) for some in every)
+        *chosen, own = (np.array([_least(at, losses[:, some].mean(1))]) for some in (*train, everything))
     base, *fresh = many.losses([None, *((c, point) for point in chosen)], ALL, SOME)
     loss = _pieced(fresh, problem.parts)
     z = problem.residuals([problem.setting([(c, own)])])[0]

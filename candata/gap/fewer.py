@@ -77,10 +77,10 @@ def _without_vector(problem: Problem, best: Fit, free: Sequence[tuple[Candidate,
     if not many:
         return None
     part, _ = brief(problem)
-    now, most = by_loss(part, [best.members])[0][0], float(part.score.loss(part.nominal).mean())
+    near = _about_as_well(part, best)
     for m in many:
         loss, members = lightly_fitted(part, without(best, (m,)), WIDTHS)
-        if loss < now + ALIKE * (most - now):
+        if loss < near:
             fit = joint(problem, members, problem.score.loss(problem.nominal), WIDTHS[1:])
             few = len(best.members) <= LARGEST
             if not is_next(fit, best, problem.recs.tasks) if few else is_tied(fit, best, UNSURE):
@@ -96,6 +96,12 @@ def _thinned(problem: Problem, whole: Fit, best: Fit, spare: Members, base: Arra
     if found is None or len(found.members) <= LARGEST:
         return found
     return _thinned(problem, whole, found, _spare(problem, found, _free(problem, found)), base) or found
+
+
+def _about_as_well(part: Problem, best: Fit) -> float:
+    """Return the loss on a few episodes up to which a light fit may explain about as much as a set once it is sharp."""
+    now, most = by_loss(part, [best.members])[0][0], float(part.score.loss(part.nominal).mean())
+    return now + ALIKE * (most - now)
 
 
 def _free(problem: Problem, best: Fit) -> Members:
@@ -141,9 +147,9 @@ def by_choice(problem: Problem, best: Fit, remains: bool) -> Grown:
     choices = [(c, u) for c in unheld(problem, best.members) if c.choices for u in probes(c, scene)]
     sets = [(*stay, *order[:count], one) for count in range(1, LARGEST) for one in choices]
     light = [lightly_fitted(part, members, WIDTHS[:2]) for _, members in lightly(part, sets)[:ADDED]]
-    now, most = by_loss(part, [best.members])[0][0], float(part.score.loss(part.nominal).mean())
-    near = sorted((pair for pair in light if pair[0] < now + ALIKE * (most - now)), key=lambda pair: pair[0])
-    found = sharp(problem, [members for _, members in near[: 1 + RIVALS]])
+    near = _about_as_well(part, best)
+    as_well = sorted((pair for pair in light if pair[0] < near), key=lambda pair: pair[0])
+    found = sharp(problem, [members for _, members in as_well[: 1 + RIVALS]])
     if found is None or not is_tied(found, best):
         return best, problem, remains
     found, world, remains = judged(problem, found)
@@ -199,18 +205,20 @@ def completed(problem: Problem, best: Fit, remains: bool) -> Grown:
         if whole[0].size == member[0].size:
             continue
         part, _ = brief(problem)
-        now, most = by_loss(part, [best.members])[0][0], float(part.score.loss(part.nominal).mean())
+        near = _about_as_well(part, best)
         others = without(best, (member,))
         stay, free = ([m for m in others if (m[0].name in known) is measured] for measured in (True, False))
         many = len(free) > LARGEST
         order = [m for m in least_worth(part, best, known)[::-1] if m is not member] if many else free
         for count in range(len(free) + (left_by(best) > LEFT)):
-            sets = [(whole, *stay, *some) for some in ([order[:count]] if many else combinations(free, count))]
+            beside = [order[:count]] if many else combinations(order, count)
+            sets = [(whole, *stay, *some) for some in beside]
             loss, members = min((lightly_fitted(part, s, WIDTHS[:1]) for s in sets), key=lambda pair: pair[0])
-            if loss > now + ALIKE * (most - now):
+            if loss > near:
                 continue
             fit = joint(problem, members, problem.score.loss(problem.nominal))
-            if fit.gain > best.gain if count < len(free) else is_next(best, fit, problem.recs.tasks):
+            fewer_names = count < len(free)
+            if (fit.gain > best.gain) if fewer_names else is_next(best, fit, problem.recs.tasks):
                 return judged(problem, fit)
     return best, problem, remains
 
