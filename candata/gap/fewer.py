@@ -9,16 +9,17 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.added import ADDED, ALIKE, HALFWAY, by_loss, lightly, lightly_fitted, residuals_at
+from candata.gap.added import ADDED, ALIKE, HALFWAY, by_loss, lightly, lightly_fitted, pieces_of, residuals_at
 from candata.gap.candidates import FEW_NUMBERS, Candidate, is_on_slides, probes
 from candata.gap.compare import RIVALS, UNSURE, is_tied
 from candata.gap.elsewhere import everywhere, neighbour
 from candata.gap.own_floor import Grown, judged
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.screen import respond
-from candata.gap.search import Fit, Members, Problem, fit_one
+from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 from candata.gap.stage import unheld
+from candata.gap.together import beside
 from candata.gap.trials import least_worth, sharp, without
 from candata.gap.worth import EXTRA, FAINT, LARGEST, LEFT, OPEN, is_next, left_by
 
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 #: that to be tried. Chosen: 0.41 where a tracker's bias made up for a support's height, 0.9 to 1 of what was true.
 MADE_UP = 0.6
 #: Members worth least of which each two may stand for one effect. Chosen: what stands for one is worth little by half.
-PAIRED = 3
+PAIRED = 4
 
 
 def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
@@ -40,7 +41,7 @@ def simplified(problem: Problem, best: Fit, remains: bool) -> Grown:
     if len(best.members) < 2:
         return best, problem, remains
     free = _free(problem, best)
-    lighter = _without_vector(problem, best, free)
+    lighter = _without_one(problem, best, free)
     found = lighter or _without_some(problem, best, _spare(problem, best, free))
     if found is None:
         return best, problem, remains
@@ -66,19 +67,20 @@ def _without_some(problem: Problem, best: Fit, spare: Members) -> Fit | None:
     return found if found is not None and not is_next(found, best, problem.recs.tasks) else None
 
 
-def _without_vector(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Fit | None:
-    """Return the set, refitted, without one of the `free` members of many numbers, if it explains as much; else None.
+def _without_one(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Fit | None:
+    """Return the set, refitted, without a choice or many numbers among `free`, if it explains as much; else None.
 
     Tried by simulated slopes, on a few episodes first, whatever those of the fit promise: many numbers share what one
-    more effect does along a valley that bends. (Six joint offsets took a part of an object's size. Without them the
-    slopes where they stood promised 0.9 floors; a few steps on, the truth left a tenth less than the set with them.)
+    more effect does along a valley that bends, and a choice has no slopes. (Six joint offsets took a part of an
+    object's size. Without them the slopes where they stood promised 0.9 floors; a few steps on, the truth left a tenth
+    less than the set with them. A time step that had stood for another integrator stayed beside it.)
     """
-    many = [m for m in free if m[0].size > FEW_NUMBERS]
-    if not many:
+    asked = [m for m in free if m[0].size > FEW_NUMBERS or m[0].choices]
+    if not asked:
         return None
     part, _ = brief(problem)
     near = _about_as_well(part, best)
-    for m in many:
+    for m in asked:
         loss, members = lightly_fitted(part, without(best, (m,)), WIDTHS)
         if loss < near:
             fit = joint(problem, members, problem.score.loss(problem.nominal), WIDTHS[1:])
@@ -105,18 +107,19 @@ def _about_as_well(part: Problem, best: Fit) -> float:
 
 
 def _free(problem: Problem, best: Fit) -> Members:
-    """Return the members that may be left out: a choice, and what was measured without a fit, stay."""
+    """Return the members that may be left out: what was measured without a fit stays."""
     known = {c.name for c, _ in problem.measured}
-    return tuple(m for m in best.members if m[0].name not in known and not m[0].choices)
+    return tuple(m for m in best.members if m[0].name not in known)
 
 
 def _spare(problem: Problem, best: Fit, free: Sequence[tuple[Candidate, Array]]) -> Members:
     """Return those of some members that cost little, or that slopes promise the others, refitted, to make up for.
 
-    First comes the one without which slopes promise most; one member of the set is none of them.
+    First comes the one without which slopes promise most; one member of the set is none of them, and a choice, which
+    has no slopes, neither.
     """
     now, found = float(problem.score.loss(best.plane.z).mean()), []
-    for m in free:
+    for m in [m for m in free if not m[0].choices]:
         left_out, promised = _losses_without(problem, best, m)
         if left_out - now < max(FAINT, EXTRA * best.gain) or promised - now < MADE_UP * (left_out - now):
             found.append((promised, m))
@@ -211,8 +214,8 @@ def completed(problem: Problem, best: Fit, remains: bool) -> Grown:
         many = len(free) > LARGEST
         order = [m for m in least_worth(part, best, known)[::-1] if m is not member] if many else free
         for count in range(len(free) + (left_by(best) > LEFT)):
-            beside = [order[:count]] if many else combinations(order, count)
-            sets = [(whole, *stay, *some) for some in beside]
+            some_of = [order[:count]] if many else combinations(order, count)
+            sets = [(whole, *stay, *some) for some in some_of]
             loss, members = min((lightly_fitted(part, s, WIDTHS[:1]) for s in sets), key=lambda pair: pair[0])
             if loss > near:
                 continue
@@ -233,7 +236,8 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
 
     A fit of all numbers makes up for a choice that is missing by several of them, none of which is idle beside the
     others. (For a pyramidal friction cone it named less friction and a contact damping.) Tried where a gap remains that
-    contact alone does not leave, on pairs of the members worth least; one that was measured without a fit stays.
+    contact alone does not leave, on pairs of the members worth least; one that was measured without a fit stays. Where
+    that grew from a wrong beginning, what stands for one leaves a little less than it, until what it hid is found, too.
     """
     known = {c.name for c, _ in problem.measured}
     free = [m for m in best.members if m[0].name not in known]
@@ -245,15 +249,16 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     found = [
         members
         for pair in combinations(least_worth(part, best, known)[:PAIRED], 2)
-        for members in _instead(part, best, pair)
+        for members in _instead(problem, best, pair)
     ]
     refitted = [lightly_fitted(part, members) for _, members in by_loss(part, found)[:ADDED]]
     worthy = sorted((pair for pair in refitted if _stands_for_most(part, best, *pair)), key=lambda pair: pair[0])
     base = problem.score.loss(problem.nominal)
-    light = [joint(problem, members, base, widths=()) for _, members in worthy[:RIVALS]]
-    near = [joint(problem, f.members, base) for f in light if is_tied(f, best, UNSURE)]
+    light = [lightly_fitted(part, members, WIDTHS) for _, members in worthy[:RIVALS]]
+    enough = _about_as_well(part, best)
+    near = [joint(problem, members, base) for loss, members in light if loss < enough]
     fit = max(near, key=lambda f: f.gain, default=None)
-    if fit is None or not is_tied(fit, best):
+    if fit is None or not is_tied(fit, best, UNSURE):
         return best, problem, remains
     fit, world, remains = judged(problem, fit)
     return merged(world, fit, remains)
@@ -270,11 +275,15 @@ def _stands_for_most(problem: Problem, best: Fit, loss: float, members: Members)
 
 
 def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:
-    """Return the sets with the one effect in place of a pair that promises most beside the others, and its rivals."""
+    """Return the sets with the one effect in place of a pair that leaves least once the others move along, and rivals.
+
+    As the others stand, they make up for what is missing. (An object of 0.935 times its size, for which a tracker's
+    bias, a support's height and an offset of one joint stood, promised nothing beside that bias.)
+    """
+    part, index = brief(problem)
     kept = without(best, pair)
-    here = residuals_at(problem, kept)
-    base = problem.score.loss(here)
-    found = [c for c in unheld(problem, kept) if c.label not in {one.label for one, _ in pair}]
-    fits = [fit_one(problem, c, response, base) for c, response in respond(problem, here, found, kept)[0]]
-    fits = sorted((f for f in fits if f.gain > 0), key=lambda f: -f.gain)
-    return [(*kept, f.members[0]) for f in fits[: 1 + RIVALS]]
+    here = residuals_at(part, kept)
+    found = [c for c in unheld(part, kept) if c.name not in {one.name for one, _ in pair}]
+    held = [piece for piece in pieces_of(best, here, index) if any(piece[0] is c for c, _ in kept)]
+    tried = beside(part, here, held, respond(part, here, found, kept)[0])
+    return [one.members for one in tried[: 1 + RIVALS]]

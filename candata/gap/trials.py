@@ -41,8 +41,9 @@ SURELY = 2.0
 #: to be fitted sharply. Chosen: of two causes in no library such sets took a hundredth of what was left, for 15 and 24
 #: CPU s.
 PROMISING = 0.5
-#: Where two that do much alike begin: at half of what each is alone. Chosen.
-HALF = 0.5
+#: Shares of what it is alone at which an effect begins beside one that does much alike, which begins at the rest.
+#: Chosen: damping of the joints beside less of the servos was not found from half of either, as the two lie far apart.
+SPLITS = (0.5, 1.0)
 
 
 def sharp(problem: Problem, sets: Sequence[Members], beside: Fit | None = None) -> Fit | None:
@@ -127,7 +128,7 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     left_out = least_worth(part, best, known)[:1] if is_full(best.members, problem.measured) else ()
     kept = without(best, left_out)
     fits = [
-        joint(part, (*(one for one in kept if one is not m), _half(m), _half(f)), base, WIDTHS[:1])
+        _split(part, tuple(one for one in kept if one is not m), m, f, base)
         for m in kept if m[0].name not in known and not m[0].choices
         for f in _free(best, alone) if not f[0].choices
     ]  # fmt: skip
@@ -135,6 +136,12 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     far = now - PROMISING * share_of(now - 1)
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < far])
     return found if found is not None and is_next(best, found, problem.recs.tasks) else None
+
+
+def _split(part: Problem, others: Members, m: tuple[Candidate, Array], f: tuple[Candidate, Array], base: Array) -> Fit:
+    """Return the better light fit of two effects that do much alike beside others, begun at either of `SPLITS`."""
+    fits = [joint(part, (*others, _part(m, 1 - own), _part(f, own)), base, WIDTHS[:1]) for own in SPLITS]
+    return min(fits, key=lambda fit: float(part.score.loss(fit.plane.z).mean()))
 
 
 def without(best: Fit, left_out: Members) -> Members:
@@ -156,7 +163,7 @@ def _free(best: Fit, alone: Sequence[Fit]) -> Members:
     return tuple(f.members[0] for f in sure if f.members[0][0].name not in taken)[:TRIED]
 
 
-def _half(member: tuple[Candidate, Array]) -> tuple[Candidate, Array]:
-    """Return an effect half as far from its neutral value."""
+def _part(member: tuple[Candidate, Array], share: float) -> tuple[Candidate, Array]:
+    """Return an effect at a share of its distance from its neutral value."""
     c, u = member
-    return c, c.neutral + HALF * (u - c.neutral)
+    return c, c.neutral + share * (u - c.neutral)

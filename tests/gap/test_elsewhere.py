@@ -76,3 +76,42 @@ def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(a
     found = elsewhere.moved(problem, wrong)
     assert found.labels == ("actuation_delay shoulder",)
     assert worth.left_by(found) < 0.2 * worth.left_by(wrong)
+
+
+def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_episodes, planted):
+    """Either alone in the wrong place leaves more than both."""
+    effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    some = [(candidate(name, arm, "elbow"), np.full(1, value)) for name, value in
+            (("joint_dry_friction", 0.3), ("actuation_delay", 0.03))]  # fmt: skip
+    wrong = joint(problem, tuple(some), base)
+    found = elsewhere.moved(problem, wrong)
+    assert found.labels == ("joint_dry_friction", "actuation_delay")
+    assert worth.left_by(found) < 0.1 * worth.left_by(wrong)
+    assert elsewhere._spread_together(problem, wrong, base) is not None
+    assert elsewhere._spread_together(problem, joint(problem, tuple(some[:1]), base), base) is None, (
+        "one is moved alone"
+    )
+    only_here = (
+        *planted("joint_dry_friction", "elbow", frictionloss_Nm=0.3),
+        *planted("actuation_delay", "elbow", delay_s=0.03),
+    )
+    recs = recordings(arm, arm_episodes(only_here, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base = problem.score.loss(problem.nominal)
+    assert elsewhere._spread_together(problem, joint(problem, tuple(some), base), base) is None
+
+
+@pytest.mark.parametrize(
+    ("elements", "label"), [(("shoulder", "elbow"), "joint_offset elbow"), (("shoulder",), "joint_offset")]
+)
+def test_of_all_numbers_only_those_of_the_elements_at_fault_are_kept(arm, arm_episodes, planted, elements, label):
+    recs = recordings(arm, arm_episodes(planted("joint_offset", "elbow", offset_rad=0.06), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    fit = joint(
+        problem, ((candidate("joint_offset", arm), np.array([0.001, 0.06])),), problem.score.loss(problem.nominal)
+    )
+    variants = [candidate("joint_offset", arm, element) for element in elements]
+    assert elsewhere._of_fewer_numbers(problem, fit, variants).labels == (label,)

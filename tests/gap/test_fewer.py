@@ -70,6 +70,21 @@ def test_a_member_that_is_needed_or_was_measured_stays_and_nothing_is_fitted(arm
     assert fewer.simplified(known, fit, True)[0] is fit
 
 
+@pytest.mark.parametrize(("true", "kept"), [((), False), (plant("time_step", time_step_s=0.005), True)])
+def test_a_choice_goes_unless_the_others_do_not_make_up_for_it(arm, arm_episodes, planted, true, kept):
+    effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03), *true)
+    recs = recordings(arm, arm_episodes(effects, count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    step = (candidate("time_step", arm), np.log([0.005 if true else 0.0025]))
+    some = (*members(arm, joint_dry_friction=0.3, actuation_delay=0.03), step)
+    fit = joint(problem, some, problem.score.loss(problem.nominal))
+    found, _, _ = fewer.simplified(problem, fit, True)
+    assert ("time_step" in found.labels) is kept
+    assert {"joint_dry_friction", "actuation_delay"} <= set(found.labels)
+    known = replace(problem, measured=(step,))
+    assert "time_step" in fewer.simplified(known, fit, True)[0].labels
+
+
 OFFSETS = [0.03, -0.05, 0.02, -0.03, 0.01, -0.02]
 
 
@@ -101,7 +116,7 @@ def test_what_else_can_be_left_out_goes_after_many_numbers(monkeypatch):
     many, lighter, fewest = (SimpleNamespace(members=tuple(range(count))) for count in (5, 4, 2))
     monkeypatch.setattr(fewer, "_free", lambda problem, best: ())
     monkeypatch.setattr(fewer, "_spare", lambda problem, best, free: ())
-    monkeypatch.setattr(fewer, "_without_vector", lambda problem, best, free: lighter if best is many else None)
+    monkeypatch.setattr(fewer, "_without_one", lambda problem, best, free: lighter if best is many else None)
     monkeypatch.setattr(fewer, "_without_some", lambda problem, best, spare: fewest if best is lighter else None)
     monkeypatch.setattr(fewer, "judged", lambda problem, fit: (fit, problem, False))
     assert fewer.simplified("problem", many, True) == (fewest, "problem", False)
@@ -209,6 +224,15 @@ def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
     assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
     assert found.gain > wrong.gain
     assert world is not problem, "in units of the floor of its own world"
+
+
+def test_what_stands_in_place_of_two_is_looked_for_with_the_others_moved_along(arm, two_causes):
+    problem, _ = two_causes
+    some = members(arm, actuation_delay=0.026, joint_damping=0.01, armature=1e-4)
+    first, *rivals = fewer._instead(problem, blunt_fit(problem, some), some[1:])
+    assert [c.label for c, _ in first] == ["actuation_delay", "joint_dry_friction"]
+    assert first[0][1] == pytest.approx([0.03], abs=0.001)
+    assert len(rivals) == 2
 
 
 def test_two_effects_stay_where_no_one_explains_as_much_or_nothing_remains(arm, arm_episodes, planted, monkeypatch):

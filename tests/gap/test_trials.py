@@ -103,6 +103,20 @@ def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_ep
     assert trials.shared(problem, found, fits) is None  # nothing left to explain
 
 
+@pytest.mark.parametrize("best", trials.SPLITS)
+def test_of_two_that_do_much_alike_either_beginning_may_lead_on(monkeypatch, best):
+    """Damping of the joints beside less of the servos, for which more of the servos stood, lies far from their half."""
+    a, b = (SimpleNamespace(name=name, neutral=np.zeros(1)) for name in ("servo_damping", "joint_damping"))
+    monkeypatch.setattr(trials, "joint", lambda part, members, *rest: SimpleNamespace(
+        members=members, plane=SimpleNamespace(z=abs(members[-1][1][0] / 2 - best))))  # fmt: skip
+    part = SimpleNamespace(score=SimpleNamespace(loss=np.array))
+    found = trials._split(part, (), (a, np.ones(1)), (b, np.full(1, 2.0)), np.zeros(1))
+    assert [(c.name, float(u[0])) for c, u in found.members] == [
+        ("servo_damping", 1 - best),
+        ("joint_damping", 2 * best),
+    ]
+
+
 @pytest.mark.parametrize(("left", "fitted"), [(1.45, False), (1.4, True)])
 def test_what_takes_too_little_of_a_few_episodes_is_not_fitted_on_all(monkeypatch, left, fitted):
     """Of half a floor an eighth is asked for there: half of the quarter that the next effect must take."""
