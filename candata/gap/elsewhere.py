@@ -35,9 +35,6 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
     base = problem.score.loss(problem.nominal)
     # First those of one element: what is everywhere may only make up for one that is in the wrong place.
     asked = best.members if len(best.members) <= LARGEST else least_worth(brief(problem)[0], best, ())[-LARGEST:]
-    mates = _spread_together(problem, best, base)
-    if mates is not None:
-        return mates
     for c, u in sorted(asked, key=lambda m: m[0].element is None):
         others = tuple(m for m in best.members if m[0].name != c.name)
         all_over: Members = ()
@@ -49,10 +46,11 @@ def moved(problem: Problem, best: Fit) -> Fit | None:
         light = [joint(problem, (*others, place), base, widths=()) for place in places]
         fit = sharpest(problem, [f for f in light if is_tied(f, best, UNSURE)])
         if fit is not None and _is_better(best, fit, problem.recs.tasks):
-            return pruned(problem, _of_fewer_numbers(problem, fit, [v for v, _ in places]), base)
+            holding = [v for v, _ in groups(problem, c, u)] if c.element is not None else []
+            return pruned(problem, _of_fewer_numbers(problem, fit, holding), base)
         if all_over and _foretells(problem, best, light[0]):
             return light[0]
-    return None
+    return _spread_together(problem, best)
 
 
 def _of_fewer_numbers(problem: Problem, fit: Fit, variants: Sequence[Candidate]) -> Fit:
@@ -61,9 +59,10 @@ def _of_fewer_numbers(problem: Problem, fit: Fit, variants: Sequence[Candidate])
     (The offsets of a finger's two joints were named as those of all six, four of which were 0.01 rad at most.)
     """
     base = problem.score.loss(problem.nominal)
-    whole, at = next(m for m in fit.members if m[0].name == variants[0].name)
-    parts = [v for v in variants if v.size < whole.size and whole.own[v.own].all()]
-    for v in sorted(parts, key=lambda v: v.size):
+    for v in sorted(variants, key=lambda v: v.size):
+        whole, at = next(m for m in fit.members if m[0].name == v.name)
+        if v.size >= whole.size or not whole.own[v.own].all():
+            continue
         members = tuple((v, at[v.own[whole.own]]) if c is whole else (c, u) for c, u in fit.members)
         if is_tied(joint(problem, members, base, widths=()), fit, UNSURE):
             fewer = joint(problem, members, base)
@@ -72,18 +71,24 @@ def _of_fewer_numbers(problem: Problem, fit: Fit, variants: Sequence[Candidate])
     return fit
 
 
-def _spread_together(problem: Problem, best: Fit, base: Array) -> Fit | None:
+def _spread_together(problem: Problem, best: Fit) -> Fit | None:
     """Return the set with all effects of one element or group on all elements, if it explains more; else None.
 
-    One alone goes nowhere. (Of contacts that all were soft and bounced, both effects were named of the fingertips
-    beside a mass centre, which left 1.1 floors.)
+    For where each alone goes nowhere. (Of contacts that all were soft and bounced, both effects were named of the
+    fingertips beside a mass centre, which left 1.1 floors.)
     """
-    elements = [c.element for c, _ in best.members if c.element is not None]
+    scene, base = problem.replayer.scene, problem.score.loss(problem.nominal)
+    elements = [c.element for c, _ in best.members if c.element is not None and not is_on_slides(c, scene)]
     for element in sorted({e for e in elements if elements.count(e) > 1}):
-        spread = tuple(everywhere(problem, *m) if m[0].element == element else m for m in best.members)
-        fit = joint(problem, spread, base)
-        if _is_better(best, fit, problem.recs.tasks):
-            return fit
+        spread = tuple(
+            everywhere(problem, c, u) if c.element == element and not is_on_slides(c, scene) else (c, u)
+            for c, u in best.members
+        )
+        light = joint(problem, spread, base, widths=()) if len({c.name for c, _ in spread}) == len(spread) else None
+        if light is not None and is_tied(light, best, UNSURE):
+            fit = joint(problem, light.members, base)
+            if _is_better(best, fit, problem.recs.tasks):
+                return pruned(problem, fit, base)
     return None
 
 

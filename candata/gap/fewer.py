@@ -24,6 +24,7 @@ from candata.gap.trials import least_worth, sharp, without
 from candata.gap.worth import EXTRA, FAINT, LARGEST, LEFT, OPEN, is_next, left_by
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
 #: that to be tried. Chosen: 0.41 where a tracker's bias made up for a support's height, 0.9 to 1 of what was true.
 MADE_UP = 0.6
@@ -237,7 +238,8 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     A fit of all numbers makes up for a choice that is missing by several of them, none of which is idle beside the
     others. (For a pyramidal friction cone it named less friction and a contact damping.) Tried where a gap remains that
     contact alone does not leave, on pairs of the members worth least; one that was measured without a fit stays. Where
-    that grew from a wrong beginning, what stands for one leaves a little less than it, until what it hid is found, too.
+    that grew from a wrong beginning, what stands for one may leave a little less than it (but less than a name is
+    worth), until what it hid is found, too.
     """
     known = {c.name for c, _ in problem.measured}
     free = [m for m in best.members if m[0].name not in known]
@@ -245,12 +247,9 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     if not remains or left_by(best) < OPEN or few or problem.plays_all:
         return best, problem, remains
     problem.pace.told("trying one effect in place of two")
-    part, _ = brief(problem)
-    found = [
-        members
-        for pair in combinations(least_worth(part, best, known)[:PAIRED], 2)
-        for members in _instead(problem, best, pair)
-    ]
+    part, index = brief(problem)
+    pairs = combinations(least_worth(part, best, known)[:PAIRED], 2)
+    found = [members for pair in pairs for members in _instead(part, index, best, pair)]
     refitted = [lightly_fitted(part, members) for _, members in by_loss(part, found)[:ADDED]]
     worthy = sorted((pair for pair in refitted if _stands_for_most(part, best, *pair)), key=lambda pair: pair[0])
     base = problem.score.loss(problem.nominal)
@@ -258,7 +257,7 @@ def merged(problem: Problem, best: Fit, remains: bool) -> Grown:
     enough = _about_as_well(part, best)
     near = [joint(problem, members, base) for loss, members in light if loss < enough]
     fit = max(near, key=lambda f: f.gain, default=None)
-    if fit is None or not is_tied(fit, best, UNSURE):
+    if fit is None or not is_tied(fit, best, UNSURE) or is_next(fit, best, problem.recs.tasks):
         return best, problem, remains
     fit, world, remains = judged(problem, fit)
     return merged(world, fit, remains)
@@ -274,16 +273,18 @@ def _stands_for_most(problem: Problem, best: Fit, loss: float, members: Members)
     return loss < own + HALFWAY * (without_both - own)
 
 
-def _instead(problem: Problem, best: Fit, pair: Members) -> list[Members]:
+def _instead(part: Problem, index: Index, best: Fit, pair: Members) -> list[Members]:
     """Return the sets with the one effect in place of a pair that leaves least once the others move along, and rivals.
 
     As the others stand, they make up for what is missing. (An object of 0.935 times its size, for which a tracker's
-    bias, a support's height and an offset of one joint stood, promised nothing beside that bias.)
+    bias, a support's height and an offset of one joint stood, promised nothing beside that bias.) `part` holds the
+    episodes `index` of those that `best` is a fit of. None of the pair's effects is tried elsewhere in place of both.
     """
-    part, index = brief(problem)
     kept = without(best, pair)
     here = residuals_at(part, kept)
     found = [c for c in unheld(part, kept) if c.name not in {one.name for one, _ in pair}]
     held = [piece for piece in pieces_of(best, here, index) if any(piece[0] is c for c, _ in kept)]
     tried = beside(part, here, held, respond(part, here, found, kept)[0])
-    return [one.members for one in tried[: 1 + RIVALS]]
+    # Of a choice's values, the one that leaves least.
+    first = {one.members[-1][0].label: one for one in reversed(tried)}
+    return [one.members for one in sorted(first.values(), key=lambda one: one.loss)[: 1 + RIVALS]]

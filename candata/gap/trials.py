@@ -14,6 +14,7 @@ from candata.gap.compare import RIVALS, UNSURE, is_tied, standard_error
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
+from candata.gap.sparse import pruned
 from candata.gap.worth import (
     EXTRA,
     FAINT,
@@ -135,6 +136,8 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
     far = now - PROMISING * share_of(now - 1)
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < far])
+    # One that gives way altogether leaves its place.
+    found = pruned(problem, found, problem.score.loss(problem.nominal)) if found is not None else None
     return found if found is not None and is_next(best, found, problem.recs.tasks) else None
 
 

@@ -78,8 +78,7 @@ def test_a_fault_of_all_joints_is_taken_for_that_of_the_one_that_explains_more(a
     assert worth.left_by(found) < 0.2 * worth.left_by(wrong)
 
 
-def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_episodes, planted):
-    """Either alone in the wrong place leaves more than both."""
+def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_episodes, planted, monkeypatch):
     effects = (*planted("joint_dry_friction", frictionloss_Nm=0.3), *planted("actuation_delay", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
@@ -87,13 +86,15 @@ def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_ep
     some = [(candidate(name, arm, "elbow"), np.full(1, value)) for name, value in
             (("joint_dry_friction", 0.3), ("actuation_delay", 0.03))]  # fmt: skip
     wrong = joint(problem, tuple(some), base)
+    monkeypatch.setattr(elsewhere, "sharpest", lambda problem, light: None)  # as if none moved alone explained more
     found = elsewhere.moved(problem, wrong)
     assert found.labels == ("joint_dry_friction", "actuation_delay")
     assert worth.left_by(found) < 0.1 * worth.left_by(wrong)
-    assert elsewhere._spread_together(problem, wrong, base) is not None
-    assert elsewhere._spread_together(problem, joint(problem, tuple(some[:1]), base), base) is None, (
-        "one is moved alone"
-    )
+    alone = joint(problem, tuple(some[:1]), base)
+    assert elsewhere._spread_together(problem, alone) is None, "one is moved alone"
+    monkeypatch.setattr(elsewhere, "is_on_slides", lambda c, scene: True)
+    assert elsewhere._spread_together(problem, wrong) is None, "the effect as a whole spares what is on slides"
+    monkeypatch.undo()
     only_here = (
         *planted("joint_dry_friction", "elbow", frictionloss_Nm=0.3),
         *planted("actuation_delay", "elbow", delay_s=0.03),
@@ -101,7 +102,7 @@ def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_ep
     recs = recordings(arm, arm_episodes(only_here, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
-    assert elsewhere._spread_together(problem, joint(problem, tuple(some), base), base) is None
+    assert elsewhere._spread_together(problem, joint(problem, tuple(some), base)) is None
 
 
 @pytest.mark.parametrize(

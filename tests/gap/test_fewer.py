@@ -229,7 +229,7 @@ def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
 def test_what_stands_in_place_of_two_is_looked_for_with_the_others_moved_along(arm, two_causes):
     problem, _ = two_causes
     some = members(arm, actuation_delay=0.026, joint_damping=0.01, armature=1e-4)
-    first, *rivals = fewer._instead(problem, blunt_fit(problem, some), some[1:])
+    first, *rivals = fewer._instead(problem, np.arange(12), blunt_fit(problem, some), some[1:])
     assert [c.label for c, _ in first] == ["actuation_delay", "joint_dry_friction"]
     assert first[0][1] == pytest.approx([0.03], abs=0.001)
     assert len(rivals) == 2
