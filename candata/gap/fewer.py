@@ -28,7 +28,8 @@ Index = NDArray[np.int64]
 #: Share of what leaving a member out costs to which slopes must promise that refitting the others brings it down, for
 #: that to be tried. Chosen: 0.41 where a tracker's bias made up for a support's height, 0.9 to 1 of what was true.
 MADE_UP = 0.6
-#: Members worth least of which each two may stand for one effect. Chosen: what stands for one is worth little by half.
+#: Members worth least of which each two may stand for one effect. Chosen: four names are fitted where one is missing;
+#: the two that stood for a friction cone, or for an object's size, were any two of them.
 PAIRED = 4
 
 

@@ -116,3 +116,17 @@ def test_of_all_numbers_only_those_of_the_elements_at_fault_are_kept(arm, arm_ep
     )
     variants = [candidate("joint_offset", arm, element) for element in elements]
     assert elsewhere._of_fewer_numbers(problem, fit, variants).labels == (label,)
+
+
+def test_a_fault_moved_to_all_joints_keeps_to_the_group_that_explains_as_much(arm, arm_episodes, planted, monkeypatch):
+    recs = recordings(arm, arm_episodes(planted("joint_offset", "elbow", offset_rad=0.06), count=12))
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    base, elbow = problem.score.loss(problem.nominal), candidate("joint_offset", arm, "elbow")
+    blunt = joint(problem, ((elbow, np.array([0.06])),), base)
+    off = replace(blunt, evidence=replace(blunt.evidence, loss=blunt.evidence.loss + 1.0))
+    whole = joint(problem, ((candidate("joint_offset", arm), np.array([0.001, 0.06])),), base)
+    monkeypatch.setattr(elsewhere, "sharpest", lambda problem, light: whole)
+    monkeypatch.setattr(elsewhere, "groups", lambda problem, c, u: ((elbow, u),))
+    assert elsewhere.moved(problem, off).labels == ("joint_offset elbow",)
+    monkeypatch.setattr(elsewhere, "groups", lambda problem, c, u: ())
+    assert elsewhere.moved(problem, off).labels == ("joint_offset",)

@@ -217,13 +217,15 @@ def test_the_numbers_of_one_element_stay_alone_where_no_other_is_off(arm, arm_ep
     assert fewer.completed(problem, alone, False) == (alone, problem, False), "single causes are compared elsewhere"
 
 
-def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes):
+def test_one_effect_takes_the_place_of_two_that_stand_for_it(arm, two_causes, monkeypatch):
     problem, base = two_causes
     wrong = joint(problem, members(arm, joint_dry_friction=0.3, servo_damping=0.3, armature=0.0005), base)
     found, world, _ = fewer.merged(problem, wrong, True)
     assert set(found.labels) == {"joint_dry_friction", "actuation_delay"}
     assert found.gain > wrong.gain
     assert world is not problem, "in units of the floor of its own world"
+    monkeypatch.setattr(fewer, "is_next", lambda fewer, whole, tasks: True)
+    assert fewer.merged(problem, wrong, True)[0] is wrong, "not where that costs what is worth a name"
 
 
 def test_what_stands_in_place_of_two_is_looked_for_with_the_others_moved_along(arm, two_causes):
