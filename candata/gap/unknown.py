@@ -266,5 +266,5 @@ def _how(best: Stopgap) -> str:
         + ("rad" if suspect.place == "joint" else "m"),
     }[name]
     return phrase + _on([n for n in suspect.depends_on if n not in [k.replace("periodic ", "") for k in name]]).replace(
-        " that depends", ", and depends"
+        " that depends on", ", depending also on"
     )
