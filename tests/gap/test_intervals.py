@@ -249,8 +249,17 @@ def test_of_one_number_losses_are_simulated_around_the_fit_not_read_between_poin
 
 
 def test_of_one_number_whose_loss_never_surely_rises_refits_say_how_far_it_is_known(arm, monkeypatch):
-    flat, (problem, fit, _) = np.ones((20, 30), np.float32), trapped(arm, 1)
+    flat, (problem, fit, _) = np.full((20, 30), 9.0, np.float32), trapped(arm, 1)
     problem.residuals = lambda worlds: [flat for _ in worlds]
     low, high = intervals(problem, fit)
     monkeypatch.setattr("candata.gap.shrink._curved", lambda problem, fit, own: (own, own))
     assert (low, high) == intervals(trapped(arm, 1)[0], fit)
+
+
+def test_of_one_number_whose_simulated_loss_is_what_was_read_nothing_is_simulated_around_it(arm, monkeypatch):
+    """Of limits that hardly bind one side is flat: a parabola through it would say that nothing is known."""
+    problem, fit, _ = trapped(arm, 1)
+    problem.residuals = lambda worlds: [fit.curve.read(u) for u in worlds]
+    monkeypatch.setattr("candata.gap.shrink._curved", lambda *_: pytest.fail("simulated around the fit"))
+    (low,), (high,) = intervals(problem, fit)
+    assert low < high
