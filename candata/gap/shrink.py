@@ -162,13 +162,13 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
         return low, high
     least, most = _alike(problem, fit.response, own)
     low, high = np.minimum(low, least), np.maximum(high, most)
-    if not _is_flattered(problem, fit, fit.response):
+    if not _is_flattered(problem, fit):
         return low, high
     left, right = _curved(problem, fit, own)
     return np.minimum(low, left), np.maximum(high, right)
 
 
-def _is_flattered(problem: Problem, fit: Fit, curve: Curve) -> bool:
+def _is_flattered(problem: Problem, fit: Fit) -> bool:
     """Tell whether the loss simulated at a fit is surely more than the one read between the points of its curve.
 
     Where each world deals other outcomes, the mean of two lies nearer to any third than either, and fit and refits fall
@@ -176,7 +176,7 @@ def _is_flattered(problem: Problem, fit: Fit, curve: Curve) -> bool:
     2.12; losses simulated around the fit say 1.35 to 2.95.)
     """
     ((_, own),), (z,) = fit.members, problem.residuals([problem.setting(fit.members)])
-    more = problem.score.loss(z) - problem.score.loss(curve.read(own))
+    more = problem.score.loss(z) - problem.score.loss(fit.curve.read(own))
     return bool(more.mean() > RISEN * standard_error(more))
 
 

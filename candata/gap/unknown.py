@@ -237,10 +237,10 @@ def _when(problem: Problem, best: Stopgap) -> str:
     return _on(names) if first is None else first + _on(names[1:])
 
 
-def _on(names: Sequence[str]) -> str:
+def _on(names: Sequence[str], lead: str = " that depends on") -> str:
     """Return what a force depends on, as a clause."""
     rest = [n for n in names if n != "constant"]
-    return f" that depends on {', '.join(rest)}" if rest else ""
+    return f"{lead} {', '.join(rest)}" if rest else ""
 
 
 def _how(best: Stopgap) -> str:
@@ -265,6 +265,5 @@ def _how(best: Stopgap) -> str:
         ("periodic position",): f" that repeats with its position every {repeat:.2g} "
         + ("rad" if suspect.place == "joint" else "m"),
     }[name]
-    return phrase + _on([n for n in suspect.depends_on if n not in [k.replace("periodic ", "") for k in name]]).replace(
-        " that depends on", ", depending also on"
-    )
+    said = [k.replace("periodic ", "") for k in name]
+    return phrase + _on([n for n in suspect.depends_on if n not in said], ", depending also on")
