@@ -64,6 +64,10 @@ class Averaged:
         """Return `(V, E)` mean losses of worlds of one effect (None: the nominal one) over replays from `first`."""
         return self._means(members, copies, first)[:, 0]
 
+    def null_losses(self, members: Sequence[Member | None]) -> Array:
+        """Return `(V, E)` mean losses of worlds of one effect over replays of null recordings of the nominal world."""
+        return self._means(members, NULLS, of_nulls=True)[:, 0]
+
     def sizes(self, members: Sequence[Member | None], copies: int, first: int = 0) -> Array:
         """Return the same of discrepancies, in those that null recordings have in such a mean."""
         nulls = self._means([None], NULLS, of_nulls=True)[0, 1].mean()
@@ -95,8 +99,14 @@ def faint(problem: Problem, first: Stage) -> tuple[Fit, Averaged] | None:
     problem.pace.say("looking for what contact hides, in the mean over many replays", MEAN)
     many = _of(problem)
     fits = _compared(many, [(c, u) for c in _quiet(problem, first) for u in _clear(problem, c)])
-    least = max(NAMED, STEADY * standard_error(fits[0].evidence.gain)) if fits else 0.0
-    return (fits[0], many) if fits and fits[0].gain > least else None
+    return next(((f, many) for f in fits if _surpasses_nulls(many, f)), None)
+
+
+def _surpasses_nulls(many: Averaged, fit: Fit) -> bool:
+    """Tell whether an effect surely gains more in the mean than the same effect gains on null recordings."""
+    without, beside = many.null_losses([None, fit.members[0]])
+    excess = fit.evidence.gain - (without - beside)
+    return bool(excess.mean() > max(NAMED, STEADY * standard_error(excess)))
 
 
 def placed(problem: Problem, chosen: Fit) -> tuple[Fit | None, Averaged] | None:
@@ -113,6 +123,7 @@ def placed(problem: Problem, chosen: Fit) -> tuple[Fit | None, Averaged] | None:
     many = _of(problem)
     places = (c, *(v for v in (whole, *single) if v.label != c.label))
     fits = _compared(many, [(v, at) for v in places for at in (u, *_clear(problem, v))])
+    fits = [f for f in fits if _surpasses_nulls(many, f)]
     if not fits:
         return None, many
     own = next((f for f in fits if f.labels == chosen.labels), None)

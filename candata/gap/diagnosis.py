@@ -24,6 +24,7 @@ from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
 from candata.gap.mismatch import checked
 from candata.gap.noise import sensor_noise
+from candata.gap.null_test import with_names_tested
 from candata.gap.outlook import say_outlook
 from candata.gap.pace import REST, Pace
 from candata.gap.recordings import Recordings, read
@@ -102,7 +103,7 @@ def diagnose(
     if problem is None:
         return too_little(dataset, scene, everything)
     say_outlook(problem)
-    found = with_sizes(problem, attribute(problem))
+    found = with_names_tested(problem, with_sizes(problem, attribute(problem)))
     problem.pace.say("measuring on held-out episodes", REST)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)

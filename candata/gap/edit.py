@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from candata.gap.residuals import Layout, layout, residual
 from candata.gap.score import Score, score
 from candata.gap.shrink import RESAMPLES, gap
 from candata.gap.starts import Starts, starts
+from candata.gap.starts import joined as joined_starts
 from candata.gap.verdict import EXPLAINED, FEWEST
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -106,7 +107,7 @@ def _joined(blocks: Sequence[Replayed], recs: Recordings) -> Replayed:
 
     return Replayed(
         recs,
-        Starts(**{f.name: joined(getattr(b.begin, f.name) for b in blocks) for f in fields(Starts)}),
+        joined_starts([b.begin for b in blocks]),
         replace(first.plan, phase=joined(b.plan.phase for b in blocks)),
         Score(
             sigma=joined(b.score.sigma for b in blocks),

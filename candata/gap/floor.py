@@ -64,17 +64,17 @@ def null_recordings(
     worlds = min(WORLDS, replicas)
     begin = true_start(replayer.scene, recs, begin, world)
     true = perturbed(replayer, begin.take(np.tile(np.arange(len(recs)), worlds)), noise, rng)
-    qpos, qvel = true.qpos0, true.qvel0
     played = rollout(
         replayer.scene,
         np.concatenate([recs.commands] * worlds),
-        qpos,
-        qvel,
-        [world] * len(qpos),
+        true.qpos0,
+        true.qvel0,
+        [world] * len(true.rows),
+        memory=true.memory0,
         instant_force=recs.instant_force,
         threads=replayer.threads,
     )
-    replayer.count(len(qpos) * recs.commands.shape[1] * replayer.scene.substeps)
+    replayer.count(len(true.rows) * recs.commands.shape[1] * replayer.scene.substeps)
     copies = replicas // worlds
     index = np.tile(np.arange(len(recs)), worlds * copies)
     readings = {n: np.concatenate([v] * copies) for n, v in played.readings.items() if n in recs.readings}
@@ -110,7 +110,7 @@ def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Ge
             qpos[:, at : at + 2] += shift
             qpos[:, at + 3 : at + 7] = multiply(turn, qpos[:, at + 3 : at + 7])
         moved[name] = qpos
-    return Starts(begin.rows, moved["qpos"], moved["qvel"], moved["qpos0"], moved["qvel0"])
+    return Starts(**begin.arrays | moved)
 
 
 def floor(

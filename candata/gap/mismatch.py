@@ -82,7 +82,8 @@ class _Look:
         """Return what the scene does under recorded commands from the recorded starts."""
         scene, begin = self.replayer.scene, starts(self.replayer.scene, self.recs)
         played = rollout(
-            scene, recs.commands, begin.qpos, begin.qvel, [effects] * len(recs), instant_force=recs.instant_force,
+            scene, recs.commands, begin.qpos0, begin.qvel0, [effects] * len(recs), instant_force=recs.instant_force,
+            memory=begin.memory0,
             threads=self.replayer.threads,
         )  # fmt: skip
         self.replayer.count(len(recs) * recs.commands.shape[1] * scene.substeps)

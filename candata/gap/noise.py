@@ -41,8 +41,11 @@ ALIKE = 0.01
 #: How near declared noise what is measured must come to confirm it. (In 40 recordings of 20 episodes whose noise is as
 #: declared, three motions of them repeated, it was measured as 0.85 to 1.13 of that.)
 AS_DECLARED = 0.15
-#: Significant digits of noise that is estimated: null replays are kept by it, and it is known no better.
-DIGITS = 2
+#: Significant digits of noise that is estimated: it is known no better, and two would be off by up to a twentieth.
+DIGITS = 3
+#: Share of pure noise's windows by which an estimate is refined, and how often. Chosen on white noise of 12 episodes
+#: and three columns, half of which also move half of the time: 1.002 +- 0.023 of the truth (1.007 +- 0.040 unrefined).
+CALMER, ROUNDS = 0.9, 6
 #: Smallest resolution of a force that is looked for [N], and how far from whole multiples of it readings may lie.
 RESOLUTION, WHOLE = 1e-6, 1e-3
 #: Noise in resolutions below which rounding hides it, and multiples of the resolution that noise reaches.
@@ -179,7 +182,24 @@ def _white(windows: Array) -> float:
     left = (windows**2).sum(2) - (np.einsum("tk,entd->ekdn", _BASIS, windows) ** 2).sum(1).swapaxes(1, 2)
     columns = left.reshape(-1, windows.shape[-1]).T
     quiet = [np.quantile(c[np.isfinite(c)], QUIET) for c in columns if np.isfinite(c).any()]
-    return max(float(np.quantile(quiet, LOW)), 0.0) / float(chi2.ppf(QUIET, free)) if quiet else 0.0
+    if not quiet:
+        return 0.0
+    first = max(float(np.quantile(quiet, LOW)), 0.0) / float(chi2.ppf(QUIET, free))
+    return _refined(left[np.isfinite(left)], first, free)
+
+
+def _refined(remainders: Array, variance: float, free: int) -> float:
+    """Return the variance of white noise from the calmer windows of all columns, near a first estimate.
+
+    The mean of chi-squared with n degrees of freedom below a cut c is n F_{n+2}(c) / F_n(c), by its density.
+    """
+    cut = float(chi2.ppf(CALMER, free))
+    typical = free * float(chi2.cdf(cut, free + 2)) / CALMER
+    for _ in range(ROUNDS):
+        calm = remainders[remainders < cut * variance]
+        if len(calm):
+            variance = float(calm.mean()) / typical
+    return variance
 
 
 def dithered(readings: Readings, step: float) -> Readings:

@@ -91,6 +91,8 @@ def _batch(
         np.concatenate([s.qvel for s in states]),
         effects,
         observer=observer,
+        memory=np.concatenate([s.memory for s in states]),
+        before=_tile(commands_before(recs.commands, begin.rows), copies),
         instant_force=recs.instant_force,
         keep_state=keep_state,
         threads=replayer.threads,
@@ -117,13 +119,20 @@ def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -
     if all(effect(s.name).unread is None for s in some):
         return begin
     true = replace(recs, readings=recs.readings | unread(scene, recs.readings, some))
-    own, plain = starts(scene, true), starts(scene, recs)
-    state = {n: getattr(begin, n) + getattr(own, n) - getattr(plain, n) for n in ("qpos", "qvel", "qpos0", "qvel0")}
+    own, plain = (starts(scene, r).arrays for r in (true, recs))
+    state = {n: values + own[n] - plain[n] for n, values in begin.arrays.items() if n != "rows"}
     if scene.object_id is not None:
         turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)
         for qpos in (state["qpos"], state["qpos0"]):
             qpos[:, turn] = normalise(qpos[:, turn])
     return Starts(begin.rows, **state)
+
+
+def commands_before(commands: Array, rows: NDArray[np.int64]) -> Array:
+    """Return `(E, L, A)` the commands before row `rows[e]`, as far back as any episode has some; the first is held."""
+    back = np.arange(int(rows.max(initial=0)))[::-1] + 1
+    at = np.maximum(rows[:, None] - back, 0)
+    return commands[np.arange(len(rows))[:, None], at]
 
 
 def _tile(values: Array, copies: int) -> Array:

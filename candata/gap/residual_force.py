@@ -22,7 +22,7 @@ from scipy.signal import savgol_filter
 from candata.effects import Forces
 from candata.effects import _residual_terms as dictionary
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, _shift, true_start
+from candata.gap.replay import EffectSet, Replayer, _shift, commands_before, true_start
 from candata.gap.starts import Starts
 from candata.rotation import conjugate, difference, rotate
 from candata.scenes import Scene
@@ -108,7 +108,8 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         return force
 
     rollout(
-        scene, commands, state.qpos, state.qvel, [world] * count,
+        scene, commands, state.qpos, state.qvel, [world] * count, memory=state.memory,
+        before=commands_before(recs.commands, begin.rows),
         observer=Observer(shifted, free_gain=0.02), push=push, instant_force=recs.instant_force,
         threads=replayer.threads,
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from candata.gap.residuals import Layout, residual
 from candata.gap.response import Curve, Plane
 from candata.gap.score import Compact, Score
 from candata.gap.signatures import Library
-from candata.gap.starts import Starts, is_toss
+from candata.gap.starts import Starts, is_toss, joined
 from candata.schema.scene import Noise
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ class Problem:
         count = len(self.recs)
         index = np.tile(np.arange(count), len(begins))
         recs, plan = self.recs.take(index), self.plan.take(index)
-        begin = Starts(*(np.concatenate([getattr(b, f.name) for b in begins]) for f in fields(Starts)))
+        begin = joined(begins)
         found = [residual(recs, plan, r) for r in replay_all(self.replayer, recs, begin, variants)]
         each = [[self.score.loss(self.score.normal(z)) for z in np.split(many, len(begins))] for many in found]
         return np.array(each).swapaxes(0, 1)

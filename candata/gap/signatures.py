@@ -41,7 +41,7 @@ Compact = NDArray[np.float32]
 #: Rooms whose code decides a signature.
 CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
-OWN_CODE = ("floor", "held", "noise", "replay", "residuals", "signatures", "starts")
+OWN_CODE = ("floor", "held", "memory", "noise", "replay", "residuals", "signatures", "smoother", "starts")
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
 #: decides when contact begins, hardly what an effect does but for a sensor at fault that read it.
@@ -264,6 +264,7 @@ def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout,
         begin.qpos0,
         begin.qvel0,
         [world] * len(recs),
+        memory=begin.memory0,
         instant_force=recs.instant_force,
         threads=replayer.threads,
     )
@@ -295,7 +296,7 @@ def _code() -> str:
 
 def _content(recs: Recordings, begin: Starts) -> str:
     """Return what names recordings of given commands: what was read, and where their replay starts."""
-    arrays = [*recs.readings.values(), begin.qpos, begin.qvel, begin.qpos0, begin.qvel0]
+    arrays = [*recs.readings.values(), *begin.arrays.values()]
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
 
 
@@ -311,7 +312,7 @@ def _known_start(folder: Path, begin: Starts, scene: Scene) -> tuple[Path, Start
 
 def _new_start(folder: Path, begin: Starts) -> tuple[Path, Starts]:
     """Return a new folder for signatures from a start, and that start."""
-    arrays = {name: getattr(begin, name) for name in ("rows", "qpos", "qvel", "qpos0", "qvel0")}
+    arrays = begin.arrays
     own = folder / hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays.values())).hexdigest()[:16]
     kept.used(own)
     kept.keep(own / "starts.npz", **arrays)

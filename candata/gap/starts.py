@@ -1,15 +1,19 @@
-"""Where a replay starts: the state at rest, or the state before a toss hits."""
+"""Where a replay starts: the state at rest or in motion of a hand, or the state before a toss hits."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
+from candata.gap.memory import hides_state, integrated, lead_rows, led, recorded_dofs, settled
 from candata.gap.recordings import Recordings
+from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
 from candata.rotation import conjugate, difference, exp, log, multiply, normalise
 from candata.scenes import Scene
 
@@ -42,6 +46,8 @@ class Starts:
         State at that row.
     qpos0, qvel0 : (E, nq), (E, nv) float64
         State at row 0.
+    memory, memory0 : (E, M) float64
+        What actuators and plugins remember at both rows, see `candata.simulate.loop.MEMORY`.
     """
 
     rows: NDArray[np.int64]
@@ -49,16 +55,27 @@ class Starts:
     qvel: Array
     qpos0: Array
     qvel0: Array
+    memory: Array
+    memory0: Array
 
     def take(self, index: NDArray[np.int64]) -> Starts:
         """Return the starts of some episodes; an index may come more than once."""
-        return Starts(self.rows[index], self.qpos[index], self.qvel[index], self.qpos0[index], self.qvel0[index])
+        return Starts(*(values[index] for values in self.arrays.values()))
+
+    @property
+    def arrays(self) -> dict[str, NDArray]:
+        """All of it by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @property
     def keys(self) -> list[bytes]:
         """What tells the start of one episode `(E)` from any other."""
-        parts = (self.rows, self.qpos, self.qvel, self.qpos0, self.qvel0)
-        return [b"".join(values[e].tobytes() for values in parts) for e in range(len(self.rows))]
+        return [b"".join(values[e].tobytes() for values in self.arrays.values()) for e in range(len(self.rows))]
+
+
+def joined(starts: Sequence[Starts]) -> Starts:
+    """Return the starts of several sets of episodes, one after another."""
+    return Starts(*(np.concatenate([s.arrays[f.name] for s in starts]) for f in fields(Starts)))
 
 
 def is_toss(scene: Scene) -> bool:
@@ -66,20 +83,115 @@ def is_toss(scene: Scene) -> bool:
     return len(scene.actuator_ids) == 0 and scene.object_id is not None
 
 
-def starts(scene: Scene, recs: Recordings) -> Starts:
-    """Return the starts of all episodes, from recorded positions only."""
+def starts(scene: Scene, recs: Recordings, threads: int = 1) -> Starts:
+    """Return the starts of all episodes.
+
+    Recorded positions tell the state of joints and object: at rest their mean over the first rows, in motion a
+    polynomial through the rows around the start. An episode that begins in motion starts a few rows later, as no row
+    before its first tells its speed. What no position tells is settled: joints that hang on recorded ones,
+    activations and past commands are simulated with the recorded ones held where they were.
+    """
     if is_toss(scene):
         return _tosses(scene, recs)
-    count = len(recs)
-    qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], count, axis=0)
+    rest = _at_rest(scene, recs)
+    moves = _moves(scene, recs)
+    if hides_state(scene):
+        first = recs.commands[:, 0] if recs.commands.size else np.zeros((len(recs), 0))
+        qpos, qvel, memory = settled(scene, rest, first, threads)
+        memory = integrated(scene, qpos, qvel, np.zeros_like(qvel), first, memory)
+    else:
+        qpos, qvel, memory = rest, np.zeros((len(recs), scene.model.nv)), np.zeros((len(recs), 0))
+    begin = Starts(np.zeros(len(recs), int), qpos, qvel, qpos, qvel, memory, memory)
+    return _in_motion(scene, recs, begin, np.flatnonzero(moves), threads) if moves.any() else begin
+
+
+def _at_rest(scene: Scene, recs: Recordings) -> Array:
+    """Return `qpos (E, nq)` at row 0 as its first rows tell it; what was not recorded as the model has it."""
+    qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], len(recs), axis=0)
     if "joint_position" in recs.readings:
         first = recs.readings["joint_position"][:, :STILL_ROWS]
         qpos[:, scene.joint_qpos] = _still_mean(first, _first_seen(first, qpos[:, scene.joint_qpos]))
     if "object_pose" in recs.readings:
         at = scene.object_qpos
         qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
-    qvel = np.zeros((count, scene.model.nv))
-    return Starts(np.zeros(count, int), qpos, qvel, qpos, qvel)
+    return qpos
+
+
+def _window(scene: Scene, recs: Recordings, first: int, last: int) -> tuple[Array, Array]:
+    """Return joints `(E, W, J)` and poses `(E, W, 7)` of rows `first` to `last`; NaN of a channel that is missing."""
+    rows = slice(first, last + 1)
+    count = min(last + 1, recs.commands.shape[1]) - first
+    joints = recs.readings.get("joint_position", np.full((len(recs), count, len(scene.joint_ids)), np.nan))
+    pose = recs.readings.get("object_pose", np.full((len(recs), count, 7), np.nan))
+    return (joints[:, rows] if "joint_position" in recs.readings else joints), (
+        pose[:, rows] if "object_pose" in recs.readings else pose
+    )
+
+
+def _moves(scene: Scene, recs: Recordings) -> NDArray[np.bool_]:
+    """Return `(E,)` whether an episode begins in motion: some position surely changes over its first rows."""
+    half = half_rows(scene.file.rate_hz)
+    out = np.zeros(len(recs), bool)
+    if recs.commands.shape[1] <= half + lead_rows(scene):
+        return out
+    joints, pose = _window(scene, recs, 0, 2 * half)
+    if joints.shape[2]:
+        out |= fitted(joints, half).moves
+    if scene.object_id is not None:
+        out |= pose_fit(pose, half)[0].moves
+    long_enough = recs.lengths > 2 * (half + lead_rows(scene))
+    return np.asarray(out & long_enough)
+
+
+class _State(NamedTuple):
+    """Smoothed positions `(E, P)`, velocities and accelerations `(E, V)` of what was recorded, see `recorded_dofs`."""
+
+    qpos: Array
+    qvel: Array
+
+
+def _smoothed(scene: Scene, recs: Recordings, row: int, rest: Array) -> _State:
+    """Return the state of what was recorded at a row, from the rows around it; `rest (E, nq)` where it was not seen."""
+    half, rate = half_rows(scene.file.rate_hz), scene.file.rate_hz
+    first = max(0, row - half)
+    joints, pose = _window(scene, recs, first, first + 2 * half)
+    at, dofs = recorded_dofs(scene)
+    qpos, qvel = rest.copy(), np.zeros((len(recs), scene.model.nv))
+    if joints.shape[2]:
+        fit = fitted(joints, row - first)
+        qpos[:, scene.joint_qpos] = np.where(np.isfinite(fit.position), fit.position, qpos[:, scene.joint_qpos])
+        qvel[:, scene.joint_dof] = np.nan_to_num(fit.speed * rate)
+    if scene.object_id is not None:
+        where, seen = slice(scene.object_qpos, scene.object_qpos + 7), np.isfinite(pose).all((1, 2))
+        fit, anchor = pose_fit(pose[seen], row - first)
+        qpos[seen, where] = pose_of(fit, anchor)
+        qvel[seen, scene.object_dof : scene.object_dof + 6] = twist_of(fit, qpos[seen, where], rate)
+    return _State(qpos[:, at], qvel[:, dofs])
+
+
+def _in_motion(scene: Scene, recs: Recordings, rest: Starts, index: NDArray[np.int64], threads: int) -> Starts:
+    """Return the starts with those episodes that begin in motion led to a row at which their state is known."""
+    row, some = lead_rows(scene), recs.take(index)
+    at, dofs = recorded_dofs(scene)
+    out = {name: values.copy() for name, values in rest.arrays.items()}
+    begins = rest.qpos[index]
+    path = [_smoothed(scene, some, k, begins) for k in range(row + 1)]
+    out["rows"][index] = row
+    out["qpos0"][index[:, None], at], out["qvel0"][index[:, None], dofs] = path[0]
+    state = out["qpos0"][index], out["qvel0"][index], out["memory0"][index]
+    if hides_state(scene):
+        positions, speeds = (np.stack(parts, 1) for parts in zip(*path, strict=True))
+        state = led(scene, some.commands[:, : row + 1], state[0], state[2], positions, speeds, threads)
+    out["qpos"][index], out["qvel"][index], out["memory"][index] = state
+    out["qpos"][index[:, None], at], out["qvel"][index[:, None], dofs] = path[-1]
+    if hides_state(scene):
+        after = _smoothed(scene, some, row + 1, begins).qvel
+        turn = np.zeros((len(index), scene.model.nv))
+        turn[:, dofs] = (after - path[row - 1].qvel) * scene.file.rate_hz / 2
+        out["memory"][index] = integrated(
+            scene, out["qpos"][index], out["qvel"][index], turn, some.commands[:, row], out["memory"][index]
+        )
+    return Starts(**out)
 
 
 def _first_seen(rows: Array, fallback: Array) -> Array:
@@ -116,7 +228,10 @@ def _tosses(scene: Scene, recs: Recordings) -> Starts:
     """Return the fitted state before the first impact of every toss."""
     count, model = len(recs), scene.model
     qpos0 = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
-    out = Starts(np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv)))
+    none = np.zeros((count, 0))
+    out = Starts(
+        np.zeros(count, int), qpos0.copy(), np.zeros((count, model.nv)), qpos0, np.zeros((count, model.nv)), none, none
+    )
     at, dof = scene.object_qpos, scene.object_dof
     for e in range(count):
         pose = recs.readings["object_pose"][e, : recs.lengths[e]]

@@ -22,7 +22,9 @@ from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 
 LIBRARY = "candata.scenes.library"
-_FORCE, _FRAME, _TOUCH = "candata_force_", "candata_frame_", "candata_touch_"
+_FORCE, _INTERNAL, _FRAME, _TOUCH = "candata_force_", "candata_internal_", "candata_frame_", "candata_touch_"
+#: Numbers of a contact sensor (MuJoCo XML reference, sensor/contact): data bit of `force`, reduction `netforce`, slots.
+_NET_FORCE = (2, 3, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +129,21 @@ class Scene:
 
     @cached_property
     def force_sensors(self) -> NDArray[np.int64]:
-        """`(F, 3)` addresses of the world-frame forces in sensordata; empty without an object."""
+        """`(F, 3)` addresses of the world-frame forces in sensordata: of all contacts of each fingertip, on it."""
         return self._sensor(_FORCE, 3)
+
+    @cached_property
+    def internal_sensors(self) -> dict[int, NDArray[np.int64]]:
+        """Addresses `(3,)` of what the bodies of one fingertip exert on one another, which is no force from outside.
+
+        Keyed by the fingertip's index; only fingertips that consist of several bodies have one.
+        """
+        sensors = {
+            name: self.model.sensor(name)
+            for name in (f"{_INTERNAL}{i}" for i in range(len(self.file.fingertips)))
+            if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0
+        }
+        return {int(name.removeprefix(_INTERNAL)): s.adr[0] + np.arange(3) for name, s in sensors.items()}
 
     @cached_property
     def frame_sensors(self) -> NDArray[np.int64]:
@@ -136,8 +151,6 @@ class Scene:
         return self._sensor(_FRAME, 4)
 
     def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
-        if self.object_id is None:
-            return np.zeros((0, width), int)
         start = [self.model.sensor(f"{prefix}{i}").adr[0] for i in range(len(self.file.fingertips))]
         return np.array(start, int).reshape(-1, 1) + np.arange(width)
 
@@ -249,9 +262,8 @@ def _source(path: Path, model: str) -> Path:
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:
     """Return the scene made of `spec` with the roles of `file`.
 
-    Adds servos a URDF lacks, the fingertips' force sensors (object first, so that the force is the one on the
-    fingertip), lets the object's centre of mass move (`simple="false"`), and asks for dense solving, as
-    MuJoCo 4.0.0 has a wrong sparse Newton factor (fixed in 4.0.1).
+    Adds servos a URDF lacks and the fingertips' force sensors, lets the object's centre of mass move
+    (`simple="false"`), and asks for dense solving, as MuJoCo 4.0.0 has a wrong sparse Newton factor (fixed in 4.0.1).
 
     Raises
     ------
@@ -267,8 +279,6 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         body = spec.body(file.object)
         _check_free(name, file.object, body)
         body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
-        for index, tip in enumerate(file.fingertips):
-            _add_sensors(spec, file, index, tip)
         for index, root in enumerate(sorted({_name_of(spec, _root(spec.joint(j).parent)) for j in file.joints})):
             spec.add_sensor(
                 name=f"{_TOUCH}{index}",
@@ -279,6 +289,8 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
                 refname=root,
                 intprm=(1, 0, 1),
             )
+    for index, tip in enumerate(file.fingertips):
+        _add_sensors(spec, file, index, tip)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -374,20 +386,31 @@ def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
 
 
 def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> None:
-    """Add the net contact force object -> fingertip (world frame) and the fingertip's frame."""
-    is_body = spec.body(tip) is not None
-    kind = mujoco.mjtObj.mjOBJ_XBODY if is_body else mujoco.mjtObj.mjOBJ_GEOM
-    # intprm of a contact sensor: data bits (force is bit 1), reduction (3 = netforce), number of slots.
+    """Add the net force of all contacts on a fingertip (world frame) and the fingertip's frame.
+
+    The fingertip is the second party of the sensor and the first is left open, so that the force is the one on it.
+    """
+    body = spec.body(tip)
+    kind = mujoco.mjtObj.mjOBJ_GEOM if body is None else mujoco.mjtObj.mjOBJ_XBODY
     spec.add_sensor(
         name=f"{_FORCE}{index}",
         type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_XBODY,
-        objname=file.object,
+        objtype=mujoco.mjtObj.mjOBJ_UNKNOWN,
         reftype=kind,
         refname=tip,
-        intprm=(2, 3, 1),
+        intprm=_NET_FORCE,
     )
-    carrier = tip if is_body else _name_of(spec, spec.geom(tip).parent)
+    if body is not None and body.bodies:
+        spec.add_sensor(
+            name=f"{_INTERNAL}{index}",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=kind,
+            objname=tip,
+            reftype=kind,
+            refname=tip,
+            intprm=_NET_FORCE,
+        )
+    carrier = _name_of(spec, spec.geom(tip).parent) if body is None else tip
     frame = (
         (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index])
         if file.fingertip_frames

@@ -118,7 +118,7 @@ _TABLE = (
         dtype="float32",
         role="measurement",
         frame="fingertip",
-        meaning="force the object exerts on the fingertip, mean over the last step",
+        meaning="net force of all that touches the fingertip, on it, mean over the last step",
     ),
     Channel(
         name="fingertip_contact",

@@ -1,8 +1,8 @@
 """Simulation: the stepping loop and what feeds it."""
 
 from candata.simulate.loop import Trajectory, at_rest, rollout
-from candata.simulate.observer import Observer
+from candata.simulate.observer import Observer, Prescribed
 from candata.simulate.seal import open_seal
 from candata.simulate.world import followed, unread
 
-__all__ = ["Observer", "Trajectory", "at_rest", "followed", "open_seal", "rollout", "unread"]
+__all__ = ["Observer", "Prescribed", "Trajectory", "at_rest", "followed", "open_seal", "rollout", "unread"]

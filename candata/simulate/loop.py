@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ from candata.effects import Forces
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate.observer import Follower, Observer
+from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.timing import resampled, retimed, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 #: Rows whose forces are read together where nothing acts on them. Chosen: one by one took a third of the loop's own
 #: time (190 us a row of six simulations, 119 so).
 ROWS = 16
+#: State that positions and velocities do not hold: time, by which delays count, activations, past commands, plugins.
+MEMORY = ("time", "act", "history", "plugin_state", "plastic")
 #: Adds to the worlds of a batch what no effect is; it may bind the batch's live fields.
 Alter = Callable[[mujoco_batch.Batch, Worlds], Worlds]
 #: `(row, what the step begins with) -> (n, nv)` generalised forces to add, see `Hook` for forces.
@@ -47,6 +49,9 @@ class Trajectory:
         state that is not finite begins anew from the model's own).
     qpos, qvel : (n, T, nq), (n, T, nv) float64
         True state; empty unless asked for.
+    memory, first_memory : (n, M), (M,) float64
+        What actuators and plugins remember at the last row, and as the model begins; empty unless the state was asked
+        for.
     """
 
     readings: dict[str, Array]
@@ -55,6 +60,19 @@ class Trajectory:
     failed: NDArray[np.int64]
     qpos: Array = field(default_factory=lambda: np.zeros(0))
     qvel: Array = field(default_factory=lambda: np.zeros(0))
+    memory: Array = field(default_factory=lambda: np.zeros(0))
+    first_memory: Array = field(default_factory=lambda: np.zeros(0))
+
+
+def memory_size(model: mujoco.MjModel) -> int:
+    """Return how many numbers M a model remembers beside positions and velocities; 0 where it remembers nothing."""
+    size = model.na + model.nhistory + model.npluginstate + _plastic_size(model)
+    return 1 + size if size else 0
+
+
+def _plastic_size(model: mujoco.MjModel) -> int:
+    """Return how many numbers of plastic deformation a model holds."""
+    return int(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_PLASTIC))
 
 
 def rollout(
@@ -64,13 +82,15 @@ def rollout(
     qvel: Array,
     effects: Sequence[Sequence[EffectSetting]],
     *,
-    observer: Observer | None = None,
+    observer: Observer | Prescribed | None = None,
     push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
     settle: int = 0,
     threads: int = 1,
     alter: Alter | None = None,
+    memory: Array | None = None,
+    before: Array | None = None,
 ) -> Trajectory:
     """Return the readings of n simulations that play recorded commands.
 
@@ -84,8 +104,8 @@ def rollout(
         State at row 0.
     effects : sequence of n sequences of EffectSetting
         Effects of each simulation.
-    observer : Observer, optional
-        Pulls each state towards its recording; without it the simulations run free.
+    observer : Observer or Prescribed, optional
+        Pulls each state towards its recording, or sets part of it; without it the simulations run free.
     push : callable, optional
         Gives generalised forces to add over each control step, beside those of the effects.
     instant_force : bool
@@ -98,6 +118,10 @@ def rollout(
         Threads of the pool; results do not depend on it.
     alter : callable, optional
         `(batch, worlds) -> worlds`, for stand-in real worlds that the effects cannot make.
+    memory : (n, M) float64, optional
+        What actuators and plugins remember at row 0, see `MEMORY`; by default what the model begins with.
+    before : (n, L, A) float64, optional
+        Commands of the rows before row 0, which effects that delay commands remember; the first command by default.
 
     Raises
     ------
@@ -107,6 +131,10 @@ def rollout(
     run = _Run(
         scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter, push
     )
+    if memory is not None and memory.size:
+        run.remember(memory)
+    if before is not None:
+        run.hear(before)
     with _silent():
         return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
@@ -150,13 +178,38 @@ class _Run:
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
         self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
+        parts = [self.batch.bind(name) for name in MEMORY] if memory_size(scene.model) else []
+        self.memory = [part.reshape(self.n, -1) for part in parts]
+        self.first_memory = self._remembered()[0] if parts and self.n else np.zeros(0)
 
-    def play(self, commands: Array, observer: Observer | None, instant: bool, keep: bool, settle: int) -> Trajectory:
+    def remember(self, memory: Array) -> None:
+        """Set what actuators and plugins remember `(n, M)`."""
+        ends = np.cumsum([part.shape[1] for part in self.memory])
+        for part, values in zip(self.memory, np.split(memory, ends[:-1], axis=1), strict=True):
+            part[:] = values
+
+    def hear(self, commands: Array) -> None:
+        """Pass commands `(n, L, A)` of rows before the first through the effects that remember commands."""
+        for row in range(commands.shape[1]):
+            self._filter("command", np.repeat(commands[:, row][:, None], self.scene.substeps, axis=1))
+
+    def _remembered(self) -> Array:
+        """Return what actuators and plugins remember `(n, M)`."""
+        return np.concatenate(self.memory, axis=1) if self.memory else np.zeros((self.n, 0))
+
+    def play(
+        self,
+        commands: Array,
+        observer: Observer | Prescribed | None,
+        instant: bool,
+        keep: bool,
+        settle: int,
+    ) -> Trajectory:
         """Step through all rows and collect the readings."""
         scene, count, substeps = self.scene, commands.shape[1], self.scene.substeps
         drifting = np.flatnonzero(self.worlds.pace != 1)
         own_time = retimed(commands[drifting], self.worlds.pace[drifting], substeps, settle)
-        follower = Follower(scene, observer) if observer is not None else None
+        follower = Follower(scene, observer) if isinstance(observer, Observer) else observer
         at_once = 1 if self.worlds.force or self.push else ROWS
         force = np.zeros((1, self.n, len(scene.force_sensors), 3))
         sensed, touch = self._nothing(), np.zeros(self.n, bool)
@@ -176,7 +229,7 @@ class _Run:
             if keep:
                 states.append((self.qpos.copy(), self.qvel.copy()))
             if follower is not None:
-                follower.correct(k, state, touch, self.qpos)
+                follower.correct(k, state, touch, self.qpos, self.qvel)
             if k + 1 < count:
                 held = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held[drifting] = own_time[:, k]
@@ -185,7 +238,8 @@ class _Run:
                 failed[self.batch.warning[:, :, 1].any(1) & (failed == count)] = k + 1
         kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
-        return Trajectory(readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed, *kept)
+        played = Trajectory(readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed, *kept)
+        return replace(played, memory=self._remembered(), first_memory=self.first_memory) if keep else played
 
     def _readings(self) -> dict[str, Array]:
         """Return what perfect sensors but those of force read now."""
@@ -211,7 +265,10 @@ class _Run:
             return force
         for (_, ids), each in zip(self.groups, zip(*sensed, strict=True), strict=True):
             data = np.stack(each)
-            local = rotate(conjugate(data[..., scene.frame_sensors]), data[..., scene.force_sensors])
+            net = data[..., scene.force_sensors]
+            for tip, address in scene.internal_sensors.items():
+                net[..., tip, :] -= data[..., address]
+            local = rotate(conjugate(data[..., scene.frame_sensors]), net)
             force[:, ids] = local[:, :, -1] if instant else local.mean(2)
         return force
 
@@ -253,7 +310,7 @@ class _Run:
             some = None if len(self.groups) == 1 else ids
             data = self.batch.rollout(steps, own, record=("sensordata",), ids=some)["sensordata"]
             sensed.append(data)
-            if len(scene.force_sensors):
+            if len(scene.touch_sensors):
                 touch[ids] = (data[:, :, scene.touch_sensors] > 0).any((1, 2))
         return sensed, touch
 

@@ -50,6 +50,35 @@ class Observer:
     guard_rad: float = 0.2
 
 
+@dataclass(frozen=True)
+class Prescribed:
+    """A path on which part of a state is set, row by row, while the rest moves by itself.
+
+    Attributes
+    ----------
+    qpos_address, qvel_address : (P,), (V,) int64
+        Which numbers of qpos and qvel are set.
+    qpos, qvel : (n, T, P), (n, T, V) float64
+        What they are set to at each row.
+    free_address : (F,) int64
+        The other numbers of qvel.
+    kept : float
+        Share of their speed that these keep each row: one lets them move, less brings them to rest.
+    """
+
+    qpos_address: NDArray[np.int64]
+    qvel_address: NDArray[np.int64]
+    qpos: Array
+    qvel: Array
+    free_address: NDArray[np.int64]
+    kept: float = 1.0
+
+    def correct(self, row: int, state: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array, qvel: Array) -> None:
+        """Set `qpos (n, nq)` and `qvel (n, nv)` in place to the path at `row`."""
+        qpos[:, self.qpos_address], qvel[:, self.qvel_address] = self.qpos[:, row], self.qvel[:, row]
+        qvel[:, self.free_address] *= self.kept
+
+
 class Follower:
     """An observer made ready for a run: what it pulls towards, and how hard, row by row.
 
@@ -73,8 +102,8 @@ class Follower:
             self._turn = np.where(seen[:, :, None], pose[:, :, 3:], [1.0, 0.0, 0.0, 0.0])
             self._free, self._slow = observer.free_gain * seen, observer.pose_gain * seen
 
-    def correct(self, row: int, state: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array) -> None:
-        """Pull `qpos (n, nq)` in place towards the recording at `row`.
+    def correct(self, row: int, state: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array, qvel: Array) -> None:
+        """Pull `qpos (n, nq)` in place towards the recording at `row`; `qvel` stays as it is.
 
         `state` is what perfect sensors read of it, and `touch (n,)` whether anything touches the object.
         """

@@ -1,0 +1,182 @@
+"""What no recorded position tells of a start: activations, delays, and joints that were not recorded."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.smoother import half_rows
+from candata.rotation import normalise
+from candata.scenes import Scene
+from candata.simulate import Prescribed, Trajectory, rollout
+from candata.simulate.loop import memory_size
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Time for which a model is held at its first recorded pose, so that what hangs on it comes to rest [s]. Chosen: ten
+#: time constants of MuJoCo's default constraints, five of a finger's springs.
+SETTLE_S = 0.5
+#: Share of its speed that what was not recorded keeps each row while the model settles. Chosen.
+KEPT = 0.7
+#: Rows of a recording that lead a moving model to its start, where something was not recorded [s], the time constants
+#: of filters that it lasts, and the longest lead. Chosen: after three, a twentieth of what was not known remains.
+LEAD_S, CONSTANTS, LONGEST_S = 0.15, 3.0, 0.5
+#: Where activations begin in what a model remembers: after the time, see `candata.simulate.loop.MEMORY`.
+ACT = 1
+
+
+def recorded_dofs(scene: Scene) -> tuple[Index, Index]:
+    """Return the addresses in qpos and in qvel of joints and object, as a recording tells them."""
+    qpos, dofs = [scene.joint_qpos], [scene.joint_dof]
+    if scene.object_id is not None:
+        qpos.append(scene.object_qpos + np.arange(7))
+        dofs.append(scene.object_dof + np.arange(6))
+    return np.concatenate(qpos).astype(int), np.concatenate(dofs).astype(int)
+
+
+def hides_state(scene: Scene) -> bool:
+    """Tell whether the model has a state that no recorded position tells."""
+    return memory_size(scene.model) > 0 or len(recorded_dofs(scene)[1]) < scene.model.nv
+
+
+def lead_rows(scene: Scene) -> int:
+    """Return how many rows of a moving episode lead to its start: those that the smoother needs at least.
+
+    Filters forget their unknown start in a few of their time constants, delays once they have heard all commands.
+    """
+    rate, model = scene.file.rate_hz, scene.model
+    if not hides_state(scene):
+        return half_rows(rate)
+    filters = np.isin(model.actuator_dyntype, (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT))
+    forgets = CONSTANTS * model.actuator_dynprm[filters, 0].max(initial=0.0) + model.actuator_delay.max(initial=0.0)
+    return max(half_rows(rate), round(min(max(LEAD_S, forgets), LONGEST_S) * rate))
+
+
+def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> tuple[Array, Array, Array]:
+    """Return `qpos (E, nq)`, `qvel (E, nv)` and memory `(E, M)` of models held at recorded poses until all else rests.
+
+    Parameters
+    ----------
+    scene : Scene
+    qpos : (E, nq) float64
+        Recorded poses; what was not recorded as the model has it.
+    commands : (E, A) float64
+        Held all the while.
+    threads : int
+        Threads of the pool.
+    """
+    rows = max(2, round(SETTLE_S * scene.file.rate_hz))
+    at, dofs = recorded_dofs(scene)
+    path = np.repeat(qpos[:, None, at], rows, axis=1)
+    still = np.zeros((len(qpos), rows, len(dofs)))
+    played = _held(scene, np.repeat(commands[:, None], rows, axis=1), qpos, still[:, 0], path, still, KEPT, threads)
+    return _last(scene, played, qpos)
+
+
+def led(
+    scene: Scene, commands: Array, qpos: Array, memory: Array, path: Array, speed: Array, threads: int = 1
+) -> tuple[Array, Array, Array]:
+    """Return the state `qpos`, `qvel` and memory at the end of a path along which the recorded joints are led.
+
+    Parameters
+    ----------
+    scene : Scene
+    commands : (E, L + 1, A) float64
+        Those of the path's rows.
+    qpos, memory : (E, nq), (E, M) float64
+        State at its first row.
+    path, speed : (E, L + 1, P), (E, L + 1, V) float64
+        Positions and velocities of what was recorded, see `recorded_dofs`.
+    threads : int
+        Threads of the pool.
+    """
+    played = _held(scene, commands, qpos, speed[:, 0], path, speed, 1.0, threads, memory)
+    return _last(scene, played, qpos)
+
+
+def integrated(scene: Scene, qpos: Array, qvel: Array, qacc: Array, commands: Array, memory: Array) -> Array:
+    """Return the memory `(E, M)` with the activations of integrating actuators that make the recorded motion.
+
+    An integrator never forgets where it began, so no lead tells it. Its force does: what inverse dynamics ask for,
+    less what the other actuators give (MuJoCo `mj_inverse`; forces are affine in activations).
+
+    Parameters
+    ----------
+    scene : Scene
+    qpos, qvel, qacc : (E, nq), (E, nv), (E, nv) float64
+        The recorded motion at one row.
+    commands : (E, A) float64
+        Commands at that row.
+    memory : (E, M) float64
+        What else is remembered.
+    """
+    model = scene.model
+    which = np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    if not len(which):
+        return memory
+    out, data = memory.copy(), mujoco.MjData(model)
+    address = model.actuator_actadr[which]
+    for e in range(len(qpos)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[e], qvel[e], qacc[e]
+        data.ctrl[scene.actuator_ids] = commands[e]
+        data.act[:] = memory[e, ACT : ACT + model.na]
+        mujoco.mj_inverse(model, data)
+        asked = data.qfrc_inverse.copy()
+        forces = []
+        for activation in (0.0, 1.0):
+            data.act[address] = activation
+            mujoco.mj_forward(model, data)
+            forces.append(data.actuator_force.copy())
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(
+            moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+        others = np.setdiff1d(np.arange(model.nu), which)
+        asked -= moment[others].T @ forces[0][others] + moment[which].T @ forces[0][which]
+        gain = forces[1][which] - forces[0][which]
+        pulls = moment[which] * gain[:, None]
+        out[e, ACT + address] = np.linalg.lstsq(pulls.T, asked, rcond=None)[0]
+    return out
+
+
+def _held(
+    scene: Scene,
+    commands: Array,
+    qpos: Array,
+    first_speed: Array,
+    path: Array,
+    speed: Array,
+    kept: float,
+    threads: int,
+    memory: Array | None = None,
+) -> Trajectory:
+    """Return models whose recorded joints are set to a path row by row, while all else moves by itself."""
+    at, dofs = recorded_dofs(scene)
+    others = np.setdiff1d(np.arange(scene.model.nv), dofs)
+    qvel = np.zeros((len(qpos), scene.model.nv))
+    qvel[:, dofs] = first_speed
+    prescribed = Prescribed(at, dofs, path, speed, others, kept)
+    return rollout(
+        scene,
+        commands,
+        qpos,
+        qvel,
+        [()] * len(qpos),
+        observer=prescribed,
+        keep_state=True,
+        memory=memory,
+        threads=threads,
+    )
+
+
+def _last(scene: Scene, played: Trajectory, qpos: Array) -> tuple[Array, Array, Array]:
+    """Return the last state; where a simulation failed, the pose that it began from, at rest, as the model starts."""
+    failed = played.failed < played.qpos.shape[1]
+    last, speed, memory = played.qpos[:, -1].copy(), played.qvel[:, -1].copy(), played.memory.copy()
+    last[failed], speed[failed] = qpos[failed], 0.0
+    memory[failed] = played.first_memory
+    if scene.object_id is not None:
+        turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)
+        last[:, turn] = normalise(last[:, turn])
+    return last, speed, memory

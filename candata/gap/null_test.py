@@ -1,0 +1,108 @@
+"""Tests of a name against null recordings, in which its effect is known not to act."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.attribute import Attribution
+from candata.gap.candidates import Candidate
+from candata.gap.compare import null_level, standard_error
+from candata.gap.floor import null_recordings
+from candata.gap.own_floor import judged
+from candata.gap.refine import WIDTHS, joint
+from candata.gap.replay import replay_all
+from candata.gap.residuals import residual
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.shrink import intervals
+from candata.gap.starts import starts
+
+Array = NDArray[np.float64]
+#: Null recordings of every episode on which an effect is tried. Chosen: with twelve episodes their mean gain is known
+#: to a seventh of what one recording's differs by.
+COPIES = 4
+#: Standard errors by which an effect must gain more than on null recordings: in the spread of those, and in its own
+#: over episodes. Chosen: one in 10,000 and one in 20 of normal errors; the search had the choice of a hundred effects,
+#: and a true effect may show in few episodes.
+BEYOND_NULLS, BEYOND_CHANCE = 3.7, 1.64
+#: Gain [floors] that no effect can have on a null recording: all that one loses.
+ALL_OF_A_NULL = 1.0
+
+
+def with_names_tested(problem: Problem, found: Attribution) -> Attribution:
+    """Return what was found without effects that gain no more than on null recordings, or whose interval holds none.
+
+    Following a recording's noise, or a choice among chaotic outcomes, can make an effect gain on data of the world
+    without it; the same effect then gains as much there. What stays is fitted again without them.
+    """
+    fit = found.chosen
+    if fit is None or found.force is not None:
+        return found
+    world = replace(problem, score=found.score, rng=problem.rng.spawn(1)[0])
+    failing = _first_failing(world, found, fit)
+    if failing is None:
+        return found
+    stays = tuple(m for i, m in enumerate(fit.members) if i != failing)
+    if not stays:
+        loss = float(problem.score.loss(problem.nominal).mean())
+        remains = loss > null_level(problem.score, world.rng)
+        return replace(found, chosen=None, tied=(), score=problem.score, remains=remains, rivals=(), mean=None)
+    fit = joint(world, stays, world.score.loss(world.nominal), WIDTHS[1:])
+    fit, world, remains = judged(world, fit)
+    less = replace(found, chosen=fit, tied=(fit,), score=world.score, remains=remains, rivals=(), mean=None)
+    return with_names_tested(problem, less)
+
+
+def _first_failing(problem: Problem, found: Attribution, fit: Fit) -> int | None:
+    """Return the index of a member that fails a test, those that gain least asked first; None where all pass."""
+    measured = {c.name for c, _ in problem.measured}
+    here = problem.score.loss(problem.residuals([problem.setting(fit.members)])[0])
+    gains = [problem.score.loss(z) - here for z in problem.without_each(fit.members)]
+    if len(fit.members) == 1:
+        gains = [fit.evidence.gain]
+    ends = [fit.split(end) for end in intervals(problem, fit)]
+    order = sorted(range(len(gains)), key=lambda i: float(gains[i].mean()))
+    for i in order:
+        c, _ = fit.members[i]
+        if c.name in measured:
+            continue
+        if _holds_neutral(c, ends[0][i][1], ends[1][i][1]):
+            return i
+        # An effect that shows in the mean over many replays alone was compared with null recordings there.
+        if found.mean is None and not surpasses_nulls(problem, fit.members, i, gains[i]):
+            return i
+    return None
+
+
+def _holds_neutral(c: Candidate, low: Array, high: Array) -> bool:
+    """Tell whether the interval of a number holds the value at which its effect vanishes."""
+    return c.size == 1 and not c.choices and bool(low[0] <= c.neutral[0] <= high[0])
+
+
+def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array) -> bool:
+    """Tell whether a member's gain `(E,)` on the recordings lies beyond what it gains on null recordings.
+
+    Those are recordings of the world without it, from starts that are equally possible, with noise of their own. The
+    member is added to their replay with the value that it has on the real recordings.
+    """
+    if gain.mean() > ALL_OF_A_NULL:
+        return True
+    rest = tuple(m for i, m in enumerate(members) if i != index)
+    nulls = null_gains(problem, rest, members)
+    excess = float(gain.mean() - nulls.mean())
+    error = float(np.sqrt(nulls.var(axis=1, ddof=1).mean() / nulls.shape[1] * (1 + 1 / len(nulls))))
+    return excess > max(BEYOND_NULLS * error, BEYOND_CHANCE * standard_error(gain))
+
+
+def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int = COPIES) -> Array:
+    """Return `(copies, E)` what a set gains over the incumbent on recordings of the incumbent's world [floors]."""
+    worlds = [problem.setting(incumbent), problem.setting(grown)]
+    replayer, scene = problem.replayer, problem.replayer.scene
+    nulls = null_recordings(replayer, problem.recs, problem.begin, problem.noise, problem.rng, copies, worlds[0])
+    played = replay_all(replayer, nulls, starts(scene, nulls), worlds)
+    plan = replace(problem.plan, phase=np.concatenate([problem.plan.phase] * copies))
+    each = [np.split(residual(nulls, plan, readings), copies) for readings in played]
+    losses = np.array([[problem.score.loss(problem.score.normal(z)) for z in some] for some in each])
+    return losses[0] - losses[1]
