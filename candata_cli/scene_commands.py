@@ -204,7 +204,8 @@ def _noise(found: Roles) -> str:
     if noise is None:
         return "none declared"
     position, turn = noise.object_pose
+    by_joint = noise.joint_position if isinstance(noise.joint_position, tuple) else (noise.joint_position,)
     return (
-        f"pose {position:.2g} m, {turn:.2g} rad; joints {noise.joint_position:.2g}; "
+        f"pose {position:.2g} m, {turn:.2g} rad; joints {', '.join(f'{size:.2g}' for size in by_joint)}; "
         f"force {noise.fingertip_force:.2g} N in steps of {noise.force_step:.2g} N"
     )

@@ -243,7 +243,7 @@ def _jittered(recs: Recordings, noise: Noise, rng: np.random.Generator) -> Recor
     new = dict(recs.readings)
     if "joint_position" in new:
         joints = new["joint_position"]
-        new["joint_position"] = joints + noise.joint_position * rng.standard_normal(joints.shape)
+        new["joint_position"] = joints + np.asarray(noise.joint_position) * rng.standard_normal(joints.shape)
     if "object_pose" in new:
         pose = new["object_pose"]
         shift, turn = (s * rng.standard_normal((*pose.shape[:2], 3)) for s in noise.object_pose)

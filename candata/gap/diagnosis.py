@@ -36,7 +36,7 @@ from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, held_out
 from candata.gap.signatures import library
 from candata.gap.sized import with_sizes
-from candata.gap.starts import is_toss, starts
+from candata.gap.starts import is_toss, start_notes, starts
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST
 from candata.scenes import Scene
@@ -171,8 +171,8 @@ def _problem(
     raw = residual(recs, plan, readings)
     progress("measuring the floor")
     shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
-    kind, noise, notes = sensor_noise(replayer.scene.file.noise, recs, readings)
-    recs = replace(recs, notes=(*recs.notes, *notes))
+    kind, noise, notes = sensor_noise(replayer.scene.file.noise, recs, readings, replayer.scene.sliding)
+    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes))
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan)
     parts = folds(recs.tasks, rng)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)

@@ -92,7 +92,7 @@ def _replayed(
     before, after = replay_all(replayer, recs, begin, [(), world])
     plan = layout(replayer.scene, recs, begin, before)
     raw = residual(recs, plan, before)
-    noise = noise or sensor_noise(replayer.scene.file.noise, recs, before).noise
+    noise = noise or sensor_noise(replayer.scene.file.noise, recs, before, replayer.scene.sliding).noise
     level = score(raw, floor(replayer, recs, begin, plan, noise, rng, replicas, world), plan)
     sizes = [level.size(level.normal(r)) for r in (raw, residual(recs, plan, after))]
     return Replayed(recs, begin, plan, level, before, after, sizes[0], sizes[1])

@@ -92,7 +92,9 @@ def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Ge
     stands on its support.
     """
     scene, count = replayer.scene, len(begin.rows)
-    joints = noise.joint_position / np.sqrt(STILL_ROWS) * rng.standard_normal((count, len(scene.joint_qpos)))
+    joints = (
+        np.asarray(noise.joint_position) / np.sqrt(STILL_ROWS) * rng.standard_normal((count, len(scene.joint_qpos)))
+    )
     shift = noise.object_pose[0] / np.sqrt(STILL_ROWS) * rng.standard_normal((count, 2))
     turn = exp(noise.object_pose[1] / np.sqrt(STILL_ROWS) * rng.standard_normal((count, 3)))
     moved = {"qvel": begin.qvel.copy(), "qvel0": begin.qvel0.copy()}
@@ -173,13 +175,16 @@ def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
 
 def smallest(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
-    table = {
-        "joint_position": noise.joint_position,
-        "fingertip_force": max(noise.fingertip_force, noise.force_step / 3.5),
-    }
+    joints = [e for c, e, _ in plan.columns if c == "joint_position"]
+    by_joint = dict(zip(joints, np.broadcast_to(noise.joint_position, len(joints)), strict=True))
     pose = {"position": noise.object_pose[0], "rotation": noise.object_pose[1]}
-    size = [table[c] if c in table else pose[e.split()[0]] for c, e, _ in plan.columns]
-    return np.array(size) / np.sqrt(plan.rows)
+    force = max(noise.fingertip_force, noise.force_step / 3.5)
+    sizes = {
+        "joint_position": by_joint.__getitem__,
+        "object_pose": lambda element: pose[element.split()[0]],
+        "fingertip_force": lambda element: force,
+    }
+    return np.array([sizes[channel](element) for channel, element, _ in plan.columns]) / np.sqrt(plan.rows)
 
 
 def _sigma(plan: Layout, null: Array, least: Array) -> Array:

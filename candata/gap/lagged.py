@@ -37,17 +37,18 @@ class Drives:
 
 
 def drives(scene: Scene) -> Drives:
-    """Return the position servos of a scene; motors and velocity servos tell nothing about a joint's place.
+    """Return the position servos of a scene; motors, velocity servos and integrators tell nothing of a joint's place.
 
     A servo pulls with `gain u + b0 + b1 gear q` (MuJoCo manual, "Actuation model"), times its gear, against the
     joint's spring; it rests where both are equal.
     """
     model, rows = scene.model, []
+    forgetting = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
     known = {int(j): i for i, j in enumerate(scene.joint_ids)}
     for column, a in enumerate(scene.actuator_ids.tolist()):
         joint = known.get(scene.driven_joints.get(a, -1))
         gain, (bias, slope), gear = model.actuator_gainprm[a, 0], model.actuator_biasprm[a, :2], model.actuator_gear[a]
-        if joint is None or slope >= 0 or gain == 0 or gear[0] == 0:
+        if joint is None or slope >= 0 or gain == 0 or gear[0] == 0 or model.actuator_dyntype[a] not in forgetting:
             continue
         affine = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
         if not affine or model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:

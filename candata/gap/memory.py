@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -53,8 +55,20 @@ def lead_rows(scene: Scene) -> int:
     return max(half_rows(rate), round(min(max(LEAD_S, forgets), LONGEST_S) * rate))
 
 
-def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> tuple[Array, Array, Array]:
-    """Return `qpos (E, nq)`, `qvel (E, nv)` and memory `(E, M)` of models held at recorded poses until all else rests.
+class State(NamedTuple):
+    """State at a row: `qpos (E, nq)`, `qvel (E, nv)` and what is remembered `(E, M)`."""
+
+    qpos: Array
+    qvel: Array
+    memory: Array
+
+    def take(self, index: NDArray) -> State:
+        """Return the state of some episodes."""
+        return State(self.qpos[index], self.qvel[index], self.memory[index])
+
+
+def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> State:
+    """Return the state of models held at recorded poses until all else rests.
 
     Parameters
     ----------
@@ -74,69 +88,71 @@ def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> tup
     return _last(scene, played, qpos)
 
 
-def led(
-    scene: Scene, commands: Array, qpos: Array, memory: Array, path: Array, speed: Array, threads: int = 1
-) -> tuple[Array, Array, Array]:
-    """Return the state `qpos`, `qvel` and memory at the end of a path along which the recorded joints are led.
+def led(scene: Scene, commands: Array, state: State, path: Array, speed: Array, threads: int = 1) -> State:
+    """Return the state at the end of a path along which the recorded joints are led.
 
     Parameters
     ----------
     scene : Scene
     commands : (E, L + 1, A) float64
         Those of the path's rows.
-    qpos, memory : (E, nq), (E, M) float64
+    state : State
         State at its first row.
     path, speed : (E, L + 1, P), (E, L + 1, V) float64
         Positions and velocities of what was recorded, see `recorded_dofs`.
     threads : int
         Threads of the pool.
     """
-    played = _held(scene, commands, qpos, speed[:, 0], path, speed, 1.0, threads, memory)
-    return _last(scene, played, qpos)
+    played = _held(scene, commands, state.qpos, speed[:, 0], path, speed, 1.0, threads, state.memory)
+    return _last(scene, played, state.qpos)
 
 
-def integrated(scene: Scene, qpos: Array, qvel: Array, qacc: Array, commands: Array, memory: Array) -> Array:
+def integrated(scene: Scene, state: State, qacc: Array, commands: Array) -> Array:
     """Return the memory `(E, M)` with the activations of integrating actuators that make the recorded motion.
 
     An integrator never forgets where it began, so no lead tells it. Its force does: what inverse dynamics ask for,
-    less what the other actuators give (MuJoCo `mj_inverse`; forces are affine in activations).
+    less what the other actuators give (MuJoCo `mj_inverse`; manual, "Actuation model": gain times activation plus
+    bias).
 
     Parameters
     ----------
     scene : Scene
-    qpos, qvel, qacc : (E, nq), (E, nv), (E, nv) float64
-        The recorded motion at one row.
+    state : State
+        The recorded motion at one row, and what else is remembered.
+    qacc : (E, nv) float64
+        Its acceleration.
     commands : (E, A) float64
         Commands at that row.
-    memory : (E, M) float64
-        What else is remembered.
     """
     model = scene.model
-    which = np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR)
+    linear = np.isin(model.actuator_gaintype, (mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtGain.mjGAIN_AFFINE))
+    which = np.flatnonzero((model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR) & linear)
     if not len(which):
-        return memory
-    out, data = memory.copy(), mujoco.MjData(model)
-    address = model.actuator_actadr[which]
-    for e in range(len(qpos)):
-        data.qpos[:], data.qvel[:], data.qacc[:] = qpos[e], qvel[e], qacc[e]
+        return state.memory
+    out, data = state.memory.copy(), mujoco.MjData(model)
+    others = np.setdiff1d(np.arange(model.nu), which)
+    for e in range(len(qacc)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = state.qpos[e], state.qvel[e], qacc[e]
         data.ctrl[scene.actuator_ids] = commands[e]
-        data.act[:] = memory[e, ACT : ACT + model.na]
+        data.act[:] = state.memory[e, ACT : ACT + model.na]
         mujoco.mj_inverse(model, data)
         asked = data.qfrc_inverse.copy()
-        forces = []
-        for activation in (0.0, 1.0):
-            data.act[address] = activation
-            mujoco.mj_forward(model, data)
-            forces.append(data.actuator_force.copy())
+        mujoco.mj_forward(model, data)
         moment = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(
-            moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
-        )
-        others = np.setdiff1d(np.arange(model.nu), which)
-        asked -= moment[others].T @ forces[0][others] + moment[which].T @ forces[0][which]
-        gain = forces[1][which] - forces[0][which]
-        pulls = moment[which] * gain[:, None]
-        out[e, ACT + address] = np.linalg.lstsq(pulls.T, asked, rcond=None)[0]
+        rows = data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
+        asked -= moment[others].T @ data.actuator_force[others]
+        force = np.linalg.lstsq(moment[which].T, asked, rcond=None)[0]
+        # A drive's own limits are left out, as the force that balances the motion lies within them.
+        basis = np.stack([np.ones(len(which)), data.actuator_length[which], data.actuator_velocity[which]], axis=1)
+        gain, bias = ((prm[which, :3] * basis).sum(1) for prm in (model.actuator_gainprm, model.actuator_biasprm))
+        fixed = model.actuator_gaintype[which] == mujoco.mjtGain.mjGAIN_FIXED
+        gain = np.where(fixed, model.actuator_gainprm[which, 0], gain)
+        bias = np.where(model.actuator_biastype[which] == mujoco.mjtBias.mjBIAS_AFFINE, bias, 0.0)
+        act = (force - bias) / np.where(gain == 0, np.inf, gain)
+        low, high = model.actuator_actrange[which].T
+        limited = np.asarray(model.actuator_actlimited[which], bool)
+        out[e, ACT + model.actuator_actadr[which]] = np.where(limited, np.clip(act, low, high), act)
     return out
 
 
@@ -170,7 +186,7 @@ def _held(
     )
 
 
-def _last(scene: Scene, played: Trajectory, qpos: Array) -> tuple[Array, Array, Array]:
+def _last(scene: Scene, played: Trajectory, qpos: Array) -> State:
     """Return the last state; where a simulation failed, the pose that it began from, at rest, as the model starts."""
     failed = played.failed < played.qpos.shape[1]
     last, speed, memory = played.qpos[:, -1].copy(), played.qvel[:, -1].copy(), played.memory.copy()
@@ -179,4 +195,4 @@ def _last(scene: Scene, played: Trajectory, qpos: Array) -> tuple[Array, Array, 
     if scene.object_id is not None:
         turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)
         last[:, turn] = normalise(last[:, turn])
-    return last, speed, memory
+    return State(last, speed, memory)

@@ -19,10 +19,17 @@ Array = NDArray[np.float64]
 NoiseKind = Literal["measured", "declared", "assumed"]
 Readings = dict[str, Array]
 #: What is read, with its unit; noise is an array of these, one standard deviation each.
-QUANTITIES = (("object position", "m"), ("object rotation", "rad"), ("joint position", "rad"), ("fingertip force", "N"))
-#: Smallest noise that is believed where none is declared: resolution of good encoders [rad or m], motion
-#: capture [m, rad] and tactile sensors [N].
+QUANTITIES = (
+    ("object position", "m"),
+    ("object rotation", "rad"),
+    ("joint position", "rad"),
+    ("sliding joint position", "m"),
+    ("fingertip force", "N"),
+)
+#: Smallest noise that is believed where none is declared: resolution of good encoders [rad], motion capture [m, rad]
+#: and tactile sensors [N]; and that of encoders on rails [m].
 SMALLEST = Noise(object_pose=(2e-4, 1e-3), joint_position=3e-4, fingertip_force=0.01)
+SMALLEST_SLIDE_M = 5e-5
 #: Times the declared noise that must be seen for it not to be believed. (In 232 blind cases of two hands, whose noise
 #: is as declared, 1.14 at most was seen.)
 MORE = 1.3
@@ -71,7 +78,9 @@ class SensorNoise(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -> SensorNoise:
+def sensor_noise(
+    declared: Noise | None, recs: Recordings, replayed: Readings, slides: NDArray[np.bool_] | None = None
+) -> SensorNoise:
     """Return the noise by which recordings are judged: measured, else declared, else assumed.
 
     Where a channel is clearly noisier than declared, what is seen counts: no effect explains noise. What is measured
@@ -85,20 +94,23 @@ def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -
     replayed : dict of str to ndarray
         Readings of the nominal replay. Noise is read off the recording, and off what it differs by from its replay:
         motion adds to the one, a fault to the other, so the smaller counts.
+    slides : (J,) bool, optional
+        Which joints slide, as their noise is another quantity; none by default.
     """
-    told = _sizes(declared or Noise())
+    slides = _turning(recs) if slides is None else slides
+    told, least = _sizes(declared or Noise(), slides), _smallest(slides)
     step = force_step(recs.readings)
     even = replace(recs, readings=dithered(recs.readings, step))
     pairs = repeated(recs)
     kind: NoiseKind = "measured" if len(pairs) >= PAIRS else "assumed"
     if kind == "measured":
         first, second = (even.take(side) for side in np.array(pairs).T)
-        variance, how = variances(first, second.readings) / 2, "measured in repeated motions"
+        variance, how = variances(first, second.readings, slides) / 2, "measured in repeated motions"
     else:
-        variance = np.minimum(variances(even), variances(even, replayed))
+        variance = np.minimum(variances(even, None, slides), variances(even, replayed, slides))
         how = "seen in quiet stretches"
-    seen = np.append(np.sqrt(variance[:3]), before_rounding(float(variance[3]) - step**2 / 12, step))
-    more = _with_rounding(seen, step) > MORE * np.maximum(_with_rounding(told, step), _sizes(SMALLEST))
+    seen = np.append(np.sqrt(variance[:-1]), before_rounding(float(variance[-1]) - step**2 / 12, step))
+    more = _with_rounding(seen, step) > MORE * np.maximum(_with_rounding(told, step), least)
     notes = tuple(
         f"noise of {name}: {a:.2g} {unit} declared, {b:.2g} {unit} {how}, and that counts"
         for (name, unit), a, b, louder in zip(QUANTITIES, told, seen, more, strict=True)
@@ -107,13 +119,13 @@ def sensor_noise(declared: Noise | None, recs: Recordings, replayed: Readings) -
     if kind == "assumed" and declared is not None and told.any():
         if not notes:
             return SensorNoise("declared", declared)
-        return SensorNoise(kind, _noise(np.where(more, _rough(seen), told), declared.force_step), notes)
-    recorded = np.array([_channel(q) in recs.readings for q, _ in QUANTITIES])
+        return SensorNoise(kind, _noise(np.where(more, _rough(seen), told), declared.force_step, slides), notes)
+    recorded = np.array([_columns(q, recs, slides) is not None for q, _ in QUANTITIES])
     confirmed = (kind == "measured") & (told > 0) & ((np.abs(seen - told) <= AS_DECLARED * told) | ~recorded)
     if declared is not None and confirmed.all() and (step == declared.force_step or not recorded[-1]):
         return SensorNoise(kind, declared)
-    sizes = np.where(confirmed, told, _rough(np.maximum(seen, _sizes(SMALLEST))))
-    return SensorNoise(kind, _noise(sizes, step), notes)
+    sizes = np.where(confirmed, told, _rough(np.maximum(seen, least)))
+    return SensorNoise(kind, _noise(sizes, step, slides), notes)
 
 
 def repeated(recs: Recordings) -> list[tuple[int, int]]:
@@ -139,32 +151,50 @@ def _is_repeat(recs: Recordings, i: int, j: int, spread: Array, moving: NDArray[
     return long - short <= ALIKE * long and bool((apart <= ALIKE * spread[moving]).all())
 
 
-def variances(recs: Recordings, other: Readings | None = None) -> Array:
-    """Return `(4,)` variances of white noise in readings, or in what they differ by from others; 0 where none are.
+def variances(recs: Recordings, other: Readings | None = None, slides: NDArray[np.bool_] | None = None) -> Array:
+    """Return `(5,)` variances of white noise in readings, or in what they differ by from others; 0 where none are.
 
     What a parabola leaves of short windows is noise, read off those where it leaves least.
     """
-    windows = [_windows(q, recs, other) for q, _ in QUANTITIES]
+    slides = _turning(recs) if slides is None else slides
+    windows = [_windows(q, recs, other, slides) for q, _ in QUANTITIES]
     return np.array([0.0 if w is None else _white(w) for w in windows])
 
 
-def _windows(quantity: str, recs: Recordings, other: Readings | None) -> Array | None:
-    """Return windows `(E, N, WINDOW, D)` of a quantity, or of its difference; None where it was not recorded."""
+def _turning(recs: Recordings) -> NDArray[np.bool_]:
+    """Return `(J,)` that no recorded joint slides."""
+    joints = recs.readings.get("joint_position")
+    return np.zeros(0 if joints is None else joints.shape[2], bool)
+
+
+def _columns(quantity: str, recs: Recordings, slides: NDArray[np.bool_]) -> slice | NDArray[np.int64] | None:
+    """Return the columns of a quantity in its channel; None where it was not recorded."""
     channel = _channel(quantity)
     if channel not in recs.readings:
+        return None
+    if channel != "joint_position":
+        return slice(None)
+    columns = np.flatnonzero(slides == quantity.startswith("sliding"))
+    return columns if len(columns) else None
+
+
+def _windows(quantity: str, recs: Recordings, other: Readings | None, slides: NDArray[np.bool_]) -> Array | None:
+    """Return windows `(E, N, WINDOW, D)` of a quantity, or of its difference; None where it was not recorded."""
+    channel, columns = _channel(quantity), _columns(quantity, recs, slides)
+    if columns is None:
         return None
     slow = recs.sources.get(channel)
     values = _cut(only_new(recs.readings[channel], slow))
     others = np.repeat(values[:, :, :1], WINDOW, axis=2) if other is None else _cut(only_new(other[channel], slow))
     if quantity == "object rotation":
         return difference(values[..., 3:], others[..., 3:])
-    apart = values - others
+    apart = (values - others)[..., columns]
     return apart[..., :3] if channel == "object_pose" else apart
 
 
 def _channel(quantity: str) -> str:
     """Return the channel that a quantity is read from."""
-    return "object_pose" if quantity.startswith("object") else quantity.replace(" ", "_")
+    return "object_pose" if quantity.startswith("object") else quantity.removeprefix("sliding ").replace(" ", "_")
 
 
 def _cut(values: Array) -> Array:
@@ -246,21 +276,33 @@ def _rounded(size: float) -> float:
 
 
 def _with_rounding(sizes: Array, step: float) -> Array:
-    """Return `(4,)` sizes, that of forces with what rounding adds."""
-    return np.append(sizes[:3], np.hypot(sizes[3], step / np.sqrt(12)))
+    """Return `(5,)` sizes, that of forces with what rounding adds."""
+    return np.append(sizes[:-1], np.hypot(sizes[-1], step / np.sqrt(12)))
 
 
-def _sizes(noise: Noise) -> Array:
-    """Return `(4,)` noise by quantity."""
-    return np.array([*noise.object_pose, noise.joint_position, noise.fingertip_force])
+def _sizes(noise: Noise, slides: NDArray[np.bool_]) -> Array:
+    """Return `(5,)` noise by quantity; that of several joints is their median."""
+    joints = np.broadcast_to(noise.joint_position, slides.shape) if len(slides) else np.zeros(1)
+    kinds = [joints[slides == kind] if len(slides) else joints for kind in (False, True)]
+    turning, sliding = (float(np.median(each)) if each.size else float(np.median(joints)) for each in kinds)
+    return np.array([*noise.object_pose, turning, sliding, noise.fingertip_force])
+
+
+def _smallest(slides: NDArray[np.bool_]) -> Array:
+    """Return `(5,)` the smallest noise that is believed, by quantity."""
+    least = _sizes(SMALLEST, np.zeros(1, bool))
+    least[3] = SMALLEST_SLIDE_M
+    return least
 
 
 def _rough(sizes: Array) -> Array:
-    """Return sizes `(4,)` to the digits that are known of them."""
+    """Return sizes `(5,)` to the digits that are known of them."""
     return np.array([float(f"{s:.{DIGITS}g}") for s in sizes])
 
 
-def _noise(sizes: Array, step: float) -> Noise:
-    """Return noise of sizes `(4,)`."""
-    position, rotation, joint, force = map(float, sizes)
-    return Noise(object_pose=(position, rotation), joint_position=joint, fingertip_force=force, force_step=step)
+def _noise(sizes: Array, step: float, slides: NDArray[np.bool_]) -> Noise:
+    """Return noise of sizes `(5,)`: one number for all joints where they are of one kind."""
+    position, rotation, turning, sliding, force = map(float, sizes)
+    mixed = slides.any() and not slides.all()
+    joints = tuple(np.where(slides, sliding, turning).tolist()) if mixed else sliding if slides.any() else turning
+    return Noise(object_pose=(position, rotation), joint_position=joints, fingertip_force=force, force_step=step)

@@ -79,8 +79,8 @@ def _batch(
 ) -> list[dict[str, Array]]:
     """Return the readings of variants that are stepped together."""
     scene, count, copies = replayer.scene, len(recs), len(variants)
-    told = (scene.file.noise or SMALLEST).joint_position
-    observer = None if is_toss(scene) else Observer(_followed(scene, recs, begin, variants), joint_noise=told)
+    noise = np.asarray((scene.file.noise or SMALLEST).joint_position)
+    observer = None if is_toss(scene) else Observer(_followed(scene, recs, begin, variants), joint_noise=noise)
     effects = [v for v in variants for _ in range(count)]
     commands = _tile(_shift(recs.commands, begin.rows, hold=True), copies)
     states = [true_start(scene, recs, begin, v) for v in variants]

@@ -29,11 +29,14 @@ class Fit(NamedTuple):
         Position, and speed per row; NaN where a row was not seen.
     error : (E, D) float64
         Standard error of the speed, from what the polynomial leaves of all episodes' rows.
+    noise : (D,) float64
+        Noise of one row, from the same.
     """
 
     position: Array
     speed: Array
     error: Array
+    noise: Array
 
     @property
     def moves(self) -> NDArray[np.bool_]:
@@ -52,17 +55,15 @@ def fitted(rows: Array, at: int) -> Fit:
     Ordinary least squares; the noise is pooled over episodes, as a fit of a few rows leaves too little to tell it.
     """
     steps = np.arange(rows.shape[1]) - at
-    parabola, error = _polynomial(rows, steps, 2)
-    if rows.shape[1] < 2 * HALF_ROWS + 1:
-        return Fit(parabola[0], parabola[1], error[1])
-    cubic, cubic_error = _polynomial(rows, steps, 3)
+    parabola, error, _ = _polynomial(rows, steps, 2)
+    cubic, cubic_error, noise = _polynomial(rows, steps, 3)
     bends = np.abs(cubic[3]) > CURVED * cubic_error[3]
     chosen = np.where(bends, cubic[:2], parabola[:2])
-    return Fit(chosen[0], chosen[1], np.where(bends, cubic_error[1], error[1]))
+    return Fit(chosen[0], chosen[1], np.where(bends, cubic_error[1], error[1]), noise)
 
 
-def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int) -> tuple[Array, Array]:
-    """Return coefficients `(degree + 1, E, D)` and their standard errors `(degree + 1, 1, D)`."""
+def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int) -> tuple[Array, Array, Array]:
+    """Return coefficients `(degree + 1, E, D)`, their standard errors `(degree + 1, 1, D)` and the noise `(D,)`."""
     basis = np.vander(steps.astype(float), degree + 1, increasing=True)
     solve = np.linalg.pinv(basis)
     values = np.einsum("kw,ewd->ked", solve, rows)
@@ -71,7 +72,8 @@ def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int) -> tuple[Arr
     variance = (remainder**2).sum(1) / max(free, 1)
     finite = np.isfinite(variance)
     typical = np.array([np.median(v[f]) if f.any() else np.nan for v, f in zip(variance.T, finite.T, strict=True)])
-    return values, np.sqrt(typical * (solve**2).sum(1)[:, None])[:, None, :]
+    noise = np.sqrt(typical)
+    return values, (noise * np.sqrt((solve**2).sum(1))[:, None])[:, None, :], noise
 
 
 def pose_fit(pose: Array, at: int) -> tuple[Fit, Array]:

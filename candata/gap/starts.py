@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
-from candata.gap.memory import hides_state, integrated, lead_rows, led, recorded_dofs, settled
+from candata.gap.hand_starts import STILL_ROWS as STILL_ROWS
+from candata.gap.hand_starts import hand_starts
 from candata.gap.recordings import Recordings
-from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
 from candata.rotation import conjugate, difference, exp, log, multiply, normalise
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]
-#: Rows over which a still object's pose is averaged at most (0.1 s at 80 Hz).
-STILL_ROWS = 8
 #: A toss is replayed from this many rows before it comes within reach of the support (Acosta, Yang, Posa 2022).
 ROWS_BEFORE = 3
 #: Fewest rows from which velocities are fitted.
@@ -84,144 +81,22 @@ def is_toss(scene: Scene) -> bool:
 
 
 def starts(scene: Scene, recs: Recordings, threads: int = 1) -> Starts:
-    """Return the starts of all episodes.
-
-    Recorded positions tell the state of joints and object: at rest their mean over the first rows, in motion a
-    polynomial through the rows around the start. An episode that begins in motion starts a few rows later, as no row
-    before its first tells its speed. What no position tells is settled: joints that hang on recorded ones,
-    activations and past commands are simulated with the recorded ones held where they were.
-    """
+    """Return the starts of all episodes: those of a hand by `hand_starts`, of tosses fitted to their flights."""
     if is_toss(scene):
         return _tosses(scene, recs)
-    rest = _at_rest(scene, recs)
-    moves = _moves(scene, recs)
-    if hides_state(scene):
-        first = recs.commands[:, 0] if recs.commands.size else np.zeros((len(recs), 0))
-        qpos, qvel, memory = settled(scene, rest, first, threads)
-        memory = integrated(scene, qpos, qvel, np.zeros_like(qvel), first, memory)
-    else:
-        qpos, qvel, memory = rest, np.zeros((len(recs), scene.model.nv)), np.zeros((len(recs), 0))
-    begin = Starts(np.zeros(len(recs), int), qpos, qvel, qpos, qvel, memory, memory)
-    return _in_motion(scene, recs, begin, np.flatnonzero(moves), threads) if moves.any() else begin
+    rows, start, first = hand_starts(scene, recs, threads)
+    return Starts(rows, start.qpos, start.qvel, first.qpos, first.qvel, start.memory, first.memory)
 
 
-def _at_rest(scene: Scene, recs: Recordings) -> Array:
-    """Return `qpos (E, nq)` at row 0 as its first rows tell it; what was not recorded as the model has it."""
-    qpos = np.repeat(np.asarray(scene.model.qpos0, float)[None], len(recs), axis=0)
-    if "joint_position" in recs.readings:
-        first = recs.readings["joint_position"][:, :STILL_ROWS]
-        qpos[:, scene.joint_qpos] = _still_mean(first, _first_seen(first, qpos[:, scene.joint_qpos]))
-    if "object_pose" in recs.readings:
-        at = scene.object_qpos
-        qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
-    return qpos
-
-
-def _window(scene: Scene, recs: Recordings, first: int, last: int) -> tuple[Array, Array]:
-    """Return joints `(E, W, J)` and poses `(E, W, 7)` of rows `first` to `last`; NaN of a channel that is missing."""
-    rows = slice(first, last + 1)
-    count = min(last + 1, recs.commands.shape[1]) - first
-    joints = recs.readings.get("joint_position", np.full((len(recs), count, len(scene.joint_ids)), np.nan))
-    pose = recs.readings.get("object_pose", np.full((len(recs), count, 7), np.nan))
-    return (joints[:, rows] if "joint_position" in recs.readings else joints), (
-        pose[:, rows] if "object_pose" in recs.readings else pose
+def start_notes(scene: Scene, begin: Starts) -> tuple[str, ...]:
+    """Return the note that episodes begin in motion, and how many of their rows are not compared."""
+    if is_toss(scene) or not begin.rows.any():
+        return ()
+    rows, many = int(begin.rows.max()), int((begin.rows > 0).sum())
+    return (
+        f"{many} of {len(begin.rows)} episodes begin in motion: their first {rows} rows "
+        f"({1e3 * rows / scene.file.rate_hz:.0f} ms) tell how they move and are not compared",
     )
-
-
-def _moves(scene: Scene, recs: Recordings) -> NDArray[np.bool_]:
-    """Return `(E,)` whether an episode begins in motion: some position surely changes over its first rows."""
-    half = half_rows(scene.file.rate_hz)
-    out = np.zeros(len(recs), bool)
-    if recs.commands.shape[1] <= half + lead_rows(scene):
-        return out
-    joints, pose = _window(scene, recs, 0, 2 * half)
-    if joints.shape[2]:
-        out |= fitted(joints, half).moves
-    if scene.object_id is not None:
-        out |= pose_fit(pose, half)[0].moves
-    long_enough = recs.lengths > 2 * (half + lead_rows(scene))
-    return np.asarray(out & long_enough)
-
-
-class _State(NamedTuple):
-    """Smoothed positions `(E, P)`, velocities and accelerations `(E, V)` of what was recorded, see `recorded_dofs`."""
-
-    qpos: Array
-    qvel: Array
-
-
-def _smoothed(scene: Scene, recs: Recordings, row: int, rest: Array) -> _State:
-    """Return the state of what was recorded at a row, from the rows around it; `rest (E, nq)` where it was not seen."""
-    half, rate = half_rows(scene.file.rate_hz), scene.file.rate_hz
-    first = max(0, row - half)
-    joints, pose = _window(scene, recs, first, first + 2 * half)
-    at, dofs = recorded_dofs(scene)
-    qpos, qvel = rest.copy(), np.zeros((len(recs), scene.model.nv))
-    if joints.shape[2]:
-        fit = fitted(joints, row - first)
-        qpos[:, scene.joint_qpos] = np.where(np.isfinite(fit.position), fit.position, qpos[:, scene.joint_qpos])
-        qvel[:, scene.joint_dof] = np.nan_to_num(fit.speed * rate)
-    if scene.object_id is not None:
-        where, seen = slice(scene.object_qpos, scene.object_qpos + 7), np.isfinite(pose).all((1, 2))
-        fit, anchor = pose_fit(pose[seen], row - first)
-        qpos[seen, where] = pose_of(fit, anchor)
-        qvel[seen, scene.object_dof : scene.object_dof + 6] = twist_of(fit, qpos[seen, where], rate)
-    return _State(qpos[:, at], qvel[:, dofs])
-
-
-def _in_motion(scene: Scene, recs: Recordings, rest: Starts, index: NDArray[np.int64], threads: int) -> Starts:
-    """Return the starts with those episodes that begin in motion led to a row at which their state is known."""
-    row, some = lead_rows(scene), recs.take(index)
-    at, dofs = recorded_dofs(scene)
-    out = {name: values.copy() for name, values in rest.arrays.items()}
-    begins = rest.qpos[index]
-    path = [_smoothed(scene, some, k, begins) for k in range(row + 1)]
-    out["rows"][index] = row
-    out["qpos0"][index[:, None], at], out["qvel0"][index[:, None], dofs] = path[0]
-    state = out["qpos0"][index], out["qvel0"][index], out["memory0"][index]
-    if hides_state(scene):
-        positions, speeds = (np.stack(parts, 1) for parts in zip(*path, strict=True))
-        state = led(scene, some.commands[:, : row + 1], state[0], state[2], positions, speeds, threads)
-    out["qpos"][index], out["qvel"][index], out["memory"][index] = state
-    out["qpos"][index[:, None], at], out["qvel"][index[:, None], dofs] = path[-1]
-    if hides_state(scene):
-        after = _smoothed(scene, some, row + 1, begins).qvel
-        turn = np.zeros((len(index), scene.model.nv))
-        turn[:, dofs] = (after - path[row - 1].qvel) * scene.file.rate_hz / 2
-        out["memory"][index] = integrated(
-            scene, out["qpos"][index], out["qvel"][index], turn, some.commands[:, row], out["memory"][index]
-        )
-    return Starts(**out)
-
-
-def _first_seen(rows: Array, fallback: Array) -> Array:
-    """Return `(E, D)` the first finite value of each column, else the fallback."""
-    finite = np.isfinite(rows)
-    at = finite.argmax(1)[:, None]
-    return np.where(finite.any(1), np.take_along_axis(rows, at, axis=1)[:, 0], fallback)
-
-
-def _still_mean(rows: Array, fallback: Array) -> Array:
-    """Return the mean `(E, D)` of the first rows where all were seen and show no trend, else the fallback.
-
-    A trend is a change between the halves of more than three standard errors.
-    """
-    half = rows.shape[1] // 2
-    if half < 1:
-        return fallback
-    early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
-    spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
-    still = np.isfinite(rows).all(1) & (np.abs(late - early) <= 3 * spread + 1e-7)
-    return np.where(still, rows.mean(1), fallback)
-
-
-def _still_pose(rows: Array, fallback: Array) -> Array:
-    """Return the mean pose `(E, 7)` of the first rows where still, else the first that was seen."""
-    anchor = _first_seen(rows, fallback)
-    turn = difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))
-    tangent = np.concatenate([rows[:, :, :3] - anchor[:, None, :3], turn], axis=-1)
-    mean = _still_mean(tangent, np.zeros((len(rows), 6)))
-    return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)
 
 
 def _tosses(scene: Scene, recs: Recordings) -> Starts:

@@ -67,6 +67,11 @@ class Scene:
         return self.model.jnt_dofadr[self.joint_ids]
 
     @cached_property
+    def sliding(self) -> NDArray[np.bool_]:
+        """`(J,)` which joints slide."""
+        return np.asarray(self.model.jnt_type[self.joint_ids] == mujoco.mjtJoint.mjJNT_SLIDE)
+
+    @cached_property
     def actuator_ids(self) -> NDArray[np.int64]:
         """`(A,)` actuator ids in the order of `action`."""
         return np.array([self.model.actuator(a).id for a in self.file.actuator_names], int)

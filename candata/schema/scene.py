@@ -25,12 +25,12 @@ class Servo(Record):
 class Noise(Record):
     """Declared sensor noise, one standard deviation: the declared floor.
 
-    `object_pose` is (position m, rotation rad), `joint_position` rad or m, `fingertip_force` N,
-    `force_step` the quantisation step in N.
+    `object_pose` is (position m, rotation rad), `joint_position` rad or m, one number or one a joint,
+    `fingertip_force` N, `force_step` the quantisation step in N.
     """
 
     object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
-    joint_position: NonNegative = 0.0
+    joint_position: NonNegative | tuple[NonNegative, ...] = 0.0
     fingertip_force: NonNegative = 0.0
     force_step: NonNegative = 0.0
 

@@ -225,7 +225,7 @@ def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Gene
         out["object_pose"] = np.concatenate([position, multiply(turn, pose[..., 3:])], axis=-1)
     if "joint_position" in out:
         joints = out["joint_position"]
-        out["joint_position"] = joints + noise.joint_position * rng.standard_normal(joints.shape)
+        out["joint_position"] = joints + np.asarray(noise.joint_position) * rng.standard_normal(joints.shape)
     if "fingertip_force" in out:
         force = out["fingertip_force"]
         force = force + noise.fingertip_force * rng.standard_normal(force.shape)

@@ -31,7 +31,7 @@ class Observer:
         channels that are missing are not followed. Rows that are not finite are skipped.
     joint_gain, pose_gain : float
         Share of the error removed each control step.
-    joint_noise : float
+    joint_noise : float or (J,) float64
         Noise of recorded joint positions [rad; m of slides], one standard deviation. Where there is some, the error of
         a joint is averaged, and no more of it than lies beyond half of the noise is removed: pushed about by noise, a
         finger that is jammed or slips comes loose when it did not.
@@ -44,7 +44,7 @@ class Observer:
     recorded: Mapping[str, Array]
     joint_gain: float = 0.02
     pose_gain: float = 0.006
-    joint_noise: float = 0.0
+    joint_noise: float | Array = 0.0
     free_gain: float = 0.15
     guard_m: float = 0.012
     guard_rad: float = 0.2
@@ -131,7 +131,7 @@ class Follower:
     def _heard(self, error: Array, seen: NDArray[np.bool_]) -> Array:
         """Return what noise cannot explain of the joints' errors `(n, J)`, averaged over the rows that are `seen`."""
         noise = self._observer.joint_noise
-        if not noise:
+        if not np.any(noise):
             return error
         self._error = np.where(seen, AVERAGED * error + (1 - AVERAGED) * self._error, self._error)
         return self._error - np.clip(self._error, -HEARD * noise, HEARD * noise)

@@ -76,6 +76,6 @@ def make_bed(dataset: Dataset, scene: Scene, rng: np.random.Generator, episodes:
     replayer, begin = Replayer(scene), starts(scene, recs)
     readings = replay_all(replayer, recs, begin, [()])[0]
     plan = layout(scene, recs, begin, readings)
-    noise = sensor_noise(scene.file.noise, recs, readings).noise
+    noise = sensor_noise(scene.file.noise, recs, readings, scene.sliding).noise
     spread = floor(replayer, recs, begin, plan, noise, rng, REPLICAS, world)
     return Bed(replayer, recs, begin, plan, score(residual(recs, plan, readings), spread, plan))

@@ -1,0 +1,241 @@
+"""Where a replay of a hand starts: at rest, or in motion a few rows later, with all that no position tells."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.gap.memory import State, hides_state, integrated, lead_rows, led, recorded_dofs, settled
+from candata.gap.recordings import Recordings
+from candata.gap.shooting import HORIZON_S, Shown, shot, unknowns
+from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
+from candata.rotation import difference, exp, multiply
+from candata.scenes import Scene
+from candata.simulate import rollout
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+#: Rows over which a still object's pose is averaged at most (0.1 s at 80 Hz).
+STILL_ROWS = 8
+#: Chi-squared by which one start must be nearer than the other to tell: three standard errors of one number. Chosen.
+SURELY = 9.0
+#: Rows over which they are compared, in halves of the smoother's window. Chosen: a finger forgets its start in 0.1 s.
+AFTER = 3
+#: Least noise that a difference is divided by.
+TINY = 1e-9
+
+
+class HandStarts(NamedTuple):
+    """Row `(E,)` from which each episode is replayed, the state there, and the state at row 0 that leads there."""
+
+    rows: Index
+    start: State
+    first: State
+
+
+def hand_starts(scene: Scene, recs: Recordings, threads: int = 1) -> HandStarts:
+    """Return where the episodes of a hand start.
+
+    Recorded positions tell the state of joints and object: at rest their mean over the first rows, in motion a
+    polynomial through the rows around the start. An episode that begins in motion starts a few rows later, as no row
+    before its first tells its speed. It does where its positions change over the first rows, and a replay from there
+    follows the next rows better than one from rest.
+
+    What no position tells is settled: joints that hang on recorded ones, activations and past commands are simulated
+    with the recorded ones held where they were, or led along their recorded path. What even that leaves open is found
+    by shooting.
+    """
+    rest, row = _at_rest(scene, recs, threads), lead_rows(scene)
+    moves = _moves(scene, recs)
+    index = np.flatnonzero(recs.lengths > 2 * (half_rows(scene.file.rate_hz) + row))
+    # Recordings are cut alike: where most episodes do not move, only those that do may have begun in motion.
+    index = index if 2 * moves[index].sum() > len(index) else index[moves[index]]
+    rows = np.zeros(len(recs), int)
+    if not len(index):
+        return HandStarts(rows, rest, rest)
+    some = recs.take(index)
+    start, first = _in_motion(scene, some, rest.take(index), threads)
+    nearer = _distance(scene, some, rest.take(index), 0, threads) - _distance(scene, some, start, row, threads)
+    chosen = _begins_moving(nearer)
+    rows[index[chosen]] = row
+    start, first = (_put(rest, index[chosen], state.take(chosen)) for state in (start, first))
+    return HandStarts(rows, start, first)
+
+
+def _put(state: State, index: Index, other: State) -> State:
+    """Return the state with that of some episodes replaced."""
+    out = State(*(values.copy() for values in state))
+    for values, new in zip(out, other, strict=True):
+        values[index] = new
+    return out
+
+
+def _begins_moving(nearer: Array) -> NDArray[np.bool_]:
+    """Return which episodes begin in motion, by how much nearer in chi-squared `(n,)` a start in motion comes.
+
+    One that does not tell begins as most of those do that tell: recordings are cut alike.
+    """
+    surely, surely_not = nearer > SURELY, nearer < -SURELY
+    usual = surely.sum() > surely_not.sum()
+    return np.asarray(surely | (~surely_not & usual))
+
+
+def _distance(scene: Scene, recs: Recordings, state: State, begin: int, threads: int) -> Array:
+    """Return `(E,)` chi-squared of the rows after the lead under an open-loop replay from a state at row `begin`."""
+    half, row = half_rows(scene.file.rate_hz), lead_rows(scene)
+    shown = _shown(scene, recs, begin, row + AFTER * half, row - half)
+    played = rollout(
+        scene, shown.commands, state.qpos, state.qvel, [()] * len(recs), memory=state.memory, threads=threads
+    ).readings
+    after, out = slice(row + 1 - begin, None), np.zeros(len(recs))
+    if "joint_position" in played:
+        apart = (shown.joints - played["joint_position"])[:, after] / shown.joint_noise
+        out += np.nansum(apart**2, axis=(1, 2))
+    if "object_pose" in played:
+        turn = difference(shown.pose[..., 3:], played["object_pose"][..., 3:])
+        apart = np.concatenate([shown.pose[..., :3] - played["object_pose"][..., :3], turn], axis=-1)
+        out += np.nansum((apart[:, after] / shown.pose_noise) ** 2, axis=(1, 2))
+    return out
+
+
+def _shown(scene: Scene, recs: Recordings, first: int, last: int, around: int) -> Shown:
+    """Return what rows `first` to `last` show, with the noise that a polynomial leaves from row `around` on."""
+    joints, pose = _rows(scene, recs, first, last)
+    half = half_rows(scene.file.rate_hz)
+    near_joints, near_pose = _rows(scene, recs, around, around + 2 * half)
+    noise = fitted(near_joints, half).noise, pose_fit(near_pose, half)[0].noise
+    sizes = [np.where(np.isfinite(n), np.maximum(n, TINY), np.inf) for n in noise]
+    return Shown(recs.commands[:, first : last + 1], joints, pose, *sizes)
+
+
+def _rows(scene: Scene, recs: Recordings, first: int, last: int) -> tuple[Array, Array]:
+    """Return joints `(E, W, J)` and poses `(E, W, 7)` of rows `first` to `last`; NaN of a channel that is missing."""
+    count = len(recs.commands[0, first : last + 1])
+    missing = {"joint_position": len(scene.joint_ids), "object_pose": 7}
+    joints, pose = (
+        recs.readings[name][:, first : last + 1]
+        if name in recs.readings
+        else np.full((len(recs), count, width), np.nan)
+        for name, width in missing.items()
+    )
+    return joints, pose
+
+
+def _moves(scene: Scene, recs: Recordings) -> NDArray[np.bool_]:
+    """Return `(E,)` whether some position of an episode surely changes over its first rows."""
+    half = half_rows(scene.file.rate_hz)
+    joints, pose = _rows(scene, recs, 0, 2 * half)
+    if joints.shape[1] <= 2 * half:
+        return np.zeros(len(recs), bool)
+    return np.asarray(fitted(joints, half).moves | pose_fit(pose, half)[0].moves)
+
+
+def _at_rest(scene: Scene, recs: Recordings, threads: int) -> State:
+    """Return the state at row 0 of episodes that begin at rest."""
+    count, model = len(recs), scene.model
+    qpos = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
+    if "joint_position" in recs.readings:
+        first = recs.readings["joint_position"][:, :STILL_ROWS]
+        qpos[:, scene.joint_qpos] = _still_mean(first, _first_seen(first, qpos[:, scene.joint_qpos]))
+    if "object_pose" in recs.readings:
+        at = scene.object_qpos
+        qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
+    if not hides_state(scene):
+        return State(qpos, np.zeros((count, model.nv)), np.zeros((count, 0)))
+    state = settled(scene, qpos, recs.commands[:, 0], threads)
+    still = np.zeros((count, model.nv))
+    state = state._replace(memory=integrated(scene, state, still, recs.commands[:, 0]))
+    return _shot(scene, recs, state, 0, threads)
+
+
+def _shot(scene: Scene, recs: Recordings, state: State, row: int, threads: int) -> State:
+    """Return the state at a row with what neither rest nor lead tells found by shooting."""
+    wanted, half = unknowns(scene, row > 0), half_rows(scene.file.rate_hz)
+    last = row + max(2 * half, round(HORIZON_S * scene.file.rate_hz))
+    if not len(wanted.sizes) or recs.commands.shape[1] <= last:
+        return state
+    return shot(scene, _shown(scene, recs, row, last, max(row - half, 0)), state, wanted, threads)
+
+
+class _Path(NamedTuple):
+    """Smoothed positions `(E, P)` and velocities `(E, V)` of what was recorded at a row, see `recorded_dofs`."""
+
+    qpos: Array
+    qvel: Array
+
+
+def _smoothed(scene: Scene, recs: Recordings, row: int, rest: Array) -> _Path:
+    """Return what was recorded at a row, from the rows around it; as in `rest (E, nq)` where it was not seen."""
+    half, rate = half_rows(scene.file.rate_hz), scene.file.rate_hz
+    begin = max(0, row - half)
+    joints, pose = _rows(scene, recs, begin, begin + 2 * half)
+    at, dofs = recorded_dofs(scene)
+    qpos, qvel = rest.copy(), np.zeros((len(recs), scene.model.nv))
+    fit = fitted(joints, row - begin)
+    qpos[:, scene.joint_qpos] = np.where(np.isfinite(fit.position), fit.position, qpos[:, scene.joint_qpos])
+    qvel[:, scene.joint_dof] = np.nan_to_num(fit.speed * rate)
+    if scene.object_id is not None:
+        where, seen = slice(scene.object_qpos, scene.object_qpos + 7), np.isfinite(pose).all((1, 2))
+        fit, anchor = pose_fit(pose[seen], row - begin)
+        qpos[seen, where] = pose_of(fit, anchor)
+        qvel[seen, scene.object_dof : scene.object_dof + 6] = twist_of(fit, qpos[seen, where], rate)
+    return _Path(qpos[:, at], qvel[:, dofs])
+
+
+def _in_motion(scene: Scene, recs: Recordings, rest: State, threads: int) -> tuple[State, State]:
+    """Return the state of episodes in motion at the row to which they are led, and at row 0."""
+    row, rate = lead_rows(scene), scene.file.rate_hz
+    at, dofs = recorded_dofs(scene)
+    path = [_smoothed(scene, recs, k, rest.qpos) for k in range(row + 2)]
+    first = State(*(values.copy() for values in rest))
+    first.qpos[:, at], first.qvel[:, dofs] = path[0]
+    if not hides_state(scene):
+        start = State(*(values.copy() for values in first))
+        start.qpos[:, at], start.qvel[:, dofs] = path[row]
+        return start, first
+    positions, speeds = (np.stack(parts, 1) for parts in zip(*path[: row + 1], strict=True))
+    start = led(scene, recs.commands[:, : row + 1], first, positions, speeds, threads)
+    start.qpos[:, at], start.qvel[:, dofs] = path[row]
+    faster = np.zeros_like(start.qvel)
+    faster[:, dofs] = (path[row + 1].qvel - path[row - 1].qvel) * rate / 2
+    reached = start.memory
+    start = start._replace(memory=integrated(scene, start, faster, recs.commands[:, row]))
+    start = _shot(scene, recs, start, row, threads)
+    # What hangs on the hand may have moved so at row 0 too; an integrator went from there as far as in the lead.
+    others, free = np.setdiff1d(np.arange(scene.model.nq), at), np.setdiff1d(np.arange(scene.model.nv), dofs)
+    first.qpos[:, others], first.qvel[:, free] = start.qpos[:, others], start.qvel[:, free]
+    acts = unknowns(scene, False).activations
+    first.memory[:, acts] += (start.memory - reached)[:, acts]
+    return start, first
+
+
+def _first_seen(rows: Array, fallback: Array) -> Array:
+    """Return `(E, D)` the first finite value of each column, else the fallback."""
+    finite = np.isfinite(rows)
+    at = finite.argmax(1)[:, None]
+    return np.where(finite.any(1), np.take_along_axis(rows, at, axis=1)[:, 0], fallback)
+
+
+def _still_mean(rows: Array, fallback: Array) -> Array:
+    """Return the mean `(E, D)` of the first rows where all were seen and show no trend, else the fallback.
+
+    A trend is a change between the halves of more than three standard errors.
+    """
+    half = rows.shape[1] // 2
+    if half < 1:
+        return fallback
+    early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
+    spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
+    still = np.isfinite(rows).all(1) & (np.abs(late - early) <= 3 * spread + 1e-7)
+    return np.where(still, rows.mean(1), fallback)
+
+
+def _still_pose(rows: Array, fallback: Array) -> Array:
+    """Return the mean pose `(E, 7)` of the first rows where still, else the first that was seen."""
+    anchor = _first_seen(rows, fallback)
+    turn = difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))
+    tangent = np.concatenate([rows[:, :, :3] - anchor[:, None, :3], turn], axis=-1)
+    mean = _still_mean(tangent, np.zeros((len(rows), 6)))
+    return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)
