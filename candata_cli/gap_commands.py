@@ -32,6 +32,12 @@ Examples:
   candata gap bench --out out/bench --minutes 90
   candata gap bench --out out/bench --baselines oracle,bic --baseline-cases 20
   candata gap bench --out /shared/bench --ray auto
+  candata gap bench --out out/small --world random-small --counts null=300,one=200
+
+\b
+With --world random-small every case brings a random small scene of its own, played by plain MuJoCo: null and one
+alone, what matters in that scene; half of the nulls are plain, the others have a trait (a cut log, a joint driven
+along, filtered, integrating or delayed motors, a spring, a base that gives). Its cases share no signatures.
 
 \b
 On a Ray cluster (pip install "candata[cluster]", the same candata on every machine) cases are made and diagnosed
@@ -52,6 +58,10 @@ LATEST = 21
 FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
+WORLD = "Draw a random small scene for each case, played by plain MuJoCo: random-small (default: one --scene)."
+TRAITS = "Traits of random small scenes that take turns, comma separated (default: half plain, half the others)."
+#: Episodes of a case and their length [s]: in one scene, and in random small ones (None: each scene draws its own).
+IN_ONE, IN_SMALL = (20, 2.4), (12, None)
 #: The scene of the self-check: light, so that a whole table takes minutes, not hours.
 SCENE = "gripper_tabletop"
 SCORE_EXAMPLE = """\b
@@ -75,14 +85,25 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
-    scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")] = SCENE,
+    scene: Annotated[
+        str | None, typer.Option(help=f"Nominal simulator: a scene.yaml or a built-in scene (default: {SCENE}).")
+    ] = None,
+    world: Annotated[str | None, typer.Option(help=WORLD)] = None,
+    traits: Annotated[str, typer.Option(help=TRAITS)] = "",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the commands; what is hidden is secret.")] = 1,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of each case.")] = 20,
-    duration_s: Annotated[float, typer.Option(help="Length of an episode.")] = 2.4,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Episodes of each case (default: 20, in random small scenes 12).")
+    ] = None,
+    duration_s: Annotated[
+        float | None, typer.Option(help="Length of an episode (default: 2.4; a random small scene draws 1.2 to 2.5).")
+    ] = None,
     kinds: Annotated[str, typer.Option(help=f"Kinds of cases, comma separated: {', '.join(KINDS)}.")] = ",".join(KINDS),
     counts: Annotated[
         str,
-        typer.Option(help="Cases of a kind, like one=120,quarter=40; others keep theirs (one 120, null 100, else 40)."),
+        typer.Option(
+            help="Cases of a kind, like one=120,quarter=40; others keep theirs (one 120, null 100, else 40; in random "
+            "small scenes null 300, one 200)."
+        ),
     ] = "",
     only: Annotated[str, typer.Option(help="Effects to draw from, comma separated (default: all).")] = "",
     baselines: Annotated[str, typer.Option(help=f"Also score these, comma separated: {', '.join(BASELINES)}.")] = "",
@@ -98,32 +119,115 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    from candata.gap.blind.cases import CASES, LABELS, make_cases, missing_cases, seal_labels
+    from candata.gap.blind.cases import CASES, LABELS
     from candata.gap.blind.cluster import crew_of
+
+    asked = _asked(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
+    beside, until = _known(baselines, BASELINES, "baseline"), _until(minutes)
+    with crew_of(jobs, ray, out) as crew:
+        (_make_small if world else _make)(out, asked, crew)
+        run = _Run(
+            out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow and not world
+        )
+        _diagnose_and_score(run, json)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Which cases a run is asked to make; `scene` is empty for random small scenes."""
+
+    scene: str
+    traits: tuple[str, ...]
+    counts: dict[Kind, int]
+    only: tuple[str, ...]
+    seed: int
+    episodes: int
+    duration_s: float | None
+
+
+def _asked(
+    world: str | None, scene: str | None, traits: str, kinds: str, counts: str, only: str, seed: int,
+    episodes: int | None, duration_s: float | None,
+) -> _Asked:  # fmt: skip
+    """Return what a bench is asked for.
+
+    Raises
+    ------
+    UsageError
+        When options exclude each other.
+    UnknownNameError
+        When a name is unknown.
+    """
+    from candata.errors import UsageError
+    from candata.gap.blind.draws import COUNTS
+
+    if world is None:
+        if traits:
+            raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
+        wanted, given = _counts(kinds, counts, COUNTS), console.words(only)
+        return _Asked(
+            scene or SCENE, (), wanted, given, seed, episodes or IN_ONE[0],
+            IN_ONE[1] if duration_s is None else duration_s,
+        )  # fmt: skip
+    from candata.gap.blind.rigs.cases import COUNTS as SMALL
+    from candata.gap.blind.rigs.cases import WORLD as RANDOM
+    from candata.gap.blind.rigs.causes import CAUSES
+    from candata.gap.blind.rigs.design import all_traits
+
+    _known(world, (RANDOM,), "world")
+    if scene is not None:
+        raise UsageError(
+            "--scene and --world exclude each other: each case of a random world brings its own scene",
+            found=f"--scene {scene} --world {world}", fix="leave one of the two out",
+        )  # fmt: skip
+    usual = kinds == ",".join(KINDS)
+    wanted = _counts(",".join(SMALL) if usual else kinds, counts, SMALL)
+    return _Asked(
+        "", _known(traits, all_traits(), "trait"), wanted, _known(only, tuple(CAUSES), "planted cause"), seed,
+        episodes or IN_SMALL[0], duration_s,
+    )  # fmt: skip
+
+
+def _make(out: Path, asked: _Asked, crew: Crew) -> None:
+    """Seal the labels of cases in one scene, and make those that are missing."""
+    from candata.gap.blind.cases import make_cases, missing_cases, seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
-    wanted, names, beside = _counts(kinds, counts), console.words(only), _known(baselines, BASELINES, "baseline")
-    until = _until(minutes)
-    world = load_scene(scene)
+    world, seed, length = load_scene(asked.scene), asked.seed, asked.duration_s or 0.0
 
     def live() -> tuple[str, ...]:
-        fit = check_scene(world, seed=seed, duration_s=duration_s, only=names)
+        fit = check_scene(world, seed=seed, duration_s=length, only=asked.only)
         for line in _fitness(fit):
             console.note(line)
         return fit.live
 
-    with crew_of(jobs, ray, out) as crew:
-        sealed = seal_labels(
-            out, world, wanted, seed=seed, episodes=episodes, duration_s=duration_s, only=names, live=live
+    sealed = seal_labels(
+        out, world, asked.counts, seed=seed, episodes=asked.episodes, duration_s=length, only=asked.only, live=live
+    )
+    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+        make_cases(
+            out, asked.scene, sealed, seed=seed, episodes=asked.episodes, duration_s=length, crew=crew,
+            told=lambda _name: advance(1),
         )  # fmt: skip
-        with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
-            make_cases(
-                out, scene, sealed, seed=seed, episodes=episodes, duration_s=duration_s, crew=crew,
-                told=lambda _name: advance(1),
-            )  # fmt: skip
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow)
-        _diagnose_and_score(run, json)
+
+
+def _make_small(out: Path, asked: _Asked, crew: Crew) -> None:
+    """Seal the labels of cases in random small scenes, and make those that are missing."""
+    from candata.gap.blind.cases import LABELS, missing_cases
+    from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
+
+    draws = 0 if (out / LABELS).exists() else sum(asked.counts.values())
+    with console.progress("drawing cases", draws) as advance:
+        sealed = seal_rig_labels(
+            out, asked.counts, seed=asked.seed, episodes=asked.episodes, duration_s=asked.duration_s,
+            traits=asked.traits, only=asked.only, crew=crew, told=lambda _name: advance(1),
+        )  # fmt: skip
+    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+        make_rig_cases(
+            out, sealed, episodes=asked.episodes, duration_s=asked.duration_s, crew=crew,
+            told=lambda _name: advance(1),
+        )  # fmt: skip
 
 
 def score(
@@ -188,7 +292,9 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
         shares = measure_shares(run.out, done, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
     followed = _followed(run, done, outcomes) if run.follow else []
-    found = score_run(outcomes, scene=places[0].scene, cases=len(places), filled=filled, followed=followed)
+    scenes = {p.scene for p in places}
+    title = places[0].scene if len(scenes) == 1 else f"{len(scenes)} scenes"
+    found = score_run(outcomes, scene=title, cases=len(places), filled=filled, followed=followed)
     if run.baselines:
         found = found.model_copy(update={"baselines": _beside(run, done, outcomes)})
     page = write_bench(found, run.out)
@@ -248,10 +354,9 @@ def _until(minutes: float | None) -> float:
     return inf if minutes is None else time.time() + 60 * minutes
 
 
-def _counts(kinds: str, counts: str) -> dict[Kind, int]:
-    """Return how many cases of each kind are asked for."""
+def _counts(kinds: str, counts: str, usual: dict[Kind, int]) -> dict[Kind, int]:
+    """Return how many cases of each kind are asked for; `usual` has the kinds there are, and their numbers."""
     from candata.errors import UsageError
-    from candata.gap.blind.draws import COUNTS
 
     given: dict[str, int] = {}
     for word in console.words(counts):
@@ -260,8 +365,8 @@ def _counts(kinds: str, counts: str) -> dict[Kind, int]:
             raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
         given[name] = int(number)
     wanted = console.words(kinds)
-    _known(",".join((*wanted, *given)), KINDS, "kind of case")
-    return {kind: given.get(kind, number) for kind, number in COUNTS.items() if kind in wanted}
+    _known(",".join((*wanted, *given)), tuple(usual), "kind of case")
+    return {kind: given.get(kind, number) for kind, number in usual.items() if kind in wanted}
 
 
 def _known(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:

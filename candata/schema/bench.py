@@ -37,7 +37,8 @@ class Outside(Record):
 class Label(Record):
     """The truth of a case: `effects` of the library in its world, `main` the one that stands above a background.
 
-    `seed` feeds the noise of the case and keeps its hash from being guessed.
+    `seed` feeds the noise of the case and keeps its hash from being guessed. `trait` says what marks a random small
+    scene; null in the scenes of the library.
     """
 
     case: str
@@ -45,6 +46,7 @@ class Label(Record):
     effects: tuple[EffectSetting, ...] = ()
     main: str | None = None
     outside: Outside | None = None
+    trait: str | None = None
     seed: int = 0
 
 

@@ -78,7 +78,18 @@ def seal_labels(
         rng = np.random.default_rng(secret_number(seed, secret, "blind cases"))
         drawn = draw_labels(scene, counts, rng, live() or only)
         write_once(path, LabelsFile(salt=secret, asked=asked, labels={one.case: canonical(one) for one in drawn}))
-    found = read_labels(path)
+    return standing_labels(out, asked)
+
+
+def standing_labels(out: Path, asked: dict[str, str | int | float]) -> LabelsFile:
+    """Return the labels that stand in the folder of a run.
+
+    Raises
+    ------
+    UsageError
+        When the run that stands there was asked for something else.
+    """
+    found = read_labels(out / LABELS)
     other = [k for k in {*asked, *found.asked} if asked.get(k) != found.asked.get(k)]
     if other:
         raise UsageError(

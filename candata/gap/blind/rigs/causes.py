@@ -1,0 +1,359 @@
+"""Single causes planted in random small scenes by edits of MuJoCo's model, of commands and of readings made here.
+
+Values are drawn from the ranges that the effects of the library state; what they do is written again here, so that a
+mistake in an effect's own hooks shows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.effects import effect
+from candata.gap.blind.draws import draw_setting
+from candata.gap.blind.rigs.design import TOUCHED, Rig
+from candata.gap.blind.rigs.matter import matters
+from candata.gap.blind.rigs.player import Log, World, parts
+from candata.gap.blind.rigs.readings import Planted, Reading, ideal
+from candata.gap.blind.rigs.recording import Drawn, logs, nominal, problem, sane_rig
+from candata.scenes import Scene, load_scene
+from candata.schema.effect import EffectSetting
+
+Array = NDArray[np.float64]
+Values = dict[str, Array]
+#: Values drawn for a cause in one scene, and scenes tried, before it is given up.
+VALUES, SCENES = 2, 60
+#: Episodes on which it is checked that a cause matters.
+CHECKED = 4
+
+
+class Target(NamedTuple):
+    """What a cause is planted in: the rig, and the model to edit."""
+
+    rig: Rig
+    model: mujoco.MjModel
+
+
+class Cause(NamedTuple):
+    """A cause: whether it can act in a rig, and the three things it may change.
+
+    `edit` changes the model; `command` gives what becomes of commands `(R, S, A)`; `read` what becomes of a reading.
+    """
+
+    acts: Callable[[Rig], bool]
+    edit: Callable[[Target, Values], None] | None = None
+    command: Callable[[Target, Values, Array], Array] | None = None
+    read: Callable[[Target, Values, Log, Reading], Reading] | None = None
+
+
+def planted(rig: Rig, given: EffectSetting) -> Planted:
+    """Return the world of a rig with a cause in it, and its sensors."""
+    model = nominal(rig).model
+    cause, target = CAUSES[given.name], Target(rig, model)
+    values = {name: np.atleast_1d(np.asarray(v, float)) for name, v in given.parameters.items()}
+    command, read = cause.command, cause.read
+    if cause.edit:
+        cause.edit(target, values)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    world = World(model, lift_m=_lift(rig, given.name, values))
+    if command:
+        world = World(model, lambda u: command(target, values, u))
+    if read is None:
+        return Planted(world, ideal)
+    return Planted(world, lambda log: read(target, values, log, ideal(log)))
+
+
+def drawn_cause(
+    name: str, trait: str, seed: int, episodes: int, duration_s: float | None
+) -> tuple[int, EffectSetting]:  # fmt: skip
+    """Return the seed of a scene in which a cause matters, and the cause with its values.
+
+    Matters: in a plain replay without it, from the state that its first readings tell, some channel is off by
+    `matter.CLEAR` times its noise. Where it does not for any of `VALUES` draws, the next scene is drawn.
+    """
+    rng = np.random.default_rng([seed, len(name)])
+    for _ in range(SCENES):
+        drawn = sane_rig(seed, trait, episodes, duration_s)
+        if CAUSES[name].acts(drawn.rig):
+            found = setting_that_matters(drawn, name, rng)
+            if found is not None:
+                return seed, found
+        seed = int(rng.integers(2**62))
+    raise RuntimeError(f"{name} matters in none of {SCENES} scenes of trait {trait}")
+
+
+def setting_that_matters(drawn: Drawn, name: str, rng: np.random.Generator) -> EffectSetting | None:
+    """Return a drawn setting of a cause that matters in a scene; None after `VALUES` draws that do not."""
+    rig, scene = drawn.rig, scene_of_rig(drawn.rig)
+    if not effect(name).possible(scene):
+        return None
+    for _ in range(VALUES):
+        given = draw_setting(scene, name, rng)
+        some = drawn.outlines[:CHECKED]
+        world = planted(rig, given)
+        played = logs(world.world, rig, some)
+        if played is not None and not problem(rig, some, played) and matters(rig, world, some, played):
+            whole = logs(world.world, rig, drawn.outlines)
+            if whole is not None and not problem(rig, drawn.outlines, whole):
+                return given
+    return None
+
+
+def scene_of_rig(rig: Rig) -> Scene:
+    """Return the scene as candata loads it: asked for the ranges of effects, never played."""
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "scene.xml").write_text(rig.xml)
+        (Path(folder) / "scene.yaml").write_text(rig.yaml)
+        return load_scene(Path(folder) / "scene.yaml")
+
+
+def _touched(rig: Rig) -> bool:
+    """Tell whether something touches the object in a rig."""
+    return rig.thing is not None and rig.situation in TOUCHED
+
+
+def _feels(rig: Rig) -> bool:
+    """Tell whether fingertips feel forces in a rig."""
+    return bool(rig.file.fingertips) and rig.thing is not None and rig.situation in (*TOUCHED, "meeting", "pressing")
+
+
+def _always(rig: Rig) -> bool:
+    """Tell that a cause can act in any rig."""
+    return True
+
+
+# Joints and drives. Hinges that are driven; where none is, slides that move some of the fingertips and not all (jaws);
+# where there are none of these, all driven slides.
+def chosen(target: Target, beside_jaws: bool = False) -> list[int]:
+    """Return the indices into the rig's drives on which joint and drive effects act; with the jaws beside hinges."""
+    drives, model = target.rig.drives, target.model
+    hinges = [i for i, d in enumerate(drives) if not d.servo.slides]
+    jaws = [i for i, d in enumerate(drives) if d.servo.slides and _is_jaw(target, d.servo.joint)]
+    if hinges:
+        return sorted({*hinges, *jaws}) if beside_jaws else hinges
+    assert model.nu == len(drives)
+    return jaws or list(range(len(drives)))
+
+
+def _is_jaw(target: Target, joint: str) -> bool:
+    """Tell whether a slide moves some of the fingertips and not all."""
+    model, root = target.model, int(target.model.joint(joint).bodyid[0])
+    moved = []
+    for body in parts(model, target.rig.file).tip_bodies:
+        while body > root:
+            body = int(model.body_parentid[body])
+        moved.append(body == root)
+    return any(moved) and not all(moved)
+
+
+def _dofs(target: Target) -> list[int]:
+    """Return the addresses in qvel on which joint effects act."""
+    return [int(target.model.joint(target.rig.drives[i].servo.joint).dofadr[0]) for i in chosen(target)]
+
+
+def _motors(target: Target, beside_jaws: bool = False) -> list[int]:
+    """Return the ids of the actuators on which drive effects act."""
+    return [int(target.model.actuator(target.rig.drives[i].name).id) for i in chosen(target, beside_jaws)]
+
+
+def _gain(target: Target, v: Values) -> None:
+    for m in _motors(target, beside_jaws=True):
+        target.model.actuator_gainprm[m, 0] *= v["kp_scale"][0]
+        target.model.actuator_biasprm[m, 0:2] *= v["kp_scale"][0]
+
+
+def _damped_servo(target: Target, v: Values) -> None:
+    for m in _motors(target, beside_jaws=True):
+        target.model.actuator_biasprm[m, 2] *= v["kv_scale"][0]
+
+
+def _limit(target: Target, v: Values) -> None:
+    for m in _motors(target):
+        target.model.actuator_forcelimited[m] = 1
+        target.model.actuator_forcerange[m] = [-v["limit_Nm"][0], v["limit_Nm"][0]]
+
+
+def _dry(target: Target, v: Values) -> None:
+    for d in _dofs(target):
+        target.model.dof_frictionloss[d] += v["frictionloss_Nm"][0]
+
+
+def _viscous(target: Target, v: Values) -> None:
+    for d in _dofs(target):
+        target.model.dof_damping[d] += v["damping_Nms_rad"][0]
+
+
+def _rotor(target: Target, v: Values) -> None:
+    for d in _dofs(target):
+        target.model.dof_armature[d] += v["armature_kgm2"][0]
+
+
+def _late(target: Target, v: Values, u: Array) -> Array:
+    """Return commands that come late: the mean, over each physics step, of the held commands shifted in time."""
+    late = v["delay_s"][0] / target.model.opt.timestep
+    flat = u.reshape(-1, u.shape[-1])
+    columns = chosen(target, beside_jaws=True)
+    at = np.arange(len(flat))
+    whole = int(np.floor(late))
+    newer, older = (flat[np.clip(at - whole - k, 0, None)] for k in (0, 1))
+    out = flat.copy()
+    out[:, columns] = ((1 - late + whole) * newer + (late - whole) * older)[:, columns]
+    return out.reshape(u.shape)
+
+
+def _offsets(target: Target, v: Values) -> dict[str, float]:
+    """Return the encoder offset of each joint: the numbers go with hinges and jaws in the order of `joints`."""
+    rig, drives = target.rig, target.rig.drives
+    names = {drives[i].servo.joint for i in chosen(target)}
+    carriers = {drives[i].servo.joint for i in chosen(target, beside_jaws=True)}
+    listed = [j for j in rig.file.joints if j in carriers]
+    return {j: float(x) for j, x in zip(listed, v["offset_rad"], strict=True) if j in names}
+
+
+def _misread(target: Target, v: Values) -> None:
+    for joint, offset in _offsets(target, v).items():
+        motor = next(d.name for d in target.rig.drives if d.servo.joint == joint)
+        m = target.model.actuator(motor).id
+        # The servo's law is bias0 + bias1 q + bias2 v: what it takes for q is off.
+        target.model.actuator_biasprm[m, 0] += target.model.actuator_biasprm[m, 1] * offset
+
+
+def _read_off(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    offsets = _offsets(target, v)
+    return reading._replace(joint=reading.joint + np.array([offsets.get(j, 0.0) for j in target.rig.file.joints]))
+
+
+# The object and what it touches.
+def _body(target: Target) -> int:
+    return int(target.model.body("object").id)
+
+
+def _heavier(target: Target, v: Values) -> None:
+    target.model.body_mass[_body(target)] *= v["mass_scale"][0]
+    target.model.body_inertia[_body(target)] *= v["mass_scale"][0]
+
+
+def _off_centre(target: Target, v: Values) -> None:
+    # A body whose frame is its inertial frame is marked as simple, and its offset would be ignored.
+    target.model.body_simple[_body(target)] = 0
+    target.model.body_sameframe[_body(target)] = 0
+    dof = int(target.model.body_dofadr[_body(target)])
+    target.model.dof_simplenum[dof : dof + 6] = 0
+    target.model.body_ipos[_body(target)] += v["offset_m"]
+
+
+def _larger(target: Target, v: Values) -> None:
+    shape = target.model.geom("shape").id
+    for lengths in (target.model.geom_size, target.model.geom_rbound, target.model.geom_aabb):
+        lengths[shape] *= v["scale"][0]
+
+
+def _meeting_geoms(target: Target) -> list[int]:
+    """Return the object's geom and all that can touch it."""
+    model, shape = target.model, int(target.model.geom("shape").id)
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    others = [g for g in range(model.ngeom) if model.geom_bodyid[g] != model.geom_bodyid[shape]]
+    return [shape, *(g for g in others if (kind[g] & affinity[shape]) | (kind[shape] & affinity[g]))]
+
+
+def _rougher(target: Target, v: Values) -> None:
+    target.model.geom_friction[_meeting_geoms(target), 0] *= v["scale"][0]
+
+
+def _softer(target: Target, v: Values) -> None:
+    target.model.geom_solref[_meeting_geoms(target), 0] = v["timeconst_s"][0]
+
+
+# The world.
+def _leaning(target: Target, v: Values) -> None:
+    angle = np.array([v["tilt_x_rad"][0], v["tilt_y_rad"][0], 0.0])
+    size, quat, out = float(np.linalg.norm(angle)), np.zeros(4), np.zeros(3)
+    mujoco.mju_axisAngle2Quat(quat, angle / size, size)
+    mujoco.mju_rotVecQuat(out, target.model.opt.gravity.copy(), quat)
+    target.model.opt.gravity[:] = out
+
+
+def _raised(target: Target, v: Values) -> None:
+    target.model.geom_pos[target.model.geom("table").id, 2] += v["height_m"][0]
+
+
+def _lift(rig: Rig, name: str, v: Values) -> float:
+    """Return by how much higher the object is put down before it settles [m]: above what would be in its way."""
+    if name == "support_height":
+        return max(float(v["height_m"][0]), 0.0)
+    if name == "object_size" and rig.thing is not None:
+        return max(float(v["scale"][0]) - 1.0, 0.0) * rig.thing.middle
+    return 0.0
+
+
+# Sensors.
+def _late_pose(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    """Return the reading whose pose is that of a while ago, between two physics steps where it falls there."""
+    assert log.fine is not None
+    late = v["latency_s"][0] / target.model.opt.timestep
+    substeps = (len(log.fine) - 1) // len(log.joint)
+    at = np.clip(np.arange(len(log.joint)) * substeps - late, 0, None)
+    whole = np.floor(at).astype(int)
+    share = (at - whole)[:, None]
+    old, new = log.fine[whole], log.fine[np.minimum(whole + 1, len(log.fine) - 1)]
+    new = np.where((old[:, 3:] * new[:, 3:]).sum(1, keepdims=True) < 0, np.c_[new[:, :3], -new[:, 3:]], new)
+    pose = (1 - share) * old + share * new
+    pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+    return reading._replace(pose=pose)
+
+
+def _shifted_pose(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    assert reading.pose is not None
+    return reading._replace(pose=np.c_[reading.pose[:, :3] + v["bias_m"], reading.pose[:, 3:]])
+
+
+def _scaled_force(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    return reading._replace(force=reading.force * v["gain"][0])
+
+
+def _biased_force(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    return reading._replace(force=reading.force + v["bias_N"].reshape(1, -1, 3))
+
+
+def _slow_force(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
+    """Return the reading whose force goes, a row, the share 1 - exp(-dt / tau) of the way to the true one."""
+    share = 1 - np.exp(-1 / (target.rig.file.rate_hz * v["timeconst_s"][0]))
+    out = reading.force.copy()
+    for k in range(1, len(out)):
+        out[k] = out[k - 1] + share * (reading.force[k] - out[k - 1])
+    return reading._replace(force=out)
+
+
+CAUSES: dict[str, Cause] = {
+    "actuation_delay": Cause(_always, command=_late),
+    "servo_gain": Cause(_always, _gain),
+    "servo_damping": Cause(_always, _damped_servo),
+    "torque_limit": Cause(_always, _limit),
+    "joint_dry_friction": Cause(_always, _dry),
+    "joint_damping": Cause(_always, _viscous),
+    "armature": Cause(_always, _rotor),
+    "joint_offset": Cause(_always, _misread, read=_read_off),
+    "object_mass": Cause(_touched, _heavier),
+    "object_com": Cause(_touched, _off_centre),
+    "object_size": Cause(_touched, _larger),
+    "sliding_friction": Cause(_touched, _rougher),
+    "contact_compliance": Cause(_touched, _softer),
+    "gravity_tilt": Cause(_always, _leaning),
+    "support_height": Cause(lambda rig: _touched(rig) and rig.situation != "carried", _raised),
+    "pose_latency": Cause(_touched, read=_late_pose),
+    "pose_bias": Cause(_touched, read=_shifted_pose),
+    "tactile_gain": Cause(_feels, read=_scaled_force),
+    "tactile_bias": Cause(_feels, read=_biased_force),
+    "tactile_lag": Cause(_feels, read=_slow_force),
+}
+
+
+def names() -> Sequence[str]:
+    """Return the causes that can be planted."""
+    return tuple(CAUSES)
