@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.bench_cases import KINDS, SCENE, asked_for, known, make
 
 if TYPE_CHECKING:
     from candata.gap.blind.crew import Crew
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
-    from candata.gap.blind.sanity import Fitness
-    from candata.schema.bench import BenchFile, CaseResult, Filled, Kind
+    from candata.schema.bench import BenchFile, CaseResult, Filled
 
-KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
 BENCH_EXAMPLE = """\b
 Examples:
@@ -60,10 +59,6 @@ MINUTES = "Begin no case after so many minutes and score what is done; 0 scores 
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
 WORLD = "Draw a random small scene for each case, played by plain MuJoCo: random-small (default: one --scene)."
 TRAITS = "Traits of random small scenes that take turns, comma separated (default: half plain, half the others)."
-#: Episodes of a case and their length [s]: in one scene, and in random small ones (None: each scene draws its own).
-IN_ONE, IN_SMALL = (20, 2.4), (12, None)
-#: The scene of the self-check: light, so that a whole table takes minutes, not hours.
-SCENE = "gripper_tabletop"
 SCORE_EXAMPLE = """\b
 Example: candata gap score cases --labels sealed.json --out out/score
 
@@ -122,112 +117,14 @@ def bench(
     from candata.gap.blind.cases import CASES, LABELS
     from candata.gap.blind.cluster import crew_of
 
-    asked = _asked(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
-    beside, until = _known(baselines, BASELINES, "baseline"), _until(minutes)
+    asked = asked_for(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
+    beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
     with crew_of(jobs, ray, out) as crew:
-        (_make_small if world else _make)(out, asked, crew)
-        run = _Run(
-            out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow and not world
-        )
+        make(out, asked, crew)
+        # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
+        follow = follow and not world
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow)
         _diagnose_and_score(run, json)
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """Which cases a run is asked to make; `scene` is empty for random small scenes."""
-
-    scene: str
-    traits: tuple[str, ...]
-    counts: dict[Kind, int]
-    only: tuple[str, ...]
-    seed: int
-    episodes: int
-    duration_s: float | None
-
-
-def _asked(
-    world: str | None, scene: str | None, traits: str, kinds: str, counts: str, only: str, seed: int,
-    episodes: int | None, duration_s: float | None,
-) -> _Asked:  # fmt: skip
-    """Return what a bench is asked for.
-
-    Raises
-    ------
-    UsageError
-        When options exclude each other.
-    UnknownNameError
-        When a name is unknown.
-    """
-    from candata.errors import UsageError
-    from candata.gap.blind.draws import COUNTS
-
-    if world is None:
-        if traits:
-            raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
-        wanted, given = _counts(kinds, counts, COUNTS), console.words(only)
-        return _Asked(
-            scene or SCENE, (), wanted, given, seed, episodes or IN_ONE[0],
-            IN_ONE[1] if duration_s is None else duration_s,
-        )  # fmt: skip
-    from candata.gap.blind.rigs.cases import COUNTS as SMALL
-    from candata.gap.blind.rigs.cases import WORLD as RANDOM
-    from candata.gap.blind.rigs.causes import CAUSES
-    from candata.gap.blind.rigs.design import all_traits
-
-    _known(world, (RANDOM,), "world")
-    if scene is not None:
-        raise UsageError(
-            "--scene and --world exclude each other: each case of a random world brings its own scene",
-            found=f"--scene {scene} --world {world}", fix="leave one of the two out",
-        )  # fmt: skip
-    usual = kinds == ",".join(KINDS)
-    wanted = _counts(",".join(SMALL) if usual else kinds, counts, SMALL)
-    return _Asked(
-        "", _known(traits, all_traits(), "trait"), wanted, _known(only, tuple(CAUSES), "planted cause"), seed,
-        episodes or IN_SMALL[0], duration_s,
-    )  # fmt: skip
-
-
-def _make(out: Path, asked: _Asked, crew: Crew) -> None:
-    """Seal the labels of cases in one scene, and make those that are missing."""
-    from candata.gap.blind.cases import make_cases, missing_cases, seal_labels
-    from candata.gap.blind.sanity import check_scene
-    from candata.scenes import load_scene
-
-    world, seed, length = load_scene(asked.scene), asked.seed, asked.duration_s or 0.0
-
-    def live() -> tuple[str, ...]:
-        fit = check_scene(world, seed=seed, duration_s=length, only=asked.only)
-        for line in _fitness(fit):
-            console.note(line)
-        return fit.live
-
-    sealed = seal_labels(
-        out, world, asked.counts, seed=seed, episodes=asked.episodes, duration_s=length, only=asked.only, live=live
-    )
-    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
-        make_cases(
-            out, asked.scene, sealed, seed=seed, episodes=asked.episodes, duration_s=length, crew=crew,
-            told=lambda _name: advance(1),
-        )  # fmt: skip
-
-
-def _make_small(out: Path, asked: _Asked, crew: Crew) -> None:
-    """Seal the labels of cases in random small scenes, and make those that are missing."""
-    from candata.gap.blind.cases import LABELS, missing_cases
-    from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
-
-    draws = 0 if (out / LABELS).exists() else sum(asked.counts.values())
-    with console.progress("drawing cases", draws) as advance:
-        sealed = seal_rig_labels(
-            out, asked.counts, seed=asked.seed, episodes=asked.episodes, duration_s=asked.duration_s,
-            traits=asked.traits, only=asked.only, crew=crew, told=lambda _name: advance(1),
-        )  # fmt: skip
-    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
-        make_rig_cases(
-            out, sealed, episodes=asked.episodes, duration_s=asked.duration_s, crew=crew,
-            told=lambda _name: advance(1),
-        )  # fmt: skip
 
 
 def score(
@@ -246,7 +143,7 @@ def score(
     """Diagnose and score cases that were made elsewhere."""
     from candata.gap.blind.cluster import crew_of
 
-    beside, until = _known(baselines, BASELINES, "baseline"), _until(minutes)
+    beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
     with crew_of(jobs, ray, out) as crew:
         _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases, until), json)
 
@@ -271,14 +168,15 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     """Diagnose what is not yet, open the labels, write and print the score."""
     from candata.gap.blind.cases import open_labels, read_cases, read_labels, scene_of
     from candata.gap.blind.outcomes import Outcome
-    from candata.gap.blind.running import Place, known, run_cases
+    from candata.gap.blind.running import Place, run_cases
+    from candata.gap.blind.running import known as standing_results
     from candata.gap.blind.scoring import score_run
     from candata.gap.blind.shares import measure_shares
     from candata.reports.bench import bench_text, write_bench
 
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
-    standing = known(run.out)
+    standing = standing_results(run.out)
     left = [p for p in places if p.sealed not in standing]
     filled = _filled(run, left)
     with _countdown(len(left)) as told:
@@ -352,45 +250,6 @@ def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[Be
 def _until(minutes: float | None) -> float:
     """Return the time [s since the epoch] from which on no case is begun."""
     return inf if minutes is None else time.time() + 60 * minutes
-
-
-def _counts(kinds: str, counts: str, usual: dict[Kind, int]) -> dict[Kind, int]:
-    """Return how many cases of each kind are asked for; `usual` has the kinds there are, and their numbers."""
-    from candata.errors import UsageError
-
-    given: dict[str, int] = {}
-    for word in console.words(counts):
-        name, _, number = word.partition("=")
-        if not number.isdigit():
-            raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
-        given[name] = int(number)
-    wanted = console.words(kinds)
-    _known(",".join((*wanted, *given)), tuple(usual), "kind of case")
-    return {kind: given.get(kind, number) for kind, number in usual.items() if kind in wanted}
-
-
-def _known(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:
-    """Return the words of a comma-separated list, each one of `names`."""
-    from candata.errors import UnknownNameError
-
-    for word in console.words(text):
-        if word not in names:
-            raise UnknownNameError(kind, word, names)
-    return console.words(text)
-
-
-def _fitness(fit: Fitness) -> list[str]:
-    """Return what to say about the scene, a line each."""
-    lines = []
-    if fit.moving:
-        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f} ({fit.worst})")
-    if fit.live:
-        least = min(fit.live, key=lambda name: fit.moved[name])
-        lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
-    if fit.dead:
-        why = "in these motions they move nothing, or too much to be simulated"
-        lines.append(f"not drawn, since {why}: {', '.join(fit.dead)}")
-    return lines
 
 
 @contextmanager

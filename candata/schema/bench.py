@@ -129,6 +129,28 @@ class Miss(Record):
     gap: float | None = None
 
 
+class Changed(Record):
+    """A case that two versions take differently: its name, and what each said, `right` after what is right."""
+
+    case: str
+    first: str
+    second: str
+
+
+class Compared(Record):
+    """Two runs on the same cases, paired: counts, McNemar's exact p of the cases where one is right, median CPU s."""
+
+    cases: int
+    both_right: int
+    first_only: int
+    second_only: int
+    neither: int
+    p: float
+    first_cpu_s: float
+    second_cpu_s: float
+    changed: tuple[Changed, ...] = ()
+
+
 class Bin(Record):
     """One bin of the calibration curve: mean stated support, share that was right, and how many."""
 

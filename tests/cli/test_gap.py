@@ -130,6 +130,44 @@ def test_wrong_words_are_refused_with_the_known_ones(tmp_path, wrong, text):
     assert not (tmp_path / "b").exists()
 
 
+RANDOM = ("--world", "random-small", "--jobs", 1, "--episodes", 2, "--duration-s", 1.2)
+
+
+def test_a_random_small_world_makes_cases_scores_them_and_goes_on(quiet, tmp_path):
+    command = ("gap", "bench", "--out", tmp_path / "b", *RANDOM, "--kinds", "null", "--counts", "null=2")
+    none = run(*command, "--minutes", 0)
+    assert none.code == 0
+    assert none.out.startswith("2 scenes: 0 of 2 cases")
+    assert "making cases: 2 done" in none.err
+    whole = run(*command)
+    assert "making cases: 0 done" in whole.err
+    assert "small scenes, null: no_gap" in whole.out
+    assert json.loads(run(*command, "--json").out)["done"] == 2
+    labels, out = tmp_path / "b" / "sealed.json", tmp_path / "score"
+    assert run("gap", "score", tmp_path / "b" / "cases", "--labels", labels, "--out", out, "--jobs", 1).code == 0
+    pair = run("gap", "compare", tmp_path / "b", out)
+    assert pair.out.splitlines()[1].split()[:6] == ["2", "2", "0", "0", "0", "1"]
+    assert json.loads(run("gap", "compare", tmp_path / "b", out, "--json").out)["both_right"] == 2
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (("--world", "random-small", "--scene", "cube_toss"), "exclude each other"),
+        (("--world", "random-big"), "random-small"),
+        (("--traits", "spring"), "add --world random-small"),
+        (("--world", "random-small", "--traits", "springy"), "did you mean 'spring'?"),
+        (("--world", "random-small", "--kinds", "pair"), "null, one"),
+        (("--world", "random-small", "--only", "backlash"), "planted cause"),
+    ],
+)
+def test_what_a_random_small_world_does_not_take_is_refused(tmp_path, wrong, text):
+    done = run("gap", "bench", "--out", tmp_path / "b", "--jobs", 1, *wrong)
+    assert (done.code, done.out) == (2, "")
+    assert text in done.err
+    assert not (tmp_path / "b").exists()
+
+
 def test_missing_cases_are_refused(tmp_path):
     done = run("gap", "score", tmp_path, "--labels", tmp_path / "sealed.json", "--out", tmp_path / "s")
     assert done.code == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from math import inf
 from pathlib import Path
@@ -70,7 +71,8 @@ def run_cases(
         Seed of each diagnosis.
     judge : callable
         `(dataset, scene, seed, cache) -> Report`; for other processes a function of a module. The first case, of many
-        the first few, is diagnosed with no cache: what it costs is what a diagnosis costs that finds nothing kept.
+        the first few, is diagnosed with no cache: what it costs is what a diagnosis costs that finds nothing kept. The
+        same holds for a case that shares its scene with no other.
     method : str
         What the results are filed under.
     told : callable
@@ -80,7 +82,9 @@ def run_cases(
     """
     log, cache = out / RESULTS, (out / CACHE).resolve()
     standing = known(out, method)
+    sharing = Counter(p.scene for p in cases)
     cold = {p.sealed for p in cases[: min(max(len(cases) // COLD_EACH, 1), COLD)]}
+    cold |= {p.sealed for p in cases if sharing[p.scene] == 1}
     tasks = [
         (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
         for p in cases if p.sealed not in standing

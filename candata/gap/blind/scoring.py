@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
+from candata.gap.blind.traits import percent, trait_rows
 from candata.schema.bench import BenchFile, Bin, Filled, Kind, Miss, Row
 
 Array = NDArray[np.float64]
@@ -63,7 +64,8 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Row]:
     return [
         *_single(of("one"), of("quarter")),
         *_sets(of("pair"), of("triple")),
-        *_abstention(of("null"), of("outside"), of(*KNOWN)),
+        *_abstention([o for o in of("null") if o.label.trait is None], of("outside"), of(*KNOWN)),
+        *trait_rows(outcomes),
         *_mismatch(of("background"), of("solver")),
         *_local(of("local")),
         *_honesty(outcomes, of("one", "quarter", "local")),
@@ -78,12 +80,12 @@ def _single(one: list[Outcome], quarter: list[Outcome]) -> list[Row]:
     weak = [e for o in quarter if o.first and (e := parameter_error(o)) is not None]
     closed = [o.closed for o in right if o.closed is not None]
     return [
-        _share("one effect: first", (o.first for o in one), low=95),
-        _share("one effect: first, where it is worth 0.1 floors", (o.first for o in one if o.plain)),
-        _share("one effect: in three", (o.truth[0] in o.said[:3] for o in one), low=98),
-        _share("one effect: and nothing else", (o.named == o.truth for o in one)),
-        _share("a quarter of the magnitude: first", (o.first for o in quarter), low=88),
-        _share("a quarter: first, where it is worth 0.1 floors", (o.first for o in quarter if o.plain)),
+        percent("one effect: first", (o.first for o in one), low=95),
+        percent("one effect: first, where it is worth 0.1 floors", (o.first for o in one if o.plain)),
+        percent("one effect: in three", (o.truth[0] in o.said[:3] for o in one), low=98),
+        percent("one effect: and nothing else", (o.named == o.truth for o in one)),
+        percent("a quarter of the magnitude: first", (o.first for o in quarter), low=88),
+        percent("a quarter: first, where it is worth 0.1 floors", (o.first for o in quarter if o.plain)),
         _quantile("parameter error: median", errors, 0.5, high=2),
         _quantile("parameter error: 90th percentile", errors, 0.9, high=12),
         _quantile("parameter error of a quarter: median", weak, 0.5),
@@ -97,11 +99,11 @@ def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[Row]:
     out = []
     for word, some, low in (("two effects", pairs, 85), ("three effects", triples, 70)):
         out += [
-            _share(f"{word}: all right", (set(o.named) == set(o.truth) for o in some), low=low),
-            _share(f"{word}: all right, where each is worth 0.1 floors",
+            percent(f"{word}: all right", (set(o.named) == set(o.truth) for o in some), low=low),
+            percent(f"{word}: all right, where each is worth 0.1 floors",
                    (set(o.named) == set(o.truth) for o in some if o.plain)),
-            _share(f"{word}: a wrong name", (bool(o.wrong_names) for o in some), high=8),
-            _share(f"{word}: largest true contributor first", (o.first for o in some)),
+            percent(f"{word}: a wrong name", (bool(o.wrong_names) for o in some), high=8),
+            percent(f"{word}: largest true contributor first", (o.first for o in some)),
         ]  # fmt: skip
     return out
 
@@ -112,10 +114,10 @@ def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome
     where = [p is not None and o.label.outside is not None and p.acts_on == o.label.outside.acts_on
              for p, o in zip(places, outside, strict=True)]  # fmt: skip
     return [
-        _share("null: an effect named", (bool(o.named) for o in null), high=3),
-        _share("outside the library: abstains", (o.verdict == "unknown_effect" for o in outside), low=90),
-        _share("outside the library: where it acts is right", where, low=80),
-        _share("library effects: false abstention", (o.verdict == "unknown_effect" for o in known), high=3),
+        percent("null: an effect named", (bool(o.named) for o in null), high=3),
+        percent("outside the library: abstains", (o.verdict == "unknown_effect" for o in outside), low=90),
+        percent("outside the library: where it acts is right", where, low=80),
+        percent("library effects: false abstention", (o.verdict == "unknown_effect" for o in known), high=3),
     ]
 
 
@@ -124,11 +126,11 @@ def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[Row]:
     closed = [0.0 if o.closed is None else o.closed for o in background]
     heavy = [o for o in solver if "object_mass" in o.truth]
     return [
-        _share("all 5 % wrong + one: largest true contributor first", (o.first for o in background), low=90),
-        _share("all 5 % wrong + one: the drawn one first", (o.named[:1] == (o.label.main,) for o in background)),
+        percent("all 5 % wrong + one: largest true contributor first", (o.first for o in background), low=90),
+        percent("all 5 % wrong + one: the drawn one first", (o.named[:1] == (o.label.main,) for o in background)),
         _quantile("all 5 % wrong + one: gap closed, median", closed, 0.5, low=90),
-        _share("solver mismatch: found or flagged", (o.flagged for o in solver), low=100),
-        _share("solver mismatch: 50 % mass error on top, first or second",
+        percent("solver mismatch: found or flagged", (o.flagged for o in solver), low=100),
+        percent("solver mismatch: 50 % mass error on top, first or second",
                ("object_mass" in o.named[:2] for o in heavy), low=100),
     ]  # fmt: skip
 
@@ -136,10 +138,10 @@ def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[Row]:
 def _local(local: list[Outcome]) -> list[Row]:
     """Return the measures of faults of one element."""
     return [
-        _share("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
-        _share("local fault: the right joint or finger first, where the fault is worth 0.1 floors",
+        percent("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
+        percent("local fault: the right joint or finger first, where the fault is worth 0.1 floors",
                (_element_first(o) for o in local if o.plain)),
-        _share("local fault: effect and element first", (o.first for o in local)),
+        percent("local fault: effect and element first", (o.first for o in local)),
     ]  # fmt: skip
 
 
@@ -158,7 +160,7 @@ def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
     count = sum(b.n for b in bins)
     error = sum(b.n * abs(b.support - b.right) for b in bins) / count if count else None
     return [
-        _share("coverage of 90 % intervals", inside, low=85, high=95),
+        percent("coverage of 90 % intervals", inside, low=85, high=95),
         Row(measure="calibration error of support", value=error, n=count, high=0.05, unit=""),
     ]
 
@@ -175,20 +177,13 @@ def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
 
 def _resolved(followed: Sequence[Outcome]) -> Row:
     """Return how many ambiguous cases came right once what was proposed was recorded, too."""
-    return _share("ambiguous: right once the next motion is recorded", (_why(o) is None for o in followed))
+    return percent("ambiguous: right once the next motion is recorded", (_why(o) is None for o in followed))
 
 
 def _filling(filled: Sequence[Filled]) -> Row:
     """Return CPU time of what all cases share, counted by signatures."""
     spent = sum(one.cpu_s for one in filled)
     return Row(measure="CPU s of the signatures kept before, once for all", value=spent, n=len(filled), unit="s")
-
-
-def _share(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> Row:
-    """Return a row that counts, in percent."""
-    found = list(hits)
-    value = 100 * float(np.mean(found)) if found else None
-    return Row(measure=measure, value=value, n=len(found), low=low, high=high)
 
 
 def _quantile(
@@ -254,7 +249,7 @@ def _why(o: Outcome) -> str | None:
     if o.result.error is not None:
         return o.result.error
     if o.kind == "null":
-        return "an effect named" if o.named else None
+        return "an effect named" if o.named else _why_alarm(o)
     if o.kind == "outside":
         return _why_outside(o)
     if o.kind in ("pair", "triple"):
@@ -263,6 +258,11 @@ def _why(o: Outcome) -> str | None:
         heavy = "object_mass" in o.truth and "object_mass" not in o.named[:2]
         return "the mass is not first or second" if heavy else (None if o.flagged else "not found, not flagged")
     return None if o.first else "not first"
+
+
+def _why_alarm(o: Outcome) -> str | None:
+    """Return why a null with no effect named is a miss: in a random small scene any verdict but `no_gap` is."""
+    return None if o.label.trait is None or o.verdict == "no_gap" else f"no gap is there ({o.label.trait})"
 
 
 def _why_outside(o: Outcome) -> str | None:

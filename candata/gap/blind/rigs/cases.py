@@ -29,10 +29,18 @@ NOISE_STREAM = 10**6
 
 
 def seal_rig_labels(
-    out: Path, counts: dict[Kind, int], *, seed: int, episodes: int, duration_s: float | None = None,
-    traits: Sequence[str] = (), only: Sequence[str] = (), crew: Crew = alone, told: Told = lambda name: None,
+    out: Path,
+    counts: dict[Kind, int],
+    *,
+    seed: int,
+    episodes: int,
+    duration_s: float | None = None,
+    traits: Sequence[str] = (),
+    only: Sequence[str] = (),
+    crew: Crew = alone,
+    told: Told = lambda name: None,
     salt: str | None = None,
-) -> LabelsFile:  # fmt: skip
+) -> LabelsFile:
     """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
 
     Parameters
@@ -63,9 +71,14 @@ def seal_rig_labels(
         When the run that stands there was asked for something else.
     """
     asked: dict[str, str | int | float] = {
-        "world": WORLD, "seed": seed, "episodes": episodes, "duration_s": duration_s or 0.0,
-        "traits": ",".join(traits), "only": ",".join(only), **{f"count_{k}": n for k, n in counts.items()},
-    }  # fmt: skip
+        "world": WORLD,
+        "seed": seed,
+        "episodes": episodes,
+        "duration_s": duration_s or 0.0,
+        "traits": ",".join(traits),
+        "only": ",".join(only),
+        **{f"count_{k}": n for k, n in counts.items()},
+    }
     if not (out / LABELS).exists():
         secret = salt or new_salt()
         rng = np.random.default_rng(secret_number(seed, secret, "random small scenes"))
@@ -75,9 +88,15 @@ def seal_rig_labels(
 
 
 def _draw(
-    counts: dict[Kind, int], rng: np.random.Generator, traits: Sequence[str], only: Sequence[str], episodes: int,
-    duration_s: float | None, crew: Crew, told: Told,
-) -> list[Label]:  # fmt: skip
+    counts: dict[Kind, int],
+    rng: np.random.Generator,
+    traits: Sequence[str],
+    only: Sequence[str],
+    episodes: int,
+    duration_s: float | None,
+    crew: Crew,
+    told: Told,
+) -> list[Label]:
     """Return the labels of a run in random order."""
     nulls, singles = counts.get("null", 0), counts.get("one", 0)
     kinds: list[tuple[str, str]] = [("", trait) for trait in null_traits(nulls, rng, traits)]
@@ -120,9 +139,14 @@ def draw_label(case: str, cause: str, trait: str, seed: int, episodes: int, dura
 
 
 def make_rig_cases(
-    out: Path, sealed: LabelsFile, *, episodes: int, duration_s: float | None = None, crew: Crew = alone,
+    out: Path,
+    sealed: LabelsFile,
+    *,
+    episodes: int,
+    duration_s: float | None = None,
+    crew: Crew = alone,
     told: Told = lambda name: None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Return the folders of all cases, those that are missing made; `told` hears the name of each new one."""
     folder = (out / CASES).resolve()
     tasks = [

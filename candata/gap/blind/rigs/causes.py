@@ -6,7 +6,7 @@ mistake in an effect's own hooks shows.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from candata.effects import effect
 from candata.gap.blind.draws import draw_setting
-from candata.gap.blind.rigs.design import TOUCHED, Rig
+from candata.gap.blind.rigs.design import Rig
 from candata.gap.blind.rigs.matter import matters
 from candata.gap.blind.rigs.player import Log, World, parts
 from candata.gap.blind.rigs.readings import Planted, Reading, ideal
 from candata.gap.blind.rigs.recording import Drawn, logs, nominal, problem, sane_rig
+from candata.gap.blind.rigs.situations import TOUCHED
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 
@@ -69,9 +70,7 @@ def planted(rig: Rig, given: EffectSetting) -> Planted:
     return Planted(world, lambda log: read(target, values, log, ideal(log)))
 
 
-def drawn_cause(
-    name: str, trait: str, seed: int, episodes: int, duration_s: float | None
-) -> tuple[int, EffectSetting]:  # fmt: skip
+def drawn_cause(name: str, trait: str, seed: int, episodes: int, duration_s: float | None) -> tuple[int, EffectSetting]:
     """Return the seed of a scene in which a cause matters, and the cause with its values.
 
     Matters: in a plain replay without it, from the state that its first readings tell, some channel is off by
@@ -208,12 +207,10 @@ def _late(target: Target, v: Values, u: Array) -> Array:
 
 
 def _offsets(target: Target, v: Values) -> dict[str, float]:
-    """Return the encoder offset of each joint: the numbers go with hinges and jaws in the order of `joints`."""
-    rig, drives = target.rig, target.rig.drives
-    names = {drives[i].servo.joint for i in chosen(target)}
-    carriers = {drives[i].servo.joint for i in chosen(target, beside_jaws=True)}
-    listed = [j for j in rig.file.joints if j in carriers]
-    return {j: float(x) for j, x in zip(listed, v["offset_rad"], strict=True) if j in names}
+    """Return the encoder offset of each joint at fault: the numbers follow the order of `joints`."""
+    at_fault = {target.rig.drives[i].servo.joint for i in chosen(target)}
+    listed = [j for j in target.rig.file.joints if j in at_fault]
+    return dict(zip(listed, v["offset_rad"].tolist(), strict=True))
 
 
 def _misread(target: Target, v: Values) -> None:
@@ -352,8 +349,3 @@ CAUSES: dict[str, Cause] = {
     "tactile_bias": Cause(_feels, read=_biased_force),
     "tactile_lag": Cause(_feels, read=_slow_force),
 }
-
-
-def names() -> Sequence[str]:
-    """Return the causes that can be planted."""
-    return tuple(CAUSES)

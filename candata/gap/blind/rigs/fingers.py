@@ -2,34 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-Role = Literal["free", "push", "grip", "lift", "press", "carry"]
+from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Role, Servo, driven
+from candata.gap.blind.rigs.writing import chance, tag, uniform
+
 Chain = Literal["hinge", "two_hinges", "slide", "slide_hinge", "plunger", "sweeper"]
+
+
 CHAINS: tuple[Chain, ...] = ("hinge", "two_hinges", "slide", "slide_hinge")
-GRAVITY_M_S2 = 9.81
-#: Natural frequency [rad/s] and damping ratio of a servo with its joint, and of a slide that carries weight. Chosen:
-#: small hobby servos to stiff drives, all stable at 5 ms steps.
-SERVO_RADPS, SERVO_RATIO, LIFT_RADPS = (12.0, 36.0), (0.35, 1.2), (28.0, 45.0)
+
+
 #: Natural frequency [rad/s] and damping ratio of a compliant part. Chosen: visible sag and ringing, and stable.
 SPRING_RADPS, SPRING_RATIO = (22.0, 55.0), (0.08, 0.5)
-
-
-class Servo(NamedTuple):
-    """A driven joint: its commands at rest, farthest away, and farthest toward what the finger works on."""
-
-    joint: str
-    slides: bool
-    role: Role
-    rest: float
-    away: float
-    toward: float
-    kp: float
-    kv: float
-    limit: float | None
 
 
 class Place(NamedTuple):
@@ -56,72 +43,20 @@ class Finger(NamedTuple):
     mass: float = 0.1
 
 
-def tag(element: str, inner: str = "", /, **attributes: object) -> str:
-    """Return an XML element; numbers are written with six digits, sequences with blanks, None is left out."""
-    words = [f'{key}="{_text(value)}"' for key, value in attributes.items() if value is not None]
-    head = " ".join([element, *words])
-    return f"<{head}>{inner}</{element}>" if inner else f"<{head}/>"
-
-
-def _text(value: object) -> str:
-    """Return an attribute's text."""
-    if isinstance(value, float | np.floating):
-        return f"{value:.6g}"
-    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str):
-        return " ".join(_text(v) for v in value)
-    return str(value)
-
-
-def uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Return a plain float drawn evenly."""
-    return float(rng.uniform(low, high))
-
-
-def chance(rng: np.random.Generator, share: float) -> bool:
-    """Return True with a probability."""
-    return bool(rng.random() < share)
-
-
-class _Joint(NamedTuple):
-    """A joint drawn with its servo: XML of the joint, and the servo."""
-
-    xml: str
-    servo: Servo
-
-
-def _driven(
-    rng: np.random.Generator, name: str, role: Role, axis: tuple[float, float, float], inertia: float, load: float,
-    rest: float, away: float, toward: float, *, slides: bool = False, lifts: bool = False, force: float = 0.0,
-) -> _Joint:  # fmt: skip
-    """Return a joint and its servo; `force` [N or N m] is what it presses with at `toward`, which grows by it.
-
-    `inertia` is what the joint moves without its armature, `load` the weight [N or N m] that it holds.
-    """
-    armature = uniform(rng, 0.3, 4.0) * inertia if not slides else uniform(rng, 0.0, 0.5) * inertia
-    total, omega = inertia + armature, uniform(rng, *(LIFT_RADPS if lifts else SERVO_RADPS))
-    kp = max(total * omega**2, load / (0.03 if slides else 0.25))
-    whole = 2 * uniform(rng, *SERVO_RATIO) * np.sqrt(kp * total)
-    passive = uniform(rng, 0.05, 0.5) * whole
-    press = min(force / kp, 0.03 if slides else 0.5)
-    reach = 0.3 * kp * (0.05 if slides else 1.0)
-    sign = 1.0 if lifts or chance(rng, 0.5) else -1.0
-    ends = [sign * v for v in (rest, away, toward + press)]
-    wide = (uniform(rng, 0.01, 0.05) if slides else uniform(rng, 0.3, 0.8)) + abs(press)
-    limited = chance(rng, 0.6)
-    joint = tag(
-        "joint", name=name, type="slide" if slides else "hinge", axis=[sign * v for v in axis], damping=passive,
-        armature=armature, range=(min(ends) - wide, max(ends) + wide) if limited else None,
-        frictionloss=uniform(rng, 0.02, 0.1) * reach if chance(rng, 0.2) else None,
-    )  # fmt: skip
-    limit = max(uniform(rng, 0.6, 2.0) * reach, 1.5 * load, 1.5 * force) if chance(rng, 0.25) else None
-    return _Joint(joint, Servo(name, slides, role, *ends, kp, float(whole - passive), limit))
-
-
 def finger(
-    rng: np.random.Generator, name: str, chain: Chain, place: Place, role: Role, force_N: float, *,
-    follows: bool = False, spring: bool = False, collide_links: bool = False, tip_friction: float = 1.0,
+    rng: np.random.Generator,
+    name: str,
+    chain: Chain,
+    place: Place,
+    role: Role,
+    force_N: float,
+    *,
+    follows: bool = False,
+    spring: bool = False,
+    collide_links: bool = False,
+    tip_friction: float = 1.0,
     tip_solref: tuple[float, float] | None = None,
-) -> Finger:  # fmt: skip
+) -> Finger:
     """Return a finger that meets a surface on its way toward a place.
 
     Parameters
@@ -150,8 +85,9 @@ def finger(
     makers = {"slide": _jaw, "plunger": _plunger, "slide_hinge": _railed}
     if chain in makers:
         return makers[chain](rng, links, place, role, force_N)
-    return _hanging(rng, links, place, role, force_N, two=chain == "two_hinges", follows=follows,
-                    sweeps=chain == "sweeper")  # fmt: skip
+    return _hanging(
+        rng, links, place, role, force_N, two=chain == "two_hinges", follows=follows, sweeps=chain == "sweeper"
+    )
 
 
 class _Links(NamedTuple):
@@ -167,8 +103,15 @@ class _Links(NamedTuple):
     def link(self, length: float, mass: float, thick: float = 0.006) -> str:
         """Return a capsule that hangs down by a length."""
         off = None if self.collide else 0
-        return tag("geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length), size=thick, mass=mass,
-                   contype=off, conaffinity=off)  # fmt: skip
+        return tag(
+            "geom",
+            type="capsule",
+            fromto=(0.0, 0.0, 0.0, 0.0, 0.0, -length),
+            size=thick,
+            mass=mass,
+            contype=off,
+            conaffinity=off,
+        )
 
     def pad(self, rng: np.random.Generator, down: float, mass: float) -> str:
         """Return the fingertip's geom, so far below its body's frame."""
@@ -176,22 +119,43 @@ class _Links(NamedTuple):
         r = self.radius
         size = {"sphere": (r,), "capsule": (r, 0.006), "box": (r, r, r)}[shape]
         axis = (1.0, 1.0, 0.0, 0.0) if shape == "capsule" else None  # it lies across the finger's motion
-        return tag("geom", name=f"{self.name}_tip", type=shape, size=size, pos=(0.0, 0.0, -down), mass=mass, quat=axis,
-                   friction=(self.friction, 0.005, 0.0001), solref=self.solref)  # fmt: skip
+        return tag(
+            "geom",
+            name=f"{self.name}_tip",
+            type=shape,
+            size=size,
+            pos=(0.0, 0.0, -down),
+            mass=mass,
+            quat=axis,
+            friction=(self.friction, 0.005, 0.0001),
+            solref=self.solref,
+        )
 
 
 def _body(name: str, place: Place, x: float, z: float, inner: str) -> str:
     """Return a body at `(x, 0, z)` of the frame that looks along the place's azimuth, its point as origin."""
     c, s = np.cos(place.azimuth), np.sin(place.azimuth)
     half = place.azimuth / 2
-    return tag("body", inner, name=name, pos=(place.x + c * x, place.y + s * x, z),
-               quat=(float(np.cos(half)), 0.0, 0.0, float(np.sin(half))))  # fmt: skip
+    return tag(
+        "body",
+        inner,
+        name=name,
+        pos=(place.x + c * x, place.y + s * x, z),
+        quat=(float(np.cos(half)), 0.0, 0.0, float(np.sin(half))),
+    )
 
 
 def _hanging(
-    rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float, *, two: bool, follows: bool,
+    rng: np.random.Generator,
+    links: _Links,
+    place: Place,
+    role: Role,
+    force_N: float,
+    *,
+    two: bool,
+    follows: bool,
     sweeps: bool,
-) -> Finger:  # fmt: skip
+) -> Finger:
     """Return a chain of one or two hinges that hangs down; it swings toward +x of its frame."""
     name, lengths = links.name, [uniform(rng, 0.05, 0.1)] + ([uniform(rng, 0.03, 0.06)] if two else [])
     masses, tip_mass = [uniform(rng, 0.01, 0.04) for _ in lengths], uniform(rng, 0.004, 0.015)
@@ -209,8 +173,18 @@ def _hanging(
     inertia += masses[-1] * lengths[0] ** 2 if two else 0.0
     load = mass * GRAVITY_M_S2 * reach * 0.6
     wander = uniform(rng, 0.2, 0.5) if role == "free" else 0.0
-    base = _driven(rng, f"{name}_a", role, (0.0, -1.0, 0.0), inertia, load, first, first - uniform(rng, 0.0, 0.3),
-                   touch + wander, force=force_N * reach)  # fmt: skip
+    base = driven(
+        rng,
+        f"{name}_a",
+        role,
+        (0.0, -1.0, 0.0),
+        inertia,
+        load,
+        first,
+        first - uniform(rng, 0.0, 0.3),
+        touch + wander,
+        force=force_N * reach,
+    )
     servos, ties = [base.servo], []
     rooted = links.spring and chance(rng, 0.5)
     flexes = links.spring and not rooted
@@ -219,23 +193,35 @@ def _hanging(
         own = inertia * 0.2
         if follows:
             sign = 1.0 if base.servo.toward >= base.servo.away else -1.0
-            second = tag("joint", name=f"{name}_b", axis=(0.0, -sign, 0.0), damping=uniform(rng, 1, 6) * own,
-                         armature=own)  # fmt: skip
+            second = tag(
+                "joint", name=f"{name}_b", axis=(0.0, -sign, 0.0), damping=uniform(rng, 1, 6) * own, armature=own
+            )
             ties = [(f"{name}_b", f"{name}_a", ratio)]
         else:
             moves = uniform(rng, 0.05, 0.3)
-            middle = _driven(rng, f"{name}_b", role, (0.0, -1.0, 0.0), own, load * 0.3, bend, bend - moves,
-                             bend + moves, force=force_N * far)  # fmt: skip
+            middle = driven(
+                rng,
+                f"{name}_b",
+                role,
+                (0.0, -1.0, 0.0),
+                own,
+                load * 0.3,
+                bend,
+                bend - moves,
+                bend + moves,
+                force=force_N * far,
+            )
             second, servos = middle.xml, [*servos, middle.servo]
-        inner = tag("body", second + links.link(far, masses[1]) + inner, name=f"{name}_end",
-                    pos=(0.0, 0.0, -lengths[0]))  # fmt: skip
+        inner = tag(
+            "body", second + links.link(far, masses[1]) + inner, name=f"{name}_end", pos=(0.0, 0.0, -lengths[0])
+        )
     xml = base.xml + links.link(lengths[0], masses[0], 0.007) + inner
     height = down + (links.radius if sweeps else place.z)
     at = -place.surface - (0.0 if sweeps else links.radius) - x
     tip_body = f"{name}_pad" if flexes else (f"{name}_end" if two else name)
     if rooted:
-        own = _body(f"{name}_root", place, at, height, _root(rng, name, inertia, load) + tag("body", xml, name=name))
-        return Finger(own, tuple(servos), f"{name}_tip", tip_body, tuple(ties), mass)
+        whole = _body(f"{name}_root", place, at, height, _root(rng, name, inertia, load) + tag("body", xml, name=name))
+        return Finger(whole, tuple(servos), f"{name}_tip", tip_body, tuple(ties), mass)
     return Finger(_body(name, place, at, height, xml), tuple(servos), f"{name}_tip", tip_body, tuple(ties), mass)
 
 
@@ -248,9 +234,13 @@ def _bent(rng: np.random.Generator, links: _Links, down: float, tip_mass: float)
     stiffness = max((own + armature) * omega**2, 4 * tip_mass * GRAVITY_M_S2 * length)
     axis = (0.0, 1.0, 0.0) if chance(rng, 0.7) else (1.0, 0.0, 0.0)
     joint = tag(
-        "joint", name=f"{links.name}_flex", axis=axis, stiffness=stiffness, armature=armature,
+        "joint",
+        name=f"{links.name}_flex",
+        axis=axis,
+        stiffness=stiffness,
+        armature=armature,
         damping=2 * uniform(rng, *SPRING_RATIO) * np.sqrt(stiffness * (own + armature)),
-    )  # fmt: skip
+    )
     inner = joint + links.pad(rng, length, tip_mass)
     return tag("body", inner, name=f"{links.name}_pad", pos=(0.0, 0.0, -down + length))
 
@@ -260,8 +250,14 @@ def _root(rng: np.random.Generator, name: str, inertia: float, load: float) -> s
     omega = uniform(rng, *SPRING_RADPS)
     stiffness = max(2 * inertia * omega**2, load / 0.15)
     axis = (0.0, 1.0, 0.0) if chance(rng, 0.6) else (1.0, 0.0, 0.0)
-    joint = tag("joint", name=f"{name}_flex", axis=axis, stiffness=stiffness, armature=inertia,
-                damping=2 * uniform(rng, *SPRING_RATIO) * np.sqrt(2 * stiffness * inertia))  # fmt: skip
+    joint = tag(
+        "joint",
+        name=f"{name}_flex",
+        axis=axis,
+        stiffness=stiffness,
+        armature=inertia,
+        damping=2 * uniform(rng, *SPRING_RATIO) * np.sqrt(2 * stiffness * inertia),
+    )
     block = tag("geom", type="box", size=(0.01, 0.01, 0.01), mass=0.02, contype=0, conaffinity=0)
     return joint + block
 
@@ -270,41 +266,76 @@ def _jaw(rng: np.random.Generator, links: _Links, place: Place, role: Role, forc
     """Return a jaw on a horizontal slide."""
     name, mass, gap = links.name, uniform(rng, 0.05, 0.25), uniform(rng, 0.01, 0.035)
     moves = uniform(rng, 0.01, 0.03) if role == "free" else 0.0
-    slide = _driven(rng, f"{name}_s", role, (1.0, 0.0, 0.0), mass, 0.0, 0.0, -uniform(rng, 0.0, 0.02), gap + moves,
-                    slides=True, force=force_N)  # fmt: skip
+    slide = driven(
+        rng,
+        f"{name}_s",
+        role,
+        (1.0, 0.0, 0.0),
+        mass,
+        0.0,
+        0.0,
+        -uniform(rng, 0.0, 0.02),
+        gap + moves,
+        slides=True,
+        force=force_N,
+    )
     bar = tag("geom", type="box", size=(0.01, 0.008, 0.02), pos=(-0.02, 0.0, 0.03), mass=mass, contype=0, conaffinity=0)
     tip = _bent(rng, links, 0.0, 0.012) if links.spring else links.pad(rng, 0.0, 0.01)
     at = -place.surface - links.radius - gap
     body = f"{name}_pad" if links.spring else name
-    return Finger(_body(name, place, at, place.z, slide.xml + bar + tip), (slide.servo,), f"{name}_tip", body,
-                  mass=mass + 0.01)  # fmt: skip
+    return Finger(
+        _body(name, place, at, place.z, slide.xml + bar + tip), (slide.servo,), f"{name}_tip", body, mass=mass + 0.01
+    )
 
 
 def _plunger(rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float) -> Finger:
     """Return a finger on a vertical slide above the table; its weight lets it sag below its command."""
     name, mass, gap = links.name, uniform(rng, 0.05, 0.2), uniform(rng, 0.01, 0.03)
-    slide = _driven(rng, f"{name}_z", role, (0.0, 0.0, -1.0), mass, 0.0, 0.0, -uniform(rng, 0.0, 0.02), gap,
-                    slides=True, lifts=True, force=force_N)  # fmt: skip
+    slide = driven(
+        rng,
+        f"{name}_z",
+        role,
+        (0.0, 0.0, -1.0),
+        mass,
+        0.0,
+        0.0,
+        -uniform(rng, 0.0, 0.02),
+        gap,
+        slides=True,
+        lifts=True,
+        force=force_N,
+    )
     sag = (mass + 0.01) * GRAVITY_M_S2 / slide.servo.kp
-    rod = tag("geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, 0.06), size=0.006, mass=mass, contype=0,
-              conaffinity=0)  # fmt: skip
+    rod = tag(
+        "geom", type="capsule", fromto=(0.0, 0.0, 0.0, 0.0, 0.0, 0.06), size=0.006, mass=mass, contype=0, conaffinity=0
+    )
     xml = slide.xml + rod + links.pad(rng, 0.0, 0.01)
-    return Finger(_body(name, place, 0.0, links.radius + gap + sag, xml), (slide.servo,), f"{name}_tip", name,
-                  mass=mass + 0.01)  # fmt: skip
+    return Finger(
+        _body(name, place, 0.0, links.radius + gap + sag, xml), (slide.servo,), f"{name}_tip", name, mass=mass + 0.01
+    )
 
 
 def _railed(rng: np.random.Generator, links: _Links, place: Place, role: Role, force_N: float) -> Finger:
     """Return a hanging hinge on a slide that goes toward the place, or up and down."""
     name = links.name
     gap = uniform(rng, 0.005, 0.02)
-    hanging = _hanging(rng, links._replace(name=f"{name}_f"), place._replace(surface=place.surface + gap), role,
-                       force_N, two=False, follows=False, sweeps=False)  # fmt: skip
+    hanging = _hanging(
+        rng,
+        links._replace(name=f"{name}_f"),
+        place._replace(surface=place.surface + gap),
+        role,
+        force_N,
+        two=False,
+        follows=False,
+        sweeps=False,
+    )
     mass = uniform(rng, 0.1, 0.3)
     ahead = (float(np.cos(place.azimuth)), float(np.sin(place.azimuth)), 0.0)
     upright = chance(rng, 0.3)
     axis, ends = ((0.0, 0.0, 1.0), (0.02, 0.0)) if upright else (ahead, (-0.015, gap))
-    slide = _driven(rng, f"{name}_s", role, axis, mass + hanging.mass, 0.0, 0.0, *ends, slides=True, lifts=upright)
-    carriage = tag("geom", type="box", size=(0.02, 0.02, 0.01), pos=(place.x, place.y, 0.25), mass=mass, contype=0,
-                   conaffinity=0)  # fmt: skip
+    slide = driven(rng, f"{name}_s", role, axis, mass + hanging.mass, 0.0, 0.0, *ends, slides=True, lifts=upright)
+    carriage = tag(
+        "geom", type="box", size=(0.02, 0.02, 0.01), pos=(place.x, place.y, 0.25), mass=mass, contype=0, conaffinity=0
+    )
     xml = tag("body", slide.xml + carriage + hanging.xml, name=name)
     return Finger(xml, (slide.servo, *hanging.servos), hanging.tip, hanging.tip_body, mass=mass + hanging.mass)

@@ -46,8 +46,9 @@ def worth(rig: Rig, world: Planted, some: Sequence[Outline], played: Sequence[Lo
         read = world.read(log)
         state = _read_state(rig, log.states[one.lead], read, one.lead)
         replay = play(plain, rig.file, state, one.actions[one.lead :])
-        seen = Reading(read.joint[one.lead :], None if read.pose is None else read.pose[one.lead :],
-                       read.force[one.lead :])  # fmt: skip
+        seen = Reading(
+            read.joint[one.lead :], None if read.pose is None else read.pose[one.lead :], read.force[one.lead :]
+        )
         for name, gap in _gaps(rig, seen, ideal(replay)).items():
             gaps.setdefault(name, []).append(_blocks(gap, rig.file.rate_hz))
     found = [float(np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)).max()) for parts in gaps.values()]

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.blind.rigs.design import Drive, Rig
-from candata.gap.blind.rigs.fingers import Servo, chance, uniform
+from candata.gap.blind.rigs.design import Rig
+from candata.gap.blind.rigs.servos import Drive, Servo
+from candata.gap.blind.rigs.writing import chance, uniform
 
 Array = NDArray[np.float64]
 #: Time in which a sum of sines fades in [s], its frequencies [Hz], shortest and longest time between points [s].
@@ -100,9 +101,7 @@ def _sines(time: Array, rest: float, size: float, rng: np.random.Generator) -> A
     return rest + size * _step(time, 0.0, FADE_S) * waves
 
 
-def _points(
-    time: Array, rest: float, away: float, toward: float, rng: np.random.Generator, strokes: bool
-) -> Array:  # fmt: skip
+def _points(time: Array, rest: float, away: float, toward: float, rng: np.random.Generator, strokes: bool) -> Array:
     """Return minimum-jerk moves through random points, some held; every other one far toward where `strokes`."""
     out, now, at = np.full(len(time), rest), uniform(rng, 0.0, 0.15), rest
     inward = chance(rng, 0.8)

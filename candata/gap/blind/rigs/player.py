@@ -89,15 +89,23 @@ def parts(model: mujoco.MjModel, file: SceneFile) -> Parts:
         carrier = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, tip)
         own = carrier if carrier >= 0 else int(model.geom_bodyid[model.geom(tip).id])
         bodies.append(own)
-        tips.append({g for g in range(model.ngeom) if _inside(model, int(model.geom_bodyid[g]), own)}
-                    if carrier >= 0 else {model.geom(tip).id})  # fmt: skip
+        tips.append(
+            {g for g in range(model.ngeom) if _inside(model, int(model.geom_bodyid[g]), own)}
+            if carrier >= 0
+            else {model.geom(tip).id}
+        )
     return Parts(
-        model.jnt_qposadr[joints], model.jnt_dofadr[joints],
+        model.jnt_qposadr[joints],
+        model.jnt_dofadr[joints],
         np.array([model.actuator(a).id for a in file.actuator_names], int),
-        max(1, round(1 / file.rate_hz / model.opt.timestep)), body,
-        int(model.jnt_qposadr[first]), int(model.jnt_dofadr[first]), tips, bodies,
+        max(1, round(1 / file.rate_hz / model.opt.timestep)),
+        body,
+        int(model.jnt_qposadr[first]),
+        int(model.jnt_dofadr[first]),
+        tips,
+        bodies,
         frozenset(g for g in range(model.ngeom) if model.geom_type[g] == mujoco.mjtGeom.mjGEOM_PLANE),
-    )  # fmt: skip
+    )
 
 
 def _inside(model: mujoco.MjModel, body: int, root: int) -> bool:
@@ -202,7 +210,6 @@ def play(world: World, file: SceneFile, state: Array, actions: Array) -> Log:
     model, data = world.model, mujoco.MjData(world.model)
     where = parts(model, file)
     mujoco.mj_setState(model, data, state, STATE)
-    mujoco.mj_forward(model, data)
     fine_commands = world.command(np.repeat(actions[:, None], where.substeps, axis=1))
     has_object, at = where.object_body >= 0, where.object_qpos
     rows, joints, poses, forces, touched, speeds, states = len(actions), [], [], [], [], [], []
@@ -225,7 +232,13 @@ def play(world: World, file: SceneFile, state: Array, actions: Array) -> Log:
         forces.append(total / where.substeps)
         touched.append(touch)
     return Log(
-        np.array(joints), np.array(poses) if has_object else None, np.array([forces[0], *forces[:-1]]), actions,
-        np.array(fine) if has_object else None, np.array([touched[0], *touched[:-1]]), np.array(speeds),
-        np.array(states), _warned(data),
-    )  # fmt: skip
+        np.array(joints),
+        np.array(poses) if has_object else None,
+        np.array([forces[0], *forces[:-1]]),
+        actions,
+        np.array(fine) if has_object else None,
+        np.array([touched[0], *touched[:-1]]),
+        np.array(speeds),
+        np.array(states),
+        _warned(data),
+    )

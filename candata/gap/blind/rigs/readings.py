@@ -76,8 +76,9 @@ def episodes(rig: Rig, some: Sequence[Outline], found: Sequence[Reading]) -> lis
     joints, motors = [f"q_{j}" for j in file.joints], [f"a_{a}" for a in file.actuator_names]
     tips = [tuple(f"f{i}{axis}" for axis in "xyz") for i in range(len(file.fingertips))]
     channels: dict[str, tuple[str | tuple[str, ...], ...]] = {
-        "joint_position": tuple(joints), "action": tuple(motors),
-    }  # fmt: skip
+        "joint_position": tuple(joints),
+        "action": tuple(motors),
+    }
     if found[0].pose is not None:
         channels["object_pose"] = POSE
     if tips:
@@ -86,14 +87,19 @@ def episodes(rig: Rig, some: Sequence[Outline], found: Sequence[Reading]) -> lis
     blocks = []
     for i, (one, reading) in enumerate(zip(some, found, strict=True)):
         rows = len(reading.joint)
-        parts = [np.full((rows, 1), i), np.arange(rows)[:, None] / file.rate_hz, reading.joint,
-                 one.actions[one.lead : one.lead + rows]]  # fmt: skip
+        parts = [
+            np.full((rows, 1), i),
+            np.arange(rows)[:, None] / file.rate_hz,
+            reading.joint,
+            one.actions[one.lead : one.lead + rows],
+        ]
         parts += [] if reading.pose is None else [reading.pose]
         parts += [reading.force.reshape(rows, -1)] if tips else []
         blocks.append(np.concatenate(parts, axis=1))
     names = ["episode", "t", *joints, *motors, *(POSE if found[0].pose is not None else ()), *sum(tips, ())]
     whole = np.concatenate(blocks)
     columns = {name: whole[:, i] for i, name in enumerate(names)}
-    mapping = TableMap(file="episodes", source="real", episode="episode", time_s="t", rate_hz=file.rate_hz,
-                       channels=channels)  # fmt: skip
+    mapping = TableMap(
+        file="episodes", source="real", episode="episode", time_s="t", rate_hz=file.rate_hz, channels=channels
+    )
     return list(table.episodes(mapping, columns, Path("episode")))

@@ -1,0 +1,198 @@
+"""What `candata gap bench` is asked for, and the making of its cases: in one scene, or each in a random small one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from candata_cli import console
+
+if TYPE_CHECKING:
+    from candata.gap.blind.crew import Crew
+    from candata.gap.blind.sanity import Fitness
+    from candata.schema.bench import Kind
+
+KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
+#: Episodes of a case and their length [s]: in one scene, and in random small ones (None: each scene draws its own).
+IN_ONE, IN_SMALL = (20, 2.4), (12, None)
+#: The scene of the self-check: light, so that a whole table takes minutes, not hours.
+SCENE = "gripper_tabletop"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Which cases a run is asked to make; `scene` is empty for random small scenes."""
+
+    scene: str
+    traits: tuple[str, ...]
+    counts: dict[Kind, int]
+    only: tuple[str, ...]
+    seed: int
+    episodes: int
+    duration_s: float | None
+
+
+def asked_for(
+    world: str | None,
+    scene: str | None,
+    traits: str,
+    kinds: str,
+    counts: str,
+    only: str,
+    seed: int,
+    episodes: int | None,
+    duration_s: float | None,
+) -> Asked:
+    """Return what a bench is asked for.
+
+    Raises
+    ------
+    UsageError
+        When options exclude each other.
+    UnknownNameError
+        When a name is unknown.
+    """
+    from candata.errors import UsageError
+    from candata.gap.blind.draws import COUNTS
+
+    if world is None:
+        if traits:
+            raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
+        wanted, given = _counts(kinds, counts, COUNTS), console.words(only)
+        return Asked(
+            scene or SCENE,
+            (),
+            wanted,
+            given,
+            seed,
+            episodes or IN_ONE[0],
+            IN_ONE[1] if duration_s is None else duration_s,
+        )
+    from candata.gap.blind.rigs.cases import COUNTS as SMALL
+    from candata.gap.blind.rigs.cases import WORLD as RANDOM
+    from candata.gap.blind.rigs.causes import CAUSES
+    from candata.gap.blind.rigs.design import all_traits
+
+    known(world, (RANDOM,), "world")
+    if scene is not None:
+        raise UsageError(
+            "--scene and --world exclude each other: each case of a random world brings its own scene",
+            found=f"--scene {scene} --world {world}",
+            fix="leave one of the two out",
+        )
+    usual = kinds == ",".join(KINDS)
+    wanted = _counts(",".join(SMALL) if usual else kinds, counts, SMALL)
+    return Asked(
+        "",
+        known(traits, all_traits(), "trait"),
+        wanted,
+        known(only, tuple(CAUSES), "planted cause"),
+        seed,
+        episodes or IN_SMALL[0],
+        duration_s,
+    )
+
+
+def make(out: Path, asked: Asked, crew: Crew) -> None:
+    """Seal the labels of a run's cases and make those that are missing."""
+    (_make_in_one if asked.scene else _make_small)(out, asked, crew)
+
+
+def _make_in_one(out: Path, asked: Asked, crew: Crew) -> None:
+    """Seal the labels of cases in one scene, and make those that are missing."""
+    from candata.gap.blind.cases import make_cases, missing_cases, seal_labels
+    from candata.gap.blind.sanity import check_scene
+    from candata.scenes import load_scene
+
+    world, seed, length = load_scene(asked.scene), asked.seed, asked.duration_s or 0.0
+
+    def live() -> tuple[str, ...]:
+        fit = check_scene(world, seed=seed, duration_s=length, only=asked.only)
+        for line in _fitness(fit):
+            console.note(line)
+        return fit.live
+
+    sealed = seal_labels(
+        out, world, asked.counts, seed=seed, episodes=asked.episodes, duration_s=length, only=asked.only, live=live
+    )
+    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+        make_cases(
+            out,
+            asked.scene,
+            sealed,
+            seed=seed,
+            episodes=asked.episodes,
+            duration_s=length,
+            crew=crew,
+            told=lambda _name: advance(1),
+        )
+
+
+def _make_small(out: Path, asked: Asked, crew: Crew) -> None:
+    """Seal the labels of cases in random small scenes, and make those that are missing."""
+    from candata.gap.blind.cases import LABELS, missing_cases
+    from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
+
+    draws = 0 if (out / LABELS).exists() else sum(asked.counts.values())
+    with console.progress("drawing cases", draws) as advance:
+        sealed = seal_rig_labels(
+            out,
+            asked.counts,
+            seed=asked.seed,
+            episodes=asked.episodes,
+            duration_s=asked.duration_s,
+            traits=asked.traits,
+            only=asked.only,
+            crew=crew,
+            told=lambda _name: advance(1),
+        )
+    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+        make_rig_cases(
+            out,
+            sealed,
+            episodes=asked.episodes,
+            duration_s=asked.duration_s,
+            crew=crew,
+            told=lambda _name: advance(1),
+        )
+
+
+def _counts(kinds: str, counts: str, usual: dict[Kind, int]) -> dict[Kind, int]:
+    """Return how many cases of each kind are asked for; `usual` has the kinds there are, and their numbers."""
+    from candata.errors import UsageError
+
+    given: dict[str, int] = {}
+    for word in console.words(counts):
+        name, _, number = word.partition("=")
+        if not number.isdigit():
+            raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
+        given[name] = int(number)
+    wanted = console.words(kinds)
+    known(",".join((*wanted, *given)), tuple(usual), "kind of case")
+    return {kind: given.get(kind, number) for kind, number in usual.items() if kind in wanted}
+
+
+def known(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:
+    """Return the words of a comma-separated list, each one of `names`."""
+    from candata.errors import UnknownNameError
+
+    for word in console.words(text):
+        if word not in names:
+            raise UnknownNameError(kind, word, names)
+    return console.words(text)
+
+
+def _fitness(fit: Fitness) -> list[str]:
+    """Return what to say about the scene, a line each."""
+    lines = []
+    if fit.moving:
+        lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f} ({fit.worst})")
+    if fit.live:
+        least = min(fit.live, key=lambda name: fit.moved[name])
+        lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
+    if fit.dead:
+        why = "in these motions they move nothing, or too much to be simulated"
+        lines.append(f"not drawn, since {why}: {', '.join(fit.dead)}")
+    return lines
