@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from candata.datasets import open_dataset
@@ -80,8 +81,6 @@ def test_a_run_goes_on_with_what_is_missing_and_refuses_another_request(run):
 
 
 def test_half_of_the_nulls_are_plain_and_the_others_take_turns():
-    import numpy as np
-
     drawn = null_traits(44, np.random.default_rng(0))
     assert drawn.count("plain") == 22
     assert {drawn.count(t) for t in all_traits() if t != "plain"} == {2}
@@ -96,9 +95,11 @@ def outcome(kind, trait, verdict, named=(), tied=(), cpu_s=1.0):
         for n in named
     )
     report = Report(
-        verdict=verdict, effects=effects, ambiguous_class=tied,
+        verdict=verdict,
+        effects=effects,
+        ambiguous_class=tied,
         data=DataUsed(dataset="d", episodes=EpisodeCount(total=12, folds=4, held_out=12)),
-    )  # fmt: skip
+    )
     label = Label(case="case-0001", kind=kind, trait=trait, effects=(truth,) if kind == "one" else ())
     return Outcome(label, CaseResult(case="case-0001", sealed="s", cpu_s=cpu_s, cold=True, report=report))
 
@@ -121,8 +122,11 @@ def test_a_null_is_right_only_with_no_gap_and_counted_by_trait():
     assert rows["null: unknown_effect"].value == 25
     assert (rows["null, mimic cut: no_gap"].value, rows["null, mimic cut: no_gap"].n) == (50, 2)
     assert [m.why if (m := miss(o)) else None for o in some] == [
-        None, "no gap is there (plain)", "an effect named", None,
-    ]  # fmt: skip
+        None,
+        "no gap is there (plain)",
+        "an effect named",
+        None,
+    ]
     assert "null: an effect named" in measured([outcome("null", None, "no_gap")])
 
 
@@ -151,8 +155,9 @@ def scored(folder, said):
     (folder / "results.jsonl").write_text("".join(r.model_dump_json() + "\n" for r in results))
     misses = tuple(
         Miss(case=f"c{k}", kind="null", truth="none", verdict="unknown_effect", named="-", why="")
-        for k, right in enumerate(said) if not right
-    )  # fmt: skip
+        for k, right in enumerate(said)
+        if not right
+    )
     score = BenchFile(scene="s", cases=len(said), done=len(said), rows=(), misses=misses, confusion={}, calibration=())
     (folder / "bench.json").write_text(score.model_dump_json())
     return folder
@@ -177,7 +182,7 @@ def test_mcnemars_p_is_that_of_a_fair_coin():
 
 def test_runs_that_cannot_be_paired_are_refused(tmp_path):
     first = scored(tmp_path / "a", [True])
-    with pytest.raises(UsageError, match="no results.jsonl"):
+    with pytest.raises(UsageError, match=r"no results\.jsonl"):
         compare_runs(first, tmp_path)
     other = scored(tmp_path / "b", [True])
     text = (other / "results.jsonl").read_text()

@@ -18,9 +18,20 @@ from candata.schema.effect import EffectSetting
 #: A gripper that lifts an object, its jaws beside a wrist: all causes can act in it.
 SEED, SMALL = 1, (2, 1.2)
 FIELDS = (
-    "actuator_gainprm", "actuator_biasprm", "actuator_forcerange", "dof_damping", "dof_armature", "dof_frictionloss",
-    "body_mass", "body_inertia", "body_ipos", "geom_size", "geom_friction", "geom_solref", "geom_pos",
-)  # fmt: skip
+    "actuator_gainprm",
+    "actuator_biasprm",
+    "actuator_forcerange",
+    "dof_damping",
+    "dof_armature",
+    "dof_frictionloss",
+    "body_mass",
+    "body_inertia",
+    "body_ipos",
+    "geom_size",
+    "geom_friction",
+    "geom_solref",
+    "geom_pos",
+)
 
 
 @cache

@@ -89,19 +89,25 @@ def drawn_cause(name: str, trait: str, seed: int, episodes: int, duration_s: flo
 
 def setting_that_matters(drawn: Drawn, name: str, rng: np.random.Generator) -> EffectSetting | None:
     """Return a drawn setting of a cause that matters in a scene; None after `VALUES` draws that do not."""
-    rig, scene = drawn.rig, scene_of_rig(drawn.rig)
+    scene = scene_of_rig(drawn.rig)
     if not effect(name).possible(scene):
         return None
     for _ in range(VALUES):
         given = draw_setting(scene, name, rng)
-        some = drawn.outlines[:CHECKED]
-        world = planted(rig, given)
-        played = logs(world.world, rig, some)
-        if played is not None and not problem(rig, some, played) and matters(rig, world, some, played):
-            whole = logs(world.world, rig, drawn.outlines)
-            if whole is not None and not problem(rig, drawn.outlines, whole):
-                return given
+        if is_clear(drawn, given):
+            return given
     return None
+
+
+def is_clear(drawn: Drawn, given: EffectSetting) -> bool:
+    """Tell whether a cause matters in a scene, and leaves it sane."""
+    world = planted(drawn.rig, given)
+    few = drawn.outlines[:CHECKED]
+    played = logs(world.world, drawn.rig, few)
+    if played is None or problem(drawn.rig, few, played) or not matters(drawn.rig, world, few, played):
+        return False
+    played = logs(world.world, drawn.rig, drawn.outlines)
+    return played is not None and not problem(drawn.rig, drawn.outlines, played)
 
 
 def scene_of_rig(rig: Rig) -> Scene:
@@ -131,12 +137,11 @@ def _always(rig: Rig) -> bool:
 # where there are none of these, all driven slides.
 def chosen(target: Target, beside_jaws: bool = False) -> list[int]:
     """Return the indices into the rig's drives on which joint and drive effects act; with the jaws beside hinges."""
-    drives, model = target.rig.drives, target.model
+    drives = target.rig.drives
     hinges = [i for i, d in enumerate(drives) if not d.servo.slides]
     jaws = [i for i, d in enumerate(drives) if d.servo.slides and _is_jaw(target, d.servo.joint)]
     if hinges:
         return sorted({*hinges, *jaws}) if beside_jaws else hinges
-    assert model.nu == len(drives)
     return jaws or list(range(len(drives)))
 
 
@@ -290,15 +295,22 @@ def _lift(rig: Rig, name: str, v: Values) -> float:
 
 
 # Sensors.
+def _known(pose: Array | None) -> Array:
+    """Return a pose that a cause of an object's sensor is planted on."""
+    if pose is None:
+        raise ValueError("the scene has no object")
+    return pose
+
+
 def _late_pose(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
     """Return the reading whose pose is that of a while ago, between two physics steps where it falls there."""
-    assert log.fine is not None
+    fine = _known(log.fine)
     late = v["latency_s"][0] / target.model.opt.timestep
-    substeps = (len(log.fine) - 1) // len(log.joint)
+    substeps = (len(fine) - 1) // len(log.joint)
     at = np.clip(np.arange(len(log.joint)) * substeps - late, 0, None)
     whole = np.floor(at).astype(int)
     share = (at - whole)[:, None]
-    old, new = log.fine[whole], log.fine[np.minimum(whole + 1, len(log.fine) - 1)]
+    old, new = fine[whole], fine[np.minimum(whole + 1, len(fine) - 1)]
     new = np.where((old[:, 3:] * new[:, 3:]).sum(1, keepdims=True) < 0, np.c_[new[:, :3], -new[:, 3:]], new)
     pose = (1 - share) * old + share * new
     pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
@@ -306,8 +318,8 @@ def _late_pose(target: Target, v: Values, log: Log, reading: Reading) -> Reading
 
 
 def _shifted_pose(target: Target, v: Values, log: Log, reading: Reading) -> Reading:
-    assert reading.pose is not None
-    return reading._replace(pose=np.c_[reading.pose[:, :3] + v["bias_m"], reading.pose[:, 3:]])
+    pose = _known(reading.pose)
+    return reading._replace(pose=np.c_[pose[:, :3] + v["bias_m"], pose[:, 3:]])
 
 
 def _scaled_force(target: Target, v: Values, log: Log, reading: Reading) -> Reading:

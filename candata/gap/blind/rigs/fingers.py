@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Role, Servo, driven
+from candata.gap.blind.rigs.servos import GRAVITY_M_S2, Ends, Role, Servo, driven
 from candata.gap.blind.rigs.writing import chance, tag, uniform
 
 Chain = Literal["hinge", "two_hinges", "slide", "slide_hinge", "plunger", "sweeper"]
@@ -17,6 +17,10 @@ CHAINS: tuple[Chain, ...] = ("hinge", "two_hinges", "slide", "slide_hinge")
 
 #: Natural frequency [rad/s] and damping ratio of a compliant part. Chosen: visible sag and ringing, and stable.
 SPRING_RADPS, SPRING_RATIO = (22.0, 55.0), (0.08, 0.5)
+
+
+#: Axis of a hinge that swings a hanging link ahead.
+SWING = (0.0, -1.0, 0.0)
 
 
 class Place(NamedTuple):
@@ -145,6 +149,63 @@ def _body(name: str, place: Place, x: float, z: float, inner: str) -> str:
     )
 
 
+class _Shape(NamedTuple):
+    """Dimensions of a hanging chain: its links [m, kg], and the turns at rest and where the surface is met [rad]."""
+
+    lengths: tuple[float, ...]
+    masses: tuple[float, ...]
+    tip_mass: float
+    rest: float
+    touch: float
+    bend: float
+    ratio: float
+
+    @property
+    def far(self) -> float:
+        """Length of the second link."""
+        return sum(self.lengths[1:])
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole chain."""
+        return sum(self.masses) + self.tip_mass
+
+    @property
+    def inertia(self) -> float:
+        """Inertia about the first hinge, stretched."""
+        links = sum(m * L**2 / 3 for m, L in zip(self.masses, self.lengths, strict=True))
+        return links + self.tip_mass * sum(self.lengths) ** 2 + sum(self.masses[1:]) * self.lengths[0] ** 2
+
+    @property
+    def load(self) -> float:
+        """Torque of its weight about the first hinge [N m], a little less than stretched out."""
+        return self.mass * GRAVITY_M_S2 * sum(self.lengths) * 0.6
+
+    @property
+    def reached(self) -> tuple[float, float]:
+        """How far ahead of the first hinge, and how far below, the tip is where the surface is met."""
+        turned = self.touch + self.bend
+        ahead = self.lengths[0] * np.sin(self.touch) + self.far * np.sin(turned)
+        return float(ahead), float(self.lengths[0] * np.cos(self.touch) + self.far * np.cos(turned))
+
+
+def _shape(rng: np.random.Generator, two: bool, follows: bool, sweeps: bool) -> _Shape:
+    """Return drawn dimensions; a joint that follows stands at its ratio of the first."""
+    lengths = (uniform(rng, 0.05, 0.1), *((uniform(rng, 0.03, 0.06),) if two else ()))
+    touch = -uniform(rng, 0.3, 0.6) if sweeps else uniform(rng, -0.1, 0.35)
+    ratio = uniform(rng, 0.4, 1.2)
+    bend = ratio * touch if follows else uniform(rng, -0.2, 0.5)
+    return _Shape(
+        lengths,
+        tuple(uniform(rng, 0.01, 0.04) for _ in lengths),
+        uniform(rng, 0.004, 0.015),
+        touch - uniform(rng, 0.12, 0.4),
+        touch,
+        bend if two else 0.0,
+        ratio,
+    )
+
+
 def _hanging(
     rng: np.random.Generator,
     links: _Links,
@@ -157,72 +218,49 @@ def _hanging(
     sweeps: bool,
 ) -> Finger:
     """Return a chain of one or two hinges that hangs down; it swings toward +x of its frame."""
-    name, lengths = links.name, [uniform(rng, 0.05, 0.1)] + ([uniform(rng, 0.03, 0.06)] if two else [])
-    masses, tip_mass = [uniform(rng, 0.01, 0.04) for _ in lengths], uniform(rng, 0.004, 0.015)
-    bend = uniform(rng, -0.2, 0.5) if two else 0.0
-    touch = -uniform(rng, 0.3, 0.6) if sweeps else uniform(rng, -0.1, 0.35)
-    first = touch - uniform(rng, 0.12, 0.4)
-    ratio = uniform(rng, 0.4, 1.2)
-    if follows:  # the second joint stands at the ratio of the first: bent where the surface is met
-        bend = ratio * touch
-    far = lengths[1] if two else 0.0
-    x = lengths[0] * np.sin(touch) + far * np.sin(touch + bend)
-    down = lengths[0] * np.cos(touch) + far * np.cos(touch + bend)
-    reach, mass = sum(lengths), sum(masses) + tip_mass
-    inertia = sum(m * L**2 / 3 for m, L in zip(masses, lengths, strict=True)) + tip_mass * reach**2
-    inertia += masses[-1] * lengths[0] ** 2 if two else 0.0
-    load = mass * GRAVITY_M_S2 * reach * 0.6
+    name, shape = links.name, _shape(rng, two, follows, sweeps)
     wander = uniform(rng, 0.2, 0.5) if role == "free" else 0.0
-    base = driven(
-        rng,
-        f"{name}_a",
-        role,
-        (0.0, -1.0, 0.0),
-        inertia,
-        load,
-        first,
-        first - uniform(rng, 0.0, 0.3),
-        touch + wander,
-        force=force_N * reach,
-    )
-    servos, ties = [base.servo], []
+    ends = Ends(shape.rest, shape.rest - uniform(rng, 0.0, 0.3), shape.touch + wander)
+    base = driven(rng, f"{name}_a", role, SWING, shape.inertia, shape.load, ends, force=force_N * sum(shape.lengths))
+    servos: tuple[Servo, ...] = (base.servo,)
+    ties: tuple[tuple[str, str, float], ...] = ()
     rooted = links.spring and chance(rng, 0.5)
     flexes = links.spring and not rooted
-    inner = _bent(rng, links, lengths[-1], tip_mass) if flexes else links.pad(rng, lengths[-1], tip_mass)
+    end, tip_mass = shape.lengths[-1], shape.tip_mass
+    inner = _bent(rng, links, end, tip_mass) if flexes else links.pad(rng, end, tip_mass)
     if two:
-        own = inertia * 0.2
-        if follows:
-            sign = 1.0 if base.servo.toward >= base.servo.away else -1.0
-            second = tag(
-                "joint", name=f"{name}_b", axis=(0.0, -sign, 0.0), damping=uniform(rng, 1, 6) * own, armature=own
-            )
-            ties = [(f"{name}_b", f"{name}_a", ratio)]
-        else:
-            moves = uniform(rng, 0.05, 0.3)
-            middle = driven(
-                rng,
-                f"{name}_b",
-                role,
-                (0.0, -1.0, 0.0),
-                own,
-                load * 0.3,
-                bend,
-                bend - moves,
-                bend + moves,
-                force=force_N * far,
-            )
-            second, servos = middle.xml, [*servos, middle.servo]
-        inner = tag(
-            "body", second + links.link(far, masses[1]) + inner, name=f"{name}_end", pos=(0.0, 0.0, -lengths[0])
-        )
-    xml = base.xml + links.link(lengths[0], masses[0], 0.007) + inner
+        second, more, ties = _second(rng, name, shape, base.servo, role, force_N, follows)
+        inner = second + links.link(shape.far, shape.masses[1]) + inner
+        inner = tag("body", inner, name=f"{name}_end", pos=(0.0, 0.0, -shape.lengths[0]))
+        servos += more
+    xml = base.xml + links.link(shape.lengths[0], shape.masses[0], 0.007) + inner
+    ahead, down = shape.reached
     height = down + (links.radius if sweeps else place.z)
-    at = -place.surface - (0.0 if sweeps else links.radius) - x
+    at = -place.surface - (0.0 if sweeps else links.radius) - ahead
     tip_body = f"{name}_pad" if flexes else (f"{name}_end" if two else name)
     if rooted:
-        whole = _body(f"{name}_root", place, at, height, _root(rng, name, inertia, load) + tag("body", xml, name=name))
-        return Finger(whole, tuple(servos), f"{name}_tip", tip_body, tuple(ties), mass)
-    return Finger(_body(name, place, at, height, xml), tuple(servos), f"{name}_tip", tip_body, tuple(ties), mass)
+        stem = _root(rng, name, shape.inertia, shape.load) + tag("body", xml, name=name)
+        whole = _body(f"{name}_root", place, at, height, stem)
+    else:
+        whole = _body(name, place, at, height, xml)
+    return Finger(whole, servos, f"{name}_tip", tip_body, ties, shape.mass)
+
+
+def _second(
+    rng: np.random.Generator, name: str, shape: _Shape, first: Servo, role: Role, force_N: float, follows: bool
+) -> tuple[str, tuple[Servo, ...], tuple[tuple[str, str, float], ...]]:
+    """Return the second hinge, its servo, or what ties it to the first one."""
+    small = 0.2 * shape.inertia
+    if follows:
+        sign = 1.0 if first.toward >= first.away else -1.0
+        axis = (0.0, -sign, 0.0)
+        joint = tag("joint", name=f"{name}_b", axis=axis, damping=uniform(rng, 1, 6) * small, armature=small)
+        return joint, (), ((f"{name}_b", f"{name}_a", shape.ratio),)
+    moves = uniform(rng, 0.05, 0.3)
+    ends = Ends(shape.bend, shape.bend - moves, shape.bend + moves)
+    force = force_N * shape.far
+    middle = driven(rng, f"{name}_b", role, SWING, small, 0.3 * shape.load, ends, force=force)
+    return middle.xml, (middle.servo,), ()
 
 
 def _bent(rng: np.random.Generator, links: _Links, down: float, tip_mass: float) -> str:
@@ -273,9 +311,7 @@ def _jaw(rng: np.random.Generator, links: _Links, place: Place, role: Role, forc
         (1.0, 0.0, 0.0),
         mass,
         0.0,
-        0.0,
-        -uniform(rng, 0.0, 0.02),
-        gap + moves,
+        Ends(0.0, -uniform(rng, 0.0, 0.02), gap + moves),
         slides=True,
         force=force_N,
     )
@@ -298,9 +334,7 @@ def _plunger(rng: np.random.Generator, links: _Links, place: Place, role: Role, 
         (0.0, 0.0, -1.0),
         mass,
         0.0,
-        0.0,
-        -uniform(rng, 0.0, 0.02),
-        gap,
+        Ends(0.0, -uniform(rng, 0.0, 0.02), gap),
         slides=True,
         lifts=True,
         force=force_N,
@@ -332,8 +366,8 @@ def _railed(rng: np.random.Generator, links: _Links, place: Place, role: Role, f
     mass = uniform(rng, 0.1, 0.3)
     ahead = (float(np.cos(place.azimuth)), float(np.sin(place.azimuth)), 0.0)
     upright = chance(rng, 0.3)
-    axis, ends = ((0.0, 0.0, 1.0), (0.02, 0.0)) if upright else (ahead, (-0.015, gap))
-    slide = driven(rng, f"{name}_s", role, axis, mass + hanging.mass, 0.0, 0.0, *ends, slides=True, lifts=upright)
+    axis, ends = ((0.0, 0.0, 1.0), Ends(0.0, 0.02, 0.0)) if upright else (ahead, Ends(0.0, -0.015, gap))
+    slide = driven(rng, f"{name}_s", role, axis, mass + hanging.mass, 0.0, ends, slides=True, lifts=upright)
     carriage = tag(
         "geom", type="box", size=(0.02, 0.02, 0.01), pos=(place.x, place.y, 0.25), mass=mass, contype=0, conaffinity=0
     )

@@ -84,82 +84,100 @@ def _free(
     )
 
 
+class _Work(NamedTuple):
+    """What a finger that touches something is to be: its chain, where it works, what for, and how hard it presses."""
+
+    chain: Chain
+    place: Place
+    role: Role
+    force_N: float
+
+
+class _Pads(NamedTuple):
+    """What the fingertips of a hand share: friction, and solref where it is not MuJoCo's own."""
+
+    friction: float
+    solref: tuple[float, float] | None
+
+
 def _workers(rng: np.random.Generator, trait: str, situation: Situation, thing: Thing | None) -> list[Finger]:
     """Return the fingers that touch something."""
-    solref = (uniform(rng, 0.01, 0.03), 1.0) if chance(rng, 0.3) else None
-    slick = uniform(rng, 0.3, 1.2)
-
-    def make(chain: Chain, place: Place, role: Role, force: float, k: int) -> Finger:
-        marked = k == 0
-        if marked and trait == "mimic" and chain in ("hinge", "slide_hinge"):
-            chain = "two_hinges"
-        if marked and trait == "spring":
-            chain = {"slide_hinge": "hinge", "plunger": "sweeper"}.get(chain, chain)  # type: ignore[assignment]
-        return finger(
-            rng,
-            f"f{k}",
-            chain,
-            place,
-            role,
-            force,
-            follows=marked and trait == "mimic" and chain == "two_hinges",
-            spring=marked and trait == "spring",
-            collide_links=chance(rng, 0.1),
-            tip_friction=slick,
-            tip_solref=solref,
-        )
-
-    def pick(*chains: Chain) -> Chain:
-        if trait == "mimic" and "two_hinges" in chains:
-            return "two_hinges"
-        return chains[int(rng.choice(len(chains)))]
-
-    if situation == "meeting":
-        z, angle = uniform(rng, 0.1, 0.14), uniform(rng, 0, np.pi)
-        return [
-            make(pick(*CHAINS), Place(0.0, 0.0, z, angle + k * np.pi, 0.0), "push", uniform(rng, 0.3, 2.0), k)
-            for k in range(2)
-        ]
-    if situation == "pressing":
-        far = 0.1 if thing else 0.0
-        return [
-            make(
-                pick("plunger", "sweeper"),
-                Place(far, 0.08 * k, 0.0, uniform(rng, -0.5, 0.5), 0.0),
-                "press",
-                uniform(rng, 0.3, 2.5),
-                k,
-            )
-            for k in range(int(rng.integers(1, 3)))
-        ]
-    if thing is None or situation in ("rest", "none"):
-        return []
-    if situation == "carried":
+    pads = _Pads(uniform(rng, 0.3, 1.2), (uniform(rng, 0.01, 0.03), 1.0) if chance(rng, 0.3) else None)
+    if situation in ("meeting", "pressing"):
+        works = _apart(rng, trait, situation, thing)
+    elif thing is None or situation in ("rest", "none"):
+        works = []
+    elif situation == "carried":
         return [_tray(rng, thing)]
+    else:
+        works = _on_object(rng, trait, situation, thing, pads)
+    return [_worker(rng, trait, pads, work, k) for k, work in enumerate(works)]
+
+
+def _apart(rng: np.random.Generator, trait: str, situation: Situation, thing: Thing | None) -> list[_Work]:
+    """Return the work of fingers that press each other above the object, or the table beside it."""
+    if situation == "meeting":
+        height, angle = uniform(rng, 0.1, 0.14), uniform(rng, 0, np.pi)
+        places = [Place(0.0, 0.0, height, angle + k * np.pi, 0.0) for k in range(2)]
+        return [_Work(_pick(rng, trait, CHAINS), place, "push", uniform(rng, 0.3, 2.0)) for place in places]
+    far = 0.1 if thing else 0.0
+    count = int(rng.integers(1, 3))
+    places = [Place(far, 0.08 * k, 0.0, uniform(rng, -0.5, 0.5), 0.0) for k in range(count)]
+    down: tuple[Chain, ...] = ("plunger", "sweeper")
+    return [_Work(_pick(rng, trait, down), place, "press", uniform(rng, 0.3, 2.5)) for place in places]
+
+
+def _on_object(rng: np.random.Generator, trait: str, situation: Situation, thing: Thing, pads: _Pads) -> list[_Work]:
+    """Return the work of fingers that push the object, or hold it between two of them."""
     height = thing.middle * uniform(rng, 0.85, 1.15)
     angle = uniform(rng, 0, 2 * np.pi) if thing.kind in ("ball", "can") else float(rng.choice([0.0, np.pi / 2]))
     if thing.kind == "roller":
         angle = 0.0
+    places = [Place(0.0, 0.0, height, angle + k * np.pi, thing.reach(angle)) for k in range(2)]
+    weight = thing.mass * GRAVITY_M_S2
     if situation in ("pushed", "rolling"):
-        count = int(rng.integers(1, 3))
-        return [
-            make(
-                pick(*CHAINS),
-                Place(0.0, 0.0, height, angle + k * np.pi, thing.reach(angle)),
-                "push",
-                uniform(rng, 0.3, 1.5) * max(thing.mass * GRAVITY_M_S2, 0.5),
-                k,
-            )
-            for k in range(count)
-        ]
-    # Two fingers hold by friction: each presses with a few times what the object's weight asks of it.
-    grip = uniform(rng, 1.5, 3.5) * thing.mass * GRAVITY_M_S2 / (2 * max(thing.friction, slick))
-    chains: tuple[Chain, ...] = ("slide", "hinge") if situation in ("lifted", "held") else CHAINS
-    chain = pick(*chains)
-    return [
-        make(chain, Place(0.0, 0.0, height, angle + k * np.pi, thing.reach(angle)), "grip", max(grip, 0.3), k)
-        for k in range(2)
-    ]
+        some = places[: int(rng.integers(1, 3))]
+        force = max(weight, 0.5)
+        return [_Work(_pick(rng, trait, CHAINS), place, "push", uniform(rng, 0.3, 1.5) * force) for place in some]
+    # Two fingers hold by friction, of which MuJoCo takes the larger of a pair: each presses with a few times what the
+    # object's weight asks of it.
+    grip = max(uniform(rng, 1.5, 3.5) * weight / (2 * max(thing.friction, pads.friction)), 0.3)
+    strong: tuple[Chain, ...] = ("slide", "hinge") if situation in ("lifted", "held") else CHAINS
+    chain = _pick(rng, trait, strong)
+    return [_Work(chain, place, "grip", grip) for place in places]
+
+
+def _pick(rng: np.random.Generator, trait: str, chains: tuple[Chain, ...]) -> Chain:
+    """Return one of the chains; two hinges for a joint that follows another."""
+    if trait == "mimic" and "two_hinges" in chains:
+        return "two_hinges"
+    return chains[int(rng.choice(len(chains)))]
+
+
+#: What takes the place of chains that cannot bear a trait.
+_BEARS: dict[str, dict[Chain, Chain]] = {
+    "mimic": {"hinge": "two_hinges", "slide_hinge": "two_hinges"},
+    "spring": {"slide_hinge": "hinge", "plunger": "sweeper"},
+}
+
+
+def _worker(rng: np.random.Generator, trait: str, pads: _Pads, work: _Work, k: int) -> Finger:
+    """Return a finger that touches something; the first bears the hand's trait."""
+    marked = trait if k == 0 else ""
+    chain = _BEARS.get(marked, {}).get(work.chain, work.chain)
+    return finger(
+        rng,
+        f"f{k}",
+        chain,
+        work.place,
+        work.role,
+        work.force_N,
+        follows=marked == "mimic" and chain == "two_hinges",
+        spring=marked == "spring",
+        collide_links=chance(rng, 0.1),
+        tip_friction=pads.friction,
+        tip_solref=pads.solref,
+    )
 
 
 def _tray(rng: np.random.Generator, thing: Thing) -> Finger:

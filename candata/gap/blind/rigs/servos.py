@@ -19,6 +19,14 @@ GRAVITY_M_S2 = 9.81
 SERVO_RADPS, SERVO_RATIO, LIFT_RADPS = (12.0, 36.0), (0.35, 1.2), (28.0, 45.0)
 
 
+class Ends(NamedTuple):
+    """Where a joint is at rest, farthest away, and farthest toward what its finger works on [rad or m]."""
+
+    rest: float
+    away: float
+    toward: float
+
+
 class Servo(NamedTuple):
     """A driven joint: its commands at rest, farthest away, and farthest toward what the finger works on."""
 
@@ -55,9 +63,7 @@ def driven(
     axis: tuple[float, float, float],
     inertia: float,
     load: float,
-    rest: float,
-    away: float,
-    toward: float,
+    ends: Ends,
     *,
     slides: bool = False,
     lifts: bool = False,
@@ -75,8 +81,7 @@ def driven(
     press = min(force / kp, 0.03 if slides else 0.5)
     reach = 0.3 * kp * (0.05 if slides else 1.0)
     sign = 1.0 if lifts or chance(rng, 0.5) else -1.0
-    start, far, near = (sign * v for v in (rest, away, toward + press))
-    ends = (start, far, near)
+    start, far, near = (sign * v for v in (ends.rest, ends.away, ends.toward + press))
     wide = (uniform(rng, 0.01, 0.05) if slides else uniform(rng, 0.3, 0.8)) + abs(press)
     limited = chance(rng, 0.6)
     joint = tag(
@@ -86,7 +91,7 @@ def driven(
         axis=[sign * v for v in axis],
         damping=passive,
         armature=armature,
-        range=(min(ends) - wide, max(ends) + wide) if limited else None,
+        range=(min(start, far, near) - wide, max(start, far, near) + wide) if limited else None,
         frictionloss=uniform(rng, 0.02, 0.1) * reach if chance(rng, 0.2) else None,
     )
     limit = max(uniform(rng, 0.6, 2.0) * reach, 1.5 * load, 1.5 * force) if chance(rng, 0.25) else None
