@@ -13,7 +13,8 @@ import pytest
 import candata.gap.blind.rigs as rigs
 from candata.gap.blind.rigs.causes import scene_of_rig
 from candata.gap.blind.rigs.design import all_traits, split_trait
-from candata.gap.blind.rigs.player import STATE, World, parts, play
+from candata.gap.blind.rigs.motions import rest_command
+from candata.gap.blind.rigs.player import STATE, STILL, STILL_M_S, World, parts, play, settled
 from candata.gap.blind.rigs.recording import nominal, sane_rig, trimmed
 from candata.schema.scene import SceneFile
 
@@ -64,6 +65,18 @@ def test_episodes_begin_at_rest_and_those_that_are_cut_in_motion(trait):
             # 0.005 is what counts as at rest, 0.05 rad/s (5 mm/s of a slide) what counts as in motion.
             assert max(speeds) >= 0.005 if "cut" in name else max(speeds) < 0.05
             assert all(len(log.joint) == case.rig.rows for log in cut)
+
+
+@pytest.mark.parametrize("trait", ["plain", "mimic", "filtered", "integrating", "spring", "free_base"])
+def test_a_robot_that_begins_at_rest_stays_there_while_its_first_command_is_held(trait):
+    case = drawn(1, trait)
+    rig, world = case.rig, nominal(case.rig)
+    held = np.repeat(rest_command(rig)[None], rig.file.rate_hz, axis=0)
+    log = play(world, rig.file, settled(world, rig, case.outlines[0].placed), held)
+    # A second at the speed that counts as still.
+    assert np.ptp(log.joint, axis=0).max() < STILL
+    if log.pose is not None:
+        assert np.ptp(log.pose[:, :3], axis=0).max() < STILL_M_S
 
 
 def test_scenes_differ_in_what_goes_on_and_stay_cheap():

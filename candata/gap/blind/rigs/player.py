@@ -20,8 +20,12 @@ from candata.schema.scene import SceneFile
 
 Array = NDArray[np.float64]
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
-#: What counts as at rest: joints [rad/s or m/s], object [m/s], object [rad/s]; how long a rest is waited for [s].
-STILL, STILL_M_S, STILL_RADPS, SETTLE_S = 0.005, 0.003, 0.05, 6.0
+#: What counts as at rest: speeds of joints [rad/s or m/s] and of the object [m/s], [rad/s], all of a while [s].
+#: Chosen: what is left of a ringing spring is below the least noise that is drawn.
+STILL, STILL_M_S, STILL_RADPS, QUIET_S = 0.002, 0.003, 0.05, 0.3
+#: How long a rest is waited for, how long fingers take to close on what they hold [s], and how far above its place the
+#: object is put down [m]. Chosen.
+SETTLE_S, CLOSE_S, CLEARANCE_M = 8.0, 0.4, 0.0005
 #: Readings of the object between which a later reading is interpolated: one each physics step.
 Line = Callable[[Array], Array]
 
@@ -155,35 +159,38 @@ def settled(world: World, rig: Rig, placed: Array) -> Array | None:
     placed : (3,) float64
         Where the object is put down: x and y [m] and the turn about z [rad], from its place in the model.
     """
+    model, where = world.model, parts(world.model, rig.file)
+    data = _put_down(world, rig, where, placed)
+    rate, integrates = rig.file.rate_hz, np.array([d.integrates for d in rig.drives])
+    starts, rests = np.array([start_of(d, rig) for d in rig.drives]), np.array([d.servo.rest for d in rig.drives])
+    close, quiet = round(CLOSE_S * rate), 0
+    for k in range(round(SETTLE_S * rate)):
+        share = min(max(k - close, 0) / close, 1.0)  # first the object comes to rest, then fingers close on it
+        data.ctrl[where.motors] = np.where(integrates, rest_command(rig), rests + share * (starts - rests))
+        mujoco.mj_step(model, data, where.substeps)
+        quiet = quiet + 1 if _still(data, where) else 0
+        if k > 2 * close and quiet >= QUIET_S * rate:
+            state = np.zeros(mujoco.mj_stateSize(model, STATE))
+            mujoco.mj_getState(model, data, state, STATE)
+            return state if np.isfinite(state).all() and not _warned(data) else None
+    return None
+
+
+def _put_down(world: World, rig: Rig, where: Parts, placed: Array) -> mujoco.MjData:
+    """Return the data of a world whose joints are at rest and whose object is about to be put down."""
     model, data = world.model, mujoco.MjData(world.model)
-    where, starts = parts(model, rig.file), [start_of(d, rig) for d in rig.drives]
-    for drive in rig.drives:
+    for drive, motor in zip(rig.drives, where.motors, strict=True):
         data.qpos[model.joint(drive.servo.joint).qposadr[0]] = drive.servo.rest
+        if model.actuator_actnum[motor]:
+            data.act[model.actuator_actadr[motor]] = start_of(drive, rig)
     for follower, leader, ratio in rig.follows:
         data.qpos[model.joint(follower).qposadr[0]] = ratio * data.qpos[model.joint(leader).qposadr[0]]
     if where.object_body >= 0:
         at = where.object_qpos
         data.qpos[at : at + 2] += placed[:2]
-        data.qpos[at + 2] += world.lift_m + 0.0005
+        data.qpos[at + 2] += world.lift_m + CLEARANCE_M
         data.qpos[at + 3 : at + 7] = [np.cos(placed[2] / 2), 0, 0, np.sin(placed[2] / 2)]
-    control, rests = rest_command(rig), np.array([d.servo.rest for d in rig.drives])
-    last = np.array(starts)
-    ramp = round(0.4 * rig.file.rate_hz)
-    waits = np.ones((1, where.substeps, len(control)))
-    for k in range(round(SETTLE_S * rig.file.rate_hz)):
-        share = min(max(k - ramp, 0) / ramp, 1.0)  # first the object comes to rest, then fingers close on it
-        now = np.where([d.integrates for d in rig.drives], control, rests + share * (last - rests))
-        if k == 0:
-            for i, motor in enumerate(where.motors):
-                if model.actuator_actnum[motor]:
-                    data.act[model.actuator_actadr[motor]] = starts[i]
-        data.ctrl[where.motors] = (waits * now)[0, -1]
-        mujoco.mj_step(model, data, where.substeps)
-        if k > 2 * ramp + round(0.3 * rig.file.rate_hz) and _still(data, where):
-            state = np.zeros(mujoco.mj_stateSize(model, STATE))
-            mujoco.mj_getState(model, data, state, STATE)
-            return state if np.isfinite(state).all() and not _warned(data) else None
-    return None
+    return data
 
 
 def _still(data: mujoco.MjData, where: Parts) -> bool:
