@@ -31,6 +31,20 @@ CLOCKS = {
 }
 
 
+#: Noise, 1 sd: of hinges [rad], of slides [m], of both where one number declares it, of forces [N], of an object's place
+#: [m] and turn [rad]. Chosen: encoders of 12 bits to potentiometers, trackers by markers to trackers by a camera.
+NOISE = {
+    "hinge": (0.0003, 0.003),
+    "slide": (0.00005, 0.0005),
+    "both": (0.00015, 0.0008),
+    "force": (0.008, 0.05),
+    "place": (0.0002, 0.001),
+    "turn": (0.002, 0.009),
+}
+#: Step in which some sensors report forces [N].
+FORCE_STEP_N = 0.05
+
+
 @dataclass(frozen=True)
 class Rig:
     """A drawn scene and the outline of its episodes.
@@ -161,17 +175,21 @@ def drives_of(rng: np.random.Generator, trait: str, hand: Hand) -> tuple[Drive, 
 
 
 def _noise(rng: np.random.Generator, has_object: bool, drives: tuple[Drive, ...]) -> tuple[Noise, float, bool]:
-    """Return the true noise, that of slides [m], and whether it is declared; then slides have what hinges have."""
+    """Return the true noise, that of slides [m], and whether it is declared: slides and hinges have the same then."""
     declared = chance(rng, 0.55)
-    only_slides = all(d.servo.slides for d in drives)
-    joint = float(np.exp(rng.uniform(np.log(0.0003), np.log(0.003))))
-    slide = float(np.exp(rng.uniform(np.log(0.00005), np.log(0.0005))))
-    if declared:
-        joint = slide = slide if only_slides or any(d.servo.slides for d in drives) else joint
+    hinge, slide, both, force = (_spread(rng, *NOISE[name]) for name in ("hinge", "slide", "both", "force"))
+    kinds = {d.servo.slides for d in drives}
+    if declared and len(kinds) == 2:
+        hinge = slide = both
     noise = Noise(
-        object_pose=(uniform(rng, 0.0002, 0.001), uniform(rng, 0.002, 0.009)) if has_object else (0.0, 0.0),
-        joint_position=joint,
-        fingertip_force=float(np.exp(rng.uniform(np.log(0.008), np.log(0.05)))),
-        force_step=0.05 if declared and chance(rng, 0.1) else 0.0,
+        object_pose=(_spread(rng, *NOISE["place"]), _spread(rng, *NOISE["turn"])) if has_object else (0.0, 0.0),
+        joint_position=slide if kinds == {True} else hinge,
+        fingertip_force=force,
+        force_step=FORCE_STEP_N if declared and chance(rng, 0.1) else 0.0,
     )
-    return Noise(**{**noise.model_dump(), **({"joint_position": slide} if only_slides else {})}), slide, declared
+    return noise, slide, declared
+
+
+def _spread(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a number of three digits, drawn evenly in its logarithm."""
+    return float(f"{np.exp(rng.uniform(np.log(low), np.log(high))):.3g}")
