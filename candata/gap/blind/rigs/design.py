@@ -31,8 +31,8 @@ CLOCKS = {
 }
 
 
-#: Noise, 1 sd: of hinges [rad], of slides [m], of both where one number declares it, of forces [N], of an object's place
-#: [m] and turn [rad]. Chosen: encoders of 12 bits to potentiometers, trackers by markers to trackers by a camera.
+#: Noise, 1 sd: of hinges [rad], of slides [m], of both where one number declares it, of forces [N], of an object's
+#: place [m] and turn [rad]. Chosen: encoders of 12 bits to potentiometers, trackers by markers to trackers by a camera.
 NOISE = {
     "hinge": (0.0003, 0.003),
     "slide": (0.00005, 0.0005),
