@@ -141,6 +141,8 @@ def test_a_single_cause_is_right_alone_ambiguous_with_it_in_the_class_or_wrong()
     assert rows["one effect: first, nothing wrong beside"].value == 25
     assert rows["one effect: ambiguous, the effect in the class"].value == 25
     assert rows["one effect: a wrong name"].value == 25
+    missed = [miss(o) for o in some]
+    assert [m.why if m else None for m in missed] == [None, "a wrong name beside", "not first", "not first"]
 
 
 def scored(folder, said):

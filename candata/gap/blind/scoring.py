@@ -257,6 +257,8 @@ def _why(o: Outcome) -> str | None:
     if o.kind == "solver":
         heavy = "object_mass" in o.truth and "object_mass" not in o.named[:2]
         return "the mass is not first or second" if heavy else (None if o.flagged else "not found, not flagged")
+    if o.first and o.label.trait is not None and o.wrong_names:
+        return "a wrong name beside"
     return None if o.first else "not first"
 
 
