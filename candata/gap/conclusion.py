@@ -26,7 +26,8 @@ from candata.gap.regime import with_regimes
 from candata.gap.replay import EffectSet
 from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
-from candata.gap.shrink import HeldOut, gap, intervals, measures, shares, support, trust
+from candata.gap.profile import Known, known
+from candata.gap.shrink import HeldOut, gap, measures, shares, support, trust
 from candata.gap.starts import is_toss
 from candata.gap.unknown import Described, describe, described, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
@@ -94,8 +95,12 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
     typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
     proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
-    named = _named(f, trust(size), rng) if word in ("explained", "partly_explained") else ()
-    repaired = f.problem.setting(chosen.members) if chosen and named else ()
+    named: tuple[NamedEffect, ...] = ()
+    repaired: EffectSet = ()
+    if chosen and word in ("explained", "partly_explained"):
+        ends = known(_judged(f), chosen)
+        named = _named(f, chosen, ends, trust(size), rng)
+        repaired = f.problem.setting(chosen.split(ends.value))
     rest = better or _rest(f, word, repaired, left, rng)
     report = Report(
         verdict=word,
@@ -179,20 +184,14 @@ def _typical(f: Findings, channel: str, element: str | None) -> tuple[float, str
     return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
 
 
-def _named(f: Findings, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
+def _named(
+    f: Findings, fit: Fit, ends: Known, trusted: float, rng: np.random.Generator
+) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
-    fit = f.found.chosen
-    if fit is None:
-        return ()
-    world = _judged(f)
-    low, high = intervals(world, fit)
     alone = support(f.found.first.fits, f.found.first.base, rng)[0]
+    pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, rng, f.found.rivals), strict=True)
     out = []
-    pieces = zip(fit.members, fit.split(low), fit.split(high), shares(world, fit, rng, f.found.rivals), strict=True)
-    for (c, u), (_, lower), (_, upper), (share, backing) in pieces:
-        at, least, most = (c.setting(point, f.scene).parameters for point in (u, lower, upper))
-        units = rail_units(c.name, f.scene, c.element)
-        estimates = {name: _estimate(at[name], least[name], most[name], units.get(name)) for name in at}
+    for (c, u), estimates, (share, backing) in pieces:
         out.append(
             NamedEffect(
                 name=c.name,
@@ -212,7 +211,19 @@ def _instead(fit: Fit, other: Fit) -> str:
     return next(name for name in other.labels if name not in fit.labels)
 
 
-def _estimate(value: Value, low: Value, high: Value, unit: str | None) -> Estimate:
+def _estimates(f: Findings, fit: Fit, ends: Known) -> list[dict[str, Estimate]]:
+    """Return the parameters of each member with their intervals; an end that is not known is null."""
+    out = []
+    parts = [fit.split(values) for values in (ends.value, ends.low, ends.high, ends.no_low, ends.no_high)]
+    for (c, u), (_, lower), (_, upper), (_, no_low), (_, no_high) in zip(*parts, strict=True):
+        at, least, most = (c.setting(point, f.scene).parameters for point in (u, lower, upper))
+        units = rail_units(c.name, f.scene, c.element)
+        low, high = ({} if unknown.any() else values for values, unknown in ((least, no_low), (most, no_high)))
+        out.append({n: _estimate(at[n], low.get(n), high.get(n), units.get(n)) for n in at})
+    return out
+
+
+def _estimate(value: Value, low: Value | None, high: Value | None, unit: str | None) -> Estimate:
     """Return a parameter with its interval; a choice has none."""
     if isinstance(low, str) or isinstance(high, str):
         return Estimate(value=value)

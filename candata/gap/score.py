@@ -56,6 +56,10 @@ class Score:
         count = np.maximum(self.mask.sum(1), 1)
         return rho(z).sum(-1, dtype=np.float64) / count / self.floor
 
+    def nats(self) -> Array:
+        """Return `(E,)` the log likelihood that a loss of one costs each episode, were its block means independent."""
+        return np.maximum(self.mask.sum(1), 1) * self.floor
+
     def density(self, z: Compact) -> Array:
         """Return `(E,)` the mean log density of each episode's residuals, up to a constant; z is `(E, K)`.
 

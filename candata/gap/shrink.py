@@ -160,8 +160,6 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     high = own + wider * np.maximum(high - own, 0) + slack
     if not isinstance(fit.response, Curve) or fit.response.who.choices:
         return low, high
-    least, most = _alike(problem, fit.response, own)
-    low, high = np.minimum(low, least), np.maximum(high, most)
     if not _is_flattered(problem, fit):
         return low, high
     left, right = _curved(problem, fit, own)
@@ -178,26 +176,6 @@ def _is_flattered(problem: Problem, fit: Fit) -> bool:
     ((_, own),), (z,) = fit.members, problem.residuals([problem.setting(fit.members)])
     more = problem.score.loss(z) - problem.score.loss(fit.curve.read(own))
     return bool(more.mean() > RISEN * standard_error(more))
-
-
-def _alike(problem: Problem, curve: Curve, own: Array) -> tuple[float, float]:
-    """Return how far to both sides of the fit `own (1,)` the loss rises by no more than its standard error.
-
-    Around a parabola's least that is two standard errors of the coordinate, less than refits say. But some effects
-    have an end: play of which a joint never crosses the half acts as any larger play does, and refits all lie where the
-    plain begins.
-    """
-    grid, rise = curve.grid(), curve.table(problem.score) - problem.score.loss(curve.read(own))
-    ends = []
-    for side, bound in ((-1, curve.who.low), (1, curve.who.high)):
-        end = float(own[0])
-        beyond = [i for i in np.argsort(side * grid) if side * (grid[i] - own[0]) > 0]
-        for i in beyond:
-            if rise[i].mean() > standard_error(rise[i]):
-                break
-            end = float(bound[0]) if i == beyond[-1] else float(grid[i])
-        ends.append(end)
-    return ends[0], ends[1]
 
 
 def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
@@ -217,7 +195,7 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     )
     read = np.concatenate([np.full(c.size, not needs_simulation((c.setting(u, scene),))) for c, u in fit.members])
     sizes = np.where(np.concatenate([np.full(c.size, c.choices) for c, _ in fit.members]), 0, typical)
-    some = _every_other(problem.recs.tasks)
+    some = every_other(problem.recs.tasks)
     part, fewer = taken(problem, some), np.sqrt(len(some) / len(problem.recs))
     if isinstance(fit.response, Plane):
         axes, z, wider, unknown = _axes(fit.response, sizes, read), fit.response.z[some], WIDER_MANY, 1.0
@@ -248,7 +226,7 @@ def _curved(problem: Problem, fit: Fit, own: Array) -> tuple[Array, Array]:
     return np.minimum(own, least) - width, np.maximum(own, least) + width
 
 
-def _every_other(tasks: Sequence[str]) -> Index:
+def every_other(tasks: Sequence[str]) -> Index:
     """Return every other episode of each task; all, where that would leave fewer than `CURVED`."""
     order = sorted(range(len(tasks)), key=lambda i: tasks[i])
     return np.sort(order[:: 2 if len(order) >= 2 * CURVED else 1]).astype(int)

@@ -2,27 +2,51 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal, Self
 
-from pydantic import AliasChoices, ConfigDict, Field
+from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from candata.schema.effect import Value
 from candata.schema.record import Record
 
 Verdict = Literal["no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data"]
 Bound = float | tuple[float, ...] | None
+Bounded = Literal["low", "high", "both"]
+#: Which ends are known, by whether the lower and the higher one are given.
+_ENDS_KNOWN: dict[tuple[bool, bool], Bounded | None] = {
+    (True, True): "both", (True, False): "low", (False, True): "high", (False, False): None,
+}  # fmt: skip
 
 
 class Estimate(Record):
     """A parameter with its 90 % interval; lists for vectors, a word for a discrete choice.
 
-    `unit` is that of joints that slide (m, N), where its name says that of joints that turn.
+    `bounded` says which ends of the interval are known: where only the low one is, the parameter is at least that, and
+    `high` is null. It is null without an interval, and follows from the ends where it is left out. `unit` is that of
+    joints that slide (m, N), where its name says that of joints that turn.
     """
 
     value: Value
     low: Bound = None
     high: Bound = None
+    bounded: Bounded | None = None
     unit: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _with_bounded(cls, data: Any) -> Any:
+        """Fill in which ends are known."""
+        if not isinstance(data, dict) or data.get("bounded") is not None:
+            return data
+        return {**data, "bounded": _ENDS_KNOWN[data.get("low") is not None, data.get("high") is not None]}
+
+    @model_validator(mode="after")
+    def _ends_agree(self) -> Self:
+        """Refuse a word that contradicts the ends."""
+        expected = _ENDS_KNOWN[self.low is not None, self.high is not None]
+        if self.bounded != expected:
+            raise ValueError(f"bounded is {self.bounded!r}, but low and high say {expected!r}")
+        return self
 
 
 class NamedEffect(Record):
