@@ -28,10 +28,21 @@ from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 
 TARGET, RATE_HZ, EPISODES, ROWS = 28 / 30, 100.0, 8, 120
-JOINT_NOISE_RAD, FORCE_NOISE_N, POSE_NOISE = 0.001, 0.02, (0.0005, 0.004)
+JOINT_NOISE_RAD, FORCE_NOISE_N, POSE_NOISE = 0.001, 0.02, (0.0001, 0.001)
 ARM = """<mujoco><option timestep="{step}" integrator="implicitfast"/><worldbody>{bodies}</worldbody>
   <actuator>{motors}</actuator></mujoco>"""
-FINGER = """<mujoco><option timestep="0.0025" integrator="implicitfast"/>
+LINK = """<mujoco><compiler angle="radian"/><option timestep="0.0025" integrator="implicitfast"/><worldbody>
+  <body pos="0 0 .5"><joint name="j0" axis="0 -1 0" range="0 1.5" damping=".001" armature=".0005"
+    solreflimit=".005 1" solimplimit=".99 .999 .001"/>
+    <geom type="sphere" pos=".1 0 0" size=".02" mass="{mass}" contype="0" conaffinity="0"/></body></worldbody>
+  <actuator><position name="j0" joint="j0" kp="{kp}" kv="{kv}" forcerange="-{limit} {limit}"/></actuator></mujoco>"""
+ROLES = f"""model: scene.xml
+rate_hz: {RATE_HZ}
+joints: [{{names}}]
+actuators: [{{names}}]
+noise: {{{{joint_position: {JOINT_NOISE_RAD}}}}}
+"""
+FINGER = """<mujoco><compiler angle="radian"/><option timestep="0.0025" integrator="implicitfast"/>
   <default><geom condim="4" friction="{mu} .005 .0001" solref="{soft} 1"/></default>
   <worldbody><geom name="table" type="plane" size="1 1 .1"/>
     <body pos="{reach} 0 {height}"><joint name="j0" axis="0 -1 0" range="-1 1" damping="{damping}" armature=".0005"/>
@@ -90,11 +101,7 @@ def arm(rng: np.random.Generator) -> tuple[str, str, dict]:
         for i in range(count)
     )
     names = ", ".join(f"j{i}" for i in range(count))
-    roles = (
-        f"model: scene.xml\nrate_hz: {RATE_HZ}\njoints: [{names}]\nactuators: [{names}]\n"
-        f"noise: {{joint_position: {JOINT_NOISE_RAD}}}\n"
-    )
-    return ARM.format(step=step, bodies=bodies, motors=motors), roles, {"limit": limit, "kp": kp, "kv": kv}
+    return ARM.format(step=step, bodies=bodies, motors=motors), ROLES.format(names=names), {"limit": limit, "kp": kp, "kv": kv}
 
 
 def finger(rng: np.random.Generator) -> tuple[str, str, dict]:
@@ -138,15 +145,21 @@ def small_motions(rng: np.random.Generator, moderate: bool) -> World:
     return World("small motions", "joint_dry_friction", truth, known, xml, roles, 0.0, swing, change)
 
 
-def free_motor(rng: np.random.Generator, moderate: bool) -> World:
-    """A torque limit that never binds in the real world, and does in the model; a moderate one binds at times."""
-    xml, roles, own = arm(rng)
-    swing = rng.uniform(0.5, 0.8)
-    world = World("free motor", "torque_limit", 0.0, "both" if moderate else "low", xml, roles, 0.0, swing)
-    need = rng.uniform(1.5, 1.7)
-    limit = most_torque(world, rng) / need
-    truth = limit * (rng.uniform(0.5, 0.8) if moderate else rng.uniform(1.05 * need, 1.95))
-    xml = xml.replace(f'forcerange="-{own["limit"]:.4f} {own["limit"]:.4f}"', f'forcerange="-{limit:.5f} {limit:.5f}"')
+def weak_motor(rng: np.random.Generator, moderate: bool) -> World:
+    """A torque limit below what lifts a link off its stop; a moderate one slows an arm now and then."""
+    if moderate:
+        xml, roles, own = arm(rng)
+        world = World("weak motor", "torque_limit", 0.0, "both", xml, roles, 0.0, rng.uniform(0.5, 0.8))
+        limit = most_torque(world, rng)
+        xml = xml.replace(f'"-{own["limit"]:.4f} {own["limit"]:.4f}"', f'"-{limit:.5f} {limit:.5f}"')
+        truth = rng.uniform(0.3, 0.6) * limit
+    else:
+        swing, weight = rng.uniform(0.01, 0.012), rng.uniform(0.02, 0.2)
+        kp = 2 * weight / swing
+        limit, truth = weight * rng.uniform(4, 10), weight * rng.uniform(0.25, 0.85)
+        xml = LINK.format(mass=weight / 9.81 / 0.1, kp=kp, kv=1.4 * np.sqrt(kp * weight / 98), limit=limit)
+        roles = ROLES.format(names="j0")
+        world = World("weak motor", "torque_limit", 0.0, "high", xml, roles, swing, swing)
 
     def change(model):
         model.actuator_forcerange[:] = (-truth, truth)
@@ -208,7 +221,7 @@ def weak_servo(rng: np.random.Generator, moderate: bool) -> World:
     return World("weak servo", "servo_gain", truth, known, xml, roles, 0.0, swing, change)
 
 
-KINDS = (stuck, small_motions, free_motor, loose_gears, numb_tip, hard_contact, heavy_damping, weak_servo)
+KINDS = (stuck, small_motions, weak_motor, loose_gears, numb_tip, hard_contact, heavy_damping, weak_servo)
 
 
 def most_torque(world: World, rng: np.random.Generator) -> float:
