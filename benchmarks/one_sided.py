@@ -101,7 +101,11 @@ def arm(rng: np.random.Generator) -> tuple[str, str, dict]:
         for i in range(count)
     )
     names = ", ".join(f"j{i}" for i in range(count))
-    return ARM.format(step=step, bodies=bodies, motors=motors), ROLES.format(names=names), {"limit": limit, "kp": kp, "kv": kv}
+    return (
+        ARM.format(step=step, bodies=bodies, motors=motors),
+        ROLES.format(names=names),
+        {"limit": limit, "kp": kp, "kv": kv},
+    )
 
 
 def finger(rng: np.random.Generator) -> tuple[str, str, dict]:
@@ -136,7 +140,9 @@ def small_motions(rng: np.random.Generator, moderate: bool) -> World:
     xml, roles, own = arm(rng)
     swing = rng.uniform(0.008, 0.013)
     most = own["kp"] * swing
-    truth = most * rng.uniform(0.1, 0.4) if moderate else np.exp(rng.uniform(*np.log([1.2 * most, 0.57 * own["limit"]])))
+    truth = (
+        most * rng.uniform(0.1, 0.4) if moderate else np.exp(rng.uniform(*np.log([1.2 * most, 0.57 * own["limit"]])))
+    )
 
     def change(model):
         model.dof_frictionloss[:] += truth
@@ -330,8 +336,9 @@ def judged(world: World, jobs: int, rng: np.random.Generator) -> tuple[bool, boo
         return False, False, report.verdict
     ((_, estimate),) = report.effects[0].parameters.items()
     said = estimate.bounded
-    low, high = (float("-inf") if estimate.low is None else estimate.low), (
-        float("inf") if estimate.high is None else estimate.high
+    low, high = (
+        (float("-inf") if estimate.low is None else estimate.low),
+        (float("inf") if estimate.high is None else estimate.high),
     )
     text = f"{estimate.value:.4g} [{low:.4g}, {high:.4g}] {report.effects[0].element or ''}"
     return said == world.known, low <= world.truth <= high, text

@@ -10,7 +10,7 @@ import typer
 
 if TYPE_CHECKING:
     from candata.schema.effect import EffectSetting
-    from candata.schema.report import Report
+    from candata.schema.report import Estimate, Report
 
 SCENE = "xhand_tabletop"
 
@@ -118,9 +118,18 @@ def _rows(found: Report, truth: EffectSetting) -> list[tuple[str, str, str, str]
         if estimate is None:
             lines.append((name, _text(value), "-", "-"))
         else:
-            span = "-" if estimate.low is None else f"{_text(estimate.low)} .. {_text(estimate.high)}"
-            lines.append((name, _text(value), _text(estimate.value), span))
+            lines.append((name, _text(value), _text(estimate.value), _span(estimate)))
     return lines
+
+
+def _span(estimate: Estimate) -> str:
+    """Return the interval of a parameter, or the one end that is known; a dash for none."""
+    return {
+        None: "-",
+        "both": f"{_text(estimate.low)} .. {_text(estimate.high)}",
+        "low": f"at least {_text(estimate.low)}",
+        "high": f"at most {_text(estimate.high)}",
+    }[estimate.bounded]
 
 
 def _text(value: Any) -> str:

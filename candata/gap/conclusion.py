@@ -20,13 +20,13 @@ from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.locate import acts_on, locate, slides, symptoms
 from candata.gap.mending import mended
 from candata.gap.origin import data_used, provenance, title
+from candata.gap.profile import Known, known
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings
 from candata.gap.regime import with_regimes
 from candata.gap.replay import EffectSet
 from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
-from candata.gap.profile import Known, known
 from candata.gap.shrink import HeldOut, gap, measures, shares, support, trust
 from candata.gap.starts import is_toss
 from candata.gap.unknown import Described, describe, described, outdoing, unseating
@@ -184,9 +184,7 @@ def _typical(f: Findings, channel: str, element: str | None) -> tuple[float, str
     return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
 
 
-def _named(
-    f: Findings, fit: Fit, ends: Known, trusted: float, rng: np.random.Generator
-) -> tuple[NamedEffect, ...]:
+def _named(f: Findings, fit: Fit, ends: Known, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
     """Return the chosen effects, the largest share first; their support counts as far as the set is `trusted`."""
     alone = support(f.found.first.fits, f.found.first.base, rng)[0]
     pieces = zip(fit.members, _estimates(f, fit, ends), shares(_judged(f), fit, rng, f.found.rivals), strict=True)
@@ -214,11 +212,13 @@ def _instead(fit: Fit, other: Fit) -> str:
 def _estimates(f: Findings, fit: Fit, ends: Known) -> list[dict[str, Estimate]]:
     """Return the parameters of each member with their intervals; an end that is not known is null."""
     out = []
-    parts = [fit.split(values) for values in (ends.value, ends.low, ends.high, ends.no_low, ends.no_high)]
-    for (c, u), (_, lower), (_, upper), (_, no_low), (_, no_high) in zip(*parts, strict=True):
-        at, least, most = (c.setting(point, f.scene).parameters for point in (u, lower, upper))
+    start = 0
+    for c, _ in fit.members:
+        own = slice(start, start + c.size)
+        start += c.size
+        at, low, high = (c.setting(u[own], f.scene).parameters for u in (ends.value, ends.low, ends.high))
         units = rail_units(c.name, f.scene, c.element)
-        low, high = ({} if unknown.any() else values for values, unknown in ((least, no_low), (most, no_high)))
+        low, high = {} if ends.no_low[own].any() else low, {} if ends.no_high[own].any() else high
         out.append({n: _estimate(at[n], low.get(n), high.get(n), units.get(n)) for n in at})
     return out
 

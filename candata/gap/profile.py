@@ -1,4 +1,4 @@
-"""What is known of each number: its interval, and which ends of it the recordings tell, by losses simulated outwards."""
+"""What is known of each number: its interval, and which of its ends the recordings tell."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from candata.gap.shortlist import taken
 from candata.gap.shrink import NORMAL, every_other, intervals
 
 Array = NDArray[np.float64]
-#: Log likelihood [nats] that a rise must cost to count, beside its standard error: half the 90 % quantile of chi squared
-#: of one degree of freedom (Wilks 1938). Where joints stick, what they do differs by less than any sensor tells, in
-#: every episode alike: such a rise has no standard error to speak of, and costs nothing.
+#: Log likelihood [nats] that a rise must cost to count, beside its standard error: half the 90 % quantile of chi
+#: squared of one degree of freedom (Wilks 1938). What stuck joints do differs by less than any sensor tells, alike in
+#: every episode: such a rise has next to no standard error, and costs nothing.
 COSTS = NORMAL**2 / 2
 #: How many times as far as an interval reaches the loss must have risen for that interval to stand. Chosen.
 TWICE = 2.0
-#: Points between there and the bound, and points by which the end of a flat stretch is narrowed. Chosen: four steps of
-#: equal ratio lead from 1 % of what is possible to all of it by a factor of three each.
-STEPS = 3
+#: Distances tried at once between two, and how often between the last without a rise and the first with one: an edge is
+#: known to a 27th of where it may be. Chosen: a number of two ends costs four worlds, one known from one side twelve.
+STEPS, ROUNDS = 2, 3
 #: Share of what counts as a rise up to which a value explains as well as the fit. Chosen.
-AS_WELL = 0.25
+AS_WELL = 0.5
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Known:
     low, high : (d,) float64
         Ends of the 90 % intervals; where an end is not known, how far was tried.
     no_low, no_high : (d,) bool
-        Ends that the recordings do not tell: up to the bound the loss is no higher than at the fit.
+        Ends that the recordings do not tell: up to the bound the loss is nowhere higher than at the fit.
     """
 
     value: Array
@@ -50,15 +50,24 @@ class Known:
 
 @dataclass(eq=False)
 class _Side:
-    """One way from the fit of one number: `reach` is how far its interval goes, `room` how far its bound lies.
+    """One way from the fit of one number.
 
-    `tried` holds, for each distance, the rise of the loss in units of what counts as one.
+    Attributes
+    ----------
+    number : int
+        Which number of the fit.
+    reach, room : float
+        How far its interval goes, and how far from the fit the loss is simulated.
+    sign : int
+        1 upwards, -1 downwards.
+    tried : dict of float to float
+        Rise of the loss at each distance, in units of what counts as one.
     """
 
     number: int
-    sign: int
     reach: float
     room: float
+    sign: int
     tried: dict[float, float] = field(default_factory=lambda: {0.0: 0.0})
 
     @property
@@ -78,15 +87,15 @@ class _Side:
 
     @property
     def end(self) -> float:
-        """Distance of the interval's end: where the rise counts, never nearer than resampling says.
+        """Distance of the interval's end: where the rise counts, never nearer than the interval says.
 
         Across a stretch that was flat it is the first place where the loss has risen; else the rise in units of its
         error grows evenly, as that of a parabola does.
         """
         if self.risen is None:
             return max(self.reach, self.room)
-        even = self.flat == 0.0
-        return max(self.reach, self.risen / self.tried[self.risen] if even else self.risen)
+        is_even = self.flat == 0.0
+        return max(self.reach, self.risen / self.tried[self.risen] if is_even else self.risen)
 
     @property
     def least(self) -> float:
@@ -98,40 +107,59 @@ def known(problem: Problem, fit: Fit) -> Known:
     """Return what is known of each number of a fit.
 
     Intervals come from resampling and curvature (`shrink.intervals`). Of each number that is a member's only one, the
-    others held where they are, the loss is simulated twice as far out to both sides, and at the bounds. Where it has
-    not risen so near, it is simulated on the way to the bound: the end is where it first has, or is not known where it
-    never does. Choices and vectors keep their intervals.
+    others held where they are, the loss is simulated twice as far out to both sides, at the effect's absence on one
+    side and at the bound on the other. Where it has not risen so near, the end is where it first has; up to the bound
+    that may be nowhere, and then that end is not known. Where it has not risen at the effect's absence either, replays
+    of single episodes do not tell the number. Its interval stays as it is, and so do those of choices and vectors.
     """
     low, high = intervals(problem, fit)
     own = np.concatenate([u for _, u in fit.members])
-    least, most = (np.concatenate([getattr(c, end) for c, _ in fit.members]) for end in ("low", "high"))
-    lone = np.concatenate([np.full(c.size, c.size == 1 and not c.choices) for c, _ in fit.members])
-    pairs = [
-        (_Side(i, -1, float(own[i] - low[i]), float(own[i] - least[i])),
-         _Side(i, 1, float(high[i] - own[i]), float(most[i] - own[i])))
-        for i in np.flatnonzero(lone).tolist()
-    ]  # fmt: skip
+    pairs = _pairs(fit, own, low, high)
     sides = [side for pair in pairs for side in pair]
     _look(problem, fit, [(s, (s.near, s.room)) for s in sides])
+    pairs = [pair for pair in pairs if pair[0].risen is not None]
+    sides = [side for pair in pairs for side in pair]
     unclear = [s for s in sides if s.risen != s.near]
     _look(problem, fit, [(s, _between(s.near, s.room if s.risen is None else s.risen)) for s in unclear])
-    one_sided = [(a, b) for a, b in pairs if (a.risen is None) != (b.risen is None)]
-    edges = [s for s in sides if s.risen is not None and (s in unclear or any(s in pair for pair in one_sided))]
-    _look(problem, fit, [(s, np.linspace(s.flat, s.risen, STEPS + 2)[1:-1]) for s in edges])
-    no_low, no_high, value = np.zeros(len(own), bool), np.zeros(len(own), bool), own.copy()
-    for below, above in pairs:
-        i = below.number
+    edges = [s for pair in pairs for s in pair if s in unclear or pair[1].risen is None]
+    for _ in range(ROUNDS):
+        _look(problem, fit, [(s, _inside(s.flat, s.risen)) for s in edges if s.risen is not None])
+    value, no_low, no_high = own.copy(), np.zeros(len(own), bool), np.zeros(len(own), bool)
+    for pair in pairs:
+        i, toward = pair[0].number, pair[0]
+        below, above = sorted(pair, key=lambda s: s.sign)
         low[i], high[i] = own[i] - below.end, own[i] + above.end
-        if (below, above) in one_sided:
-            no_low[i], no_high[i] = below.risen is None, above.risen is None
-            side = above if no_low[i] else below
-            value[i] += side.sign * side.least
+        no_low[i], no_high[i] = below.risen is None, above.risen is None
+        if no_low[i] or no_high[i]:
+            value[i] += toward.sign * toward.least
     return Known(value, low, high, no_low, no_high)
 
 
+def _pairs(fit: Fit, own: Array, low: Array, high: Array) -> list[tuple[_Side, _Side]]:
+    """Return the two sides of each member's only number: towards the effect's absence, and away from it to the bound.
+
+    `own`, `low` and `high (d,)` are the fit and its intervals.
+    """
+    out, i = [], -1
+    for c, u in fit.members:
+        i += c.size
+        if c.size > 1 or c.choices or c.is_neutral(u):
+            continue
+        up, bound = (1, c.high[0]) if u[0] > c.neutral[0] else (-1, c.low[0])
+        reach = {-1: float(own[i] - low[i]), 1: float(high[i] - own[i])}
+        toward, away = abs(float(u[0] - c.neutral[0])), abs(float(bound - u[0]))
+        out.append((_Side(i, reach[-up], toward, -up), _Side(i, reach[up], away, up)))
+    return out
+
+
 def _between(near: float, far: float) -> list[float]:
-    """Return distances between two, each as many times the one before; none where the nearer is not less."""
+    """Return distances between two, each as many times the one before; none where there is no room."""
     return np.geomspace(near, far, STEPS + 2)[1:-1].tolist() if 0 < near < far else []
+
+
+def _inside(near: float, far: float) -> list[float]:
+    """Return evenly spaced distances between two."""
+    return np.linspace(near, far, STEPS + 2)[1:-1].tolist()
 
 
 def _look(problem: Problem, fit: Fit, wanted: Sequence[tuple[_Side, Sequence[float]]]) -> None:

@@ -175,7 +175,8 @@ def _value(named: NamedEffect, parameter: str, estimate: Estimate) -> tuple[str,
             return f"the {len(estimate.value)} values of effects.yaml", "the values of effects.yaml"
         return str(reading(Estimate(value=estimate.value), unit)), " ".join(digits(v) for v in estimate.value)
     read = reading(estimate, unit)
-    interval = f" ({read.interval})" if read.interval else ""
+    as_well = f"; {read.as_well} explains as well" if read.as_well else ""
+    interval = f" ({read.interval}{as_well})" if read.interval else ""
     return f"{read.value} {read.unit}".strip() + interval, digits(float(estimate.value)).replace(",", "")
 
 

@@ -114,7 +114,10 @@ def trace(time_s: np.ndarray, one: Trace) -> str:
 
 
 def parameter(estimate: Estimate, where: Range | None) -> str:
-    """Return where the value and its interval lie in the range that was searched; empty for choices and vectors."""
+    """Return where the value and its interval lie in the range that was searched; empty for choices and vectors.
+
+    An interval of which one end is not known goes to the end of that range.
+    """
     if where is None or not isinstance(estimate.value, float | int) or where.high <= where.low:
         return ""
     log = where.low > 0 and where.high / where.low > 10
@@ -122,8 +125,12 @@ def parameter(estimate: Estimate, where: Range | None) -> str:
     marks = '<path class="grid" d="M0 500H1000M0 250V750M1000 250V750"/>'
     if where.identity is not None:
         marks += f'<path class="grid" d="M{round(1000 * x.share(max(where.identity, where.low)))} 250V750"/>'
-    if isinstance(estimate.low, float | int) and isinstance(estimate.high, float | int):
-        marks += span(x, y, (float(estimate.low), float(estimate.high)), 0.5, "named")
+    if estimate.bounded is not None:
+        low, high = (
+            float(end) if isinstance(end, float | int) else bound
+            for end, bound in ((estimate.low, where.low), (estimate.high, where.high))
+        )
+        marks += span(x, y, (low, high), 0.5, "named")
     marks += dots(x, y, [float(estimate.value)], [0.5], "named")
     return f'<span class="range">{plane(marks)}</span>'
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from candata import plugins
 from candata.errors import UnknownNameError
 from candata.schema.effect import Value
-from candata.schema.report import Bound, Estimate
+from candata.schema.report import Bound, Bounded, Estimate
 
 #: Unit that a parameter's name ends in (the naming rule of effects), the longest ending first.
 SUFFIX_UNITS = (
@@ -25,20 +25,36 @@ SUFFIX_UNITS = (
 )
 #: SI unit to the unit shown for small values, and the factor to it.
 SMALL_UNITS = {"s": ("ms", 1e3), "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3)}
+#: What explains as well as a value of which only this end is known.
+AS_WELL: dict[Bounded | None, str] = {"low": "more", "high": "less"}
 #: Below this SI value the small unit reads better.
 SMALL_BELOW = {"s": 1.0, "m": 0.5, "rad": 0.5, "kg": 0.5}
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A parameter in words: `value`, `interval` (empty when there is none) and `unit` (empty for 1)."""
+    """A parameter in words.
+
+    Attributes
+    ----------
+    value : str
+    interval : str
+        `11.9 to 13.1`, or `at least 11.9` where only that end is known; empty when there is none.
+    unit : str
+        Empty for 1.
+    as_well : str
+        What explains as well as the value, `more` or `less`; empty where both ends are known.
+    """
 
     value: str
     interval: str
     unit: str
+    as_well: str = ""
 
     def __str__(self) -> str:
-        """Return `12.5 ms (90 % interval 11.9 to 13.1)`."""
+        """Return `12.5 ms (90 % interval 11.9 to 13.1)`, or `at least 11.9 ms (12.5 taken; more explains as well)`."""
+        if self.as_well:
+            return f"{self.interval} {self.unit}".strip() + f" ({self.value} taken; {self.as_well} explains as well)"
         text = f"{self.value} {self.unit}".strip()
         return f"{text} (90 % interval {self.interval})" if self.interval else text
 
@@ -70,7 +86,12 @@ def reading(estimate: Estimate, unit: str) -> Reading:
     if ends[0] is not None and ends[1] is not None:
         pairs = zip(ends[0], ends[1], strict=True)
         interval = _joined(f"{digits(factor * low)} to {digits(factor * high)}" for low, high in pairs)
-    return Reading(_joined(digits(factor * v) for v in values), interval, "" if shown == "1" else shown)
+    elif ends[0] is not None:
+        interval = f"at least {_joined(digits(factor * v) for v in ends[0])}"
+    elif ends[1] is not None:
+        interval = f"at most {_joined(digits(factor * v) for v in ends[1])}"
+    value, as_well = _joined(digits(factor * v) for v in values), AS_WELL.get(estimate.bounded, "")
+    return Reading(value, interval, "" if shown == "1" else shown, as_well)
 
 
 def digits(value: float) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from candata.reports.numbers import SUFFIX_UNITS, digits, percent, reading, unit_of
+from candata.reports.numbers import AS_WELL, SUFFIX_UNITS, digits, percent, reading, unit_of
 from candata.schema.report import EditTest, NamedEffect, Report, Symptom, Verdict
 
 #: A space at which no line ends.
@@ -187,6 +187,13 @@ def not_known(report: Report) -> str:
         f"{capital(title(effect.name, effect.element))} stopped at its bound; its true value may lie beyond"
         for effect in report.effects
         if effect.at_bound
+    ]
+    parts += [
+        f"{capital(title(effect.name, effect.element))} is known from one side: with any "
+        f"{AS_WELL[estimate.bounded]} the simulation comes as near these recordings"
+        for effect in report.effects
+        for estimate in effect.parameters.values()
+        if estimate.bounded in AS_WELL and not effect.at_bound
     ]
     parts += [
         f"{capital(title(effect.name, effect.element))} may be {listed([plain(name) for name in effect.rivals], 'or')} "

@@ -108,6 +108,16 @@ def test_coverage_counts_every_number_of_a_vector():
     assert covered(case("one", (bias,), (found,))) == [True, True, False]
 
 
+@pytest.mark.parametrize(
+    ("ends", "inside"), [({"low": 1.2}, True), ({"low": 1.6}, False), ({"high": 1.6}, True), ({"high": 1.2}, False)]
+)
+def test_a_range_of_one_end_holds_all_beyond_it(ends, inside):
+    found = NamedEffect(
+        name="object_mass", share=1.0, support=0.9, parameters={"mass_scale": Estimate(value=1.4, **ends)}
+    )
+    assert covered(case("one", (MASS,), (found,))) == [inside]
+
+
 def test_sets_are_right_when_all_are_named_and_nothing_else():
     both, extra, missing = (MASS, SLIDE), (say(MASS), say(SLIDE), say(CONE)), (say(MASS),)
     some = [case("pair", both, named) for named in ((say(SLIDE), say(MASS)), extra, missing)]

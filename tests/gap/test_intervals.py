@@ -191,26 +191,6 @@ def test_beside_a_bound_they_are_read_on_the_other_side(posed, monkeypatch):
     assert widths[1] == pytest.approx(widths[0], rel=0.05)
 
 
-@pytest.mark.parametrize("ends", [True, False], ids=["an effect with an end", "one without"])
-def test_an_effect_that_has_an_end_is_known_on_one_side_only(arm, ends):
-    """Beyond 0.06 more play changes nothing: what is known is that there is no less."""
-    c = candidate("backlash", arm, arm.file.joints[0])
-    at = np.array([0.0, 0.02, 0.04, 0.06, 0.08, 0.1])
-    rng = np.random.default_rng(0)
-    off = 0.004 * rng.standard_normal((16, 1))
-    reach = np.minimum(at, 0.06) if ends else at
-    z = np.repeat(1 + 1e3 * (reach[:, None, None] - 0.06 - off) ** 2, 30, axis=2).astype(np.float32)
-    curve, own = Curve(c, at, z, np.ones(len(at), bool)), np.array([0.06])
-    fit = Fit(((c, own),), curve, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 1))))
-    problem = SimpleNamespace(
-        recs=Episodes(range(16)), replayer=SimpleNamespace(scene=arm), score=SimpleNamespace(loss=lambda z: z.mean(-1)),
-        rng=rng, setting=lambda members: members[0][1], residuals=lambda worlds: [curve.read(u) for u in worlds],
-    )  # fmt: skip
-    (low,), (high,) = intervals(problem, fit)
-    assert 0.04 < low < 0.06
-    assert high == c.high[0] if ends else 0.06 < high < 0.08
-
-
 def trapped(arm, seed):
     """Return a problem of one number whose every world deals outcomes of its own, its fit beside the truth, the truth.
 

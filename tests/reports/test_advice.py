@@ -26,6 +26,11 @@ def named(name: str, element: str | None = None, **values) -> NamedEffect:
             "add 0.0412 to frictionloss of the <joint>",
         ),
         (
+            named("joint_dry_friction", "index2", frictionloss_Nm=[0.0875, 0.0819, None]),
+            "Add joint dry friction of 0.0875 N m (at least 0.0819; more explains as well) to joint index2",
+            "add 0.0875 to frictionloss of the <joint>",
+        ),
+        (
             named("contact_compliance", timeconst_s=[0.0304, 0.0298, 0.0305]),
             "Set the time constant of contacts at object, fingertips and support to 30.4 ms (29.8 to 30.5)",
             "0.0304 as the first number of solref of the <geom>s that touch, the second as it is",

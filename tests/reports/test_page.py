@@ -201,6 +201,16 @@ def test_the_page_says_what_to_change(tmp_path, make_report, full_evidence):
     assert "0 to 0.3 N m" in text, "the range that was searched"
 
 
+def test_a_range_of_one_end_is_said_so_and_drawn_to_the_end_of_what_was_searched(tmp_path, make_report, full_evidence):
+    one = make_report().effects[0].model_dump()
+    one["parameters"]["frictionloss_Nm"] |= {"high": None, "bounded": "low"}
+    text = reports.write_report(make_report(effects=[one]), full_evidence, None, tmp_path, YAML).read_text("utf-8")
+    assert '<td class="n">at least 0.0373</td>' in text
+    assert "Add joint dry friction of 0.0412 N m (at least 0.0373; more explains as well)" in said(text)
+    # Searched was 0 to 0.3.
+    assert f'<path class="span named" d="M{round(1000 * 0.0373 / 0.3)} 500H1000"/>' in text
+
+
 def test_a_value_at_its_bound_is_marked(tmp_path, make_report, full_evidence):
     report = make_report()
     bound = report.effects[0].model_copy(update={"at_bound": True})

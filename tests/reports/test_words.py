@@ -38,6 +38,25 @@ def test_summary_names_parameter_interval_and_unit(make_report):
     assert "17.3 times the floor (p = 0.001)" in text
 
 
+@pytest.mark.parametrize(("ends", "word"), [({"low": 0.0819}, "at least"), ({"high": 0.0884}, "at most")])
+def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
+    """In the terminal, in the sentences, and as what is not known; not twice of what stopped at its bound."""
+    effect = {
+        "name": "joint_dry_friction", "element": "index2", "share": 1.0, "support": 0.9,
+        "parameters": {"frictionloss_Nm": {"value": 0.0875, **ends}},
+    }  # fmt: skip
+    (end,) = ends.values()
+    beyond = {"at least": "more", "at most": "less"}[word]
+    report = make_report(effects=[effect])
+    text = " ".join(reports.summary(report).split())
+    assert f"frictionloss_Nm {word} {end} N m (0.0875 taken; {beyond} explains as well); share" in text
+    assert f"frictionloss {word} {end} N m" in words.which(report)
+    assert f"is known from one side: with any {beyond} the simulation" in words.not_known(report)
+    stopped = make_report(effects=[effect | {"at_bound": True}])
+    assert "one side" not in words.not_known(stopped)
+    assert "stopped at its bound" in words.not_known(stopped)
+
+
 def test_summary_of_many_long_effects_stays_short(make_report):
     effect = {
         "name": "tactile_bias", "share": 0.1, "support": 0.5,
@@ -157,6 +176,9 @@ def test_a_parameters_unit(effect, parameter, unit):
         (Estimate(value=(0.0, 0.0, 0.015)), "m", "[0, 0, 15] mm"),
         (Estimate(value="elliptic"), "1", "elliptic"),
         (Estimate(value=1.35, low=1.2, high=1.5), "1", "1.35 (90 % interval 1.2 to 1.5)"),
+        (Estimate(value=0.0875, low=0.0819), "N m", "at least 0.0819 N m (0.0875 taken; more explains as well)"),
+        (Estimate(value=0.004, high=0.005), "s", "at most 5 ms (4 taken; less explains as well)"),
+        (Estimate(value=1.5, low=1.2), "1", "at least 1.2 (1.5 taken; more explains as well)"),
         (Estimate(value=0.0), "rad", "0 rad"),
         (Estimate(value=float("nan")), "N", "? N"),
         (

@@ -6,6 +6,7 @@ from pydantic import ValidationError
 from candata.errors import UsageError
 from candata.schema.channels import CHANNELS, canonical_order
 from candata.schema.effect import EffectsFile
+from candata.schema.report import Estimate
 from candata.schema.scene import SceneFile, TableMap
 from candata.units import TO_SI
 
@@ -85,3 +86,18 @@ def test_a_small_file_that_unfolds_without_end_is_refused_at_once():
     for _ in range(60):  # what YAML's aliases make of 60 short lines: 9 ** 60 texts
         value = [value] * 9
     assert "file: Field required" in refusal(TableMap, {"a": value})
+
+
+@pytest.mark.parametrize(
+    ("ends", "bounded"),
+    [({"low": 1.0, "high": 2.0}, "both"), ({"low": 1.0}, "low"), ({"high": 2.0}, "high"), ({}, None)],
+)
+def test_an_estimate_says_which_of_its_ends_are_known(ends, bounded):
+    estimate = Estimate(value=1.5, **ends)
+    assert estimate.bounded == bounded
+    assert Estimate.model_validate_json(estimate.model_dump_json()) == estimate
+
+
+def test_an_estimate_whose_word_contradicts_its_ends_is_refused():
+    text = refusal(Estimate, {"value": 1.5, "low": 1.0, "bounded": "both"})
+    assert "bounded is 'both', but low and high say 'low'" in text

@@ -141,9 +141,9 @@ def parameter_error(outcome: Outcome) -> float | None:
 
 
 def covered(outcome: Outcome) -> list[bool]:
-    """Return for each number with an interval whether it lies inside."""
-    rows = pairs_of_numbers(outcome)
-    return [low <= true <= high for true, _, low, high in rows if low is not None and high is not None]
+    """Return for each number with an interval whether the truth lies inside; an end that is not known excludes none."""
+    rows = [row for row in pairs_of_numbers(outcome) if row[2] is not None or row[3] is not None]
+    return [(low is None or low <= true) and (high is None or true <= high) for true, _, low, high in rows]
 
 
 def supports(outcome: Outcome) -> list[tuple[float, bool]]:
