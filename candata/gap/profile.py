@@ -14,10 +14,11 @@ from candata.gap.shortlist import taken
 from candata.gap.shrink import NORMAL, every_other, intervals
 
 Array = NDArray[np.float64]
-#: Log likelihood [nats] that a rise must cost to count, beside its standard error: half the 90 % quantile of chi
-#: squared of one degree of freedom (Wilks 1938). What stuck joints do differs by less than any sensor tells, alike in
-#: every episode: such a rise has next to no standard error, and costs nothing.
-COSTS = NORMAL**2 / 2
+#: Standard errors, and log likelihood [nats], by which the loss must rise for that to count: what a parabola has risen
+#: by at the ends of its 90 % interval (half of `NORMAL`, as the rise grows by the square of the distance and its error
+#: by the distance; Wilks 1938). What stuck joints do differs by less than any sensor tells, alike in every episode: such
+#: a rise has next to no standard error, and costs nothing.
+ERRORS, COSTS = NORMAL / 2, NORMAL**2 / 2
 #: How many times as far as an interval reaches the loss must have risen for that interval to stand. Chosen.
 TWICE = 2.0
 #: Distances tried at once between two, and how often between the last without a rise and the first with one: an edge is
@@ -182,4 +183,4 @@ def _look(problem: Problem, fit: Fit, wanted: Sequence[tuple[_Side, Sequence[flo
         rise = loss - here
         error = standard_error(rise) / np.sqrt(more)
         cost = more * float((rise * unit).sum())
-        side.tried[d] = min(float(rise.mean()) / max(error, 1e-12), cost / COSTS)
+        side.tried[d] = min(float(rise.mean()) / max(ERRORS * error, 1e-12), cost / COSTS)

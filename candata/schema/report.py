@@ -14,8 +14,11 @@ Bound = float | tuple[float, ...] | None
 Bounded = Literal["low", "high", "both"]
 #: Which ends are known, by whether the lower and the higher one are given.
 _ENDS_KNOWN: dict[tuple[bool, bool], Bounded | None] = {
-    (True, True): "both", (True, False): "low", (False, True): "high", (False, False): None,
-}  # fmt: skip
+    (True, True): "both",
+    (True, False): "low",
+    (False, True): "high",
+    (False, False): None,
+}
 
 
 class Estimate(Record):

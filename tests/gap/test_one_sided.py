@@ -103,9 +103,13 @@ def played(fault: Fault, index: int) -> Episode:
         read["object_pose"] = np.array(pose)
         read["object_pose"][:, :3] += NOISE_M * rng.standard_normal((ROWS, 3))
     meta = EpisodeMeta(
-        id=f"e{index}", source="real", rate_hz=RATE_HZ, joint_names=fault.joints, actuator_names=fault.joints,
+        id=f"e{index}",
+        source="real",
+        rate_hz=RATE_HZ,
+        joint_names=fault.joints,
+        actuator_names=fault.joints,
         fingertip_names=("tip",) * len(tips),
-    )  # fmt: skip
+    )
     return Episode(meta, {"time_ns": np.arange(ROWS) * round(1e9 / RATE_HZ), "action": target, **read})
 
 

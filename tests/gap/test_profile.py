@@ -54,10 +54,14 @@ def posed(arm, rise, own, seed=0, weight=1e4):
     at = np.unique([0.0, own / 2, own, (own + c.high[0]) / 2, c.high[0]])
     z = np.stack([np.repeat(loss([u])[:, None], 30, axis=1) for u in at]).astype(np.float32)
     problem = SimpleNamespace(
-        recs=Episodes(range(EPISODES)), replayer=SimpleNamespace(scene=arm), rng=rng, residuals=residuals, tried=tried,
+        recs=Episodes(range(EPISODES)),
+        replayer=SimpleNamespace(scene=arm),
+        rng=rng,
+        residuals=residuals,
+        tried=tried,
         score=SimpleNamespace(loss=lambda z: z.mean(-1), nats=lambda: np.full(EPISODES, 10.0)),
         setting=lambda members: members[0][1],
-    )  # fmt: skip
+    )
     members = ((c, np.array([own])),)
     return problem, Fit(members, Curve(c, at, z, np.ones(len(at), bool)), CrossFit(*np.zeros((3, 1, 1))))
 
@@ -112,9 +116,8 @@ def test_where_the_loss_rises_to_both_sides_few_worlds_are_simulated_and_the_int
     found = known(problem, fit)
     assert len(problem.tried) <= 5
     assert not (found.no_low | found.no_high).any()
-    # Where a rise counts, of one standard error, is two of those of a parabola's least.
-    assert found.high - 0.1 == pytest.approx(2 * SPREAD / np.sqrt(EPISODES), rel=0.1)
-    assert 0.1 - found.low == pytest.approx(2 * SPREAD / np.sqrt(EPISODES), rel=0.1)
+    assert found.high - 0.1 == pytest.approx(1.645 * SPREAD / np.sqrt(EPISODES), rel=0.1)
+    assert 0.1 - found.low == pytest.approx(1.645 * SPREAD / np.sqrt(EPISODES), rel=0.1)
 
 
 def test_it_holds_the_truth_about_nine_times_in_ten(arm, monkeypatch):
@@ -126,8 +129,8 @@ def test_it_holds_the_truth_about_nine_times_in_ten(arm, monkeypatch):
         problem, fit = posed(arm, valley(own), own, seed)
         found = known(problem, fit)
         hits.append(found.low[0] <= 0.1 <= found.high[0])
-    # Two standard errors to both sides hold 95 %; 150 draws scatter by 2 %.
-    assert 0.89 <= np.mean(hits) <= 0.99
+    # 150 draws scatter by 0.025.
+    assert 0.84 <= np.mean(hits) <= 0.97
 
 
 def test_a_rise_that_costs_less_than_a_nat_is_none_however_alike_in_all_episodes(arm):
@@ -174,10 +177,11 @@ def test_of_a_set_each_only_number_is_tried_with_the_others_held_and_vectors_and
         return [np.repeat(loss[:, None], 30, axis=1) for loss in losses]
 
     problem = SimpleNamespace(
-        recs=Episodes(range(EPISODES)), residuals=residuals,
+        recs=Episodes(range(EPISODES)),
+        residuals=residuals,
         score=SimpleNamespace(loss=lambda z: z.mean(-1), nats=lambda: np.full(EPISODES, 10.0)),
         setting=lambda members: np.concatenate([u for _, u in members]),
-    )  # fmt: skip
+    )
     flat = np.zeros((EPISODES, 30), np.float32)
     fit = Fit(members, Plane(at, at, at, flat, np.zeros((size, *flat.shape))), CrossFit(*np.zeros((3, 1, 1))))
     monkeypatch.setattr("candata.gap.profile.intervals", lambda problem, fit: (at - 0.01, at + 0.01))

@@ -42,9 +42,12 @@ def test_summary_names_parameter_interval_and_unit(make_report):
 def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
     """In the terminal, in the sentences, and as what is not known; not twice of what stopped at its bound."""
     effect = {
-        "name": "joint_dry_friction", "element": "index2", "share": 1.0, "support": 0.9,
+        "name": "joint_dry_friction",
+        "element": "index2",
+        "share": 1.0,
+        "support": 0.9,
         "parameters": {"frictionloss_Nm": {"value": 0.0875, **ends}},
-    }  # fmt: skip
+    }
     (end,) = ends.values()
     beyond = {"at least": "more", "at most": "less"}[word]
     report = make_report(effects=[effect])
