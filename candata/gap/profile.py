@@ -16,8 +16,8 @@ from candata.gap.shrink import NORMAL, every_other, intervals
 Array = NDArray[np.float64]
 #: Standard errors, and log likelihood [nats], by which the loss must rise for that to count: what a parabola has risen
 #: by at the ends of its 90 % interval (half of `NORMAL`, as the rise grows by the square of the distance and its error
-#: by the distance; Wilks 1938). What stuck joints do differs by less than any sensor tells, alike in every episode: such
-#: a rise has next to no standard error, and costs nothing.
+#: by the distance; Wilks 1938). What stuck joints do differs by less than any sensor tells, alike in every episode:
+#: such a rise has next to no standard error, and costs nothing.
 ERRORS, COSTS = NORMAL / 2, NORMAL**2 / 2
 #: How many times as far as an interval reaches the loss must have risen for that interval to stand. Chosen.
 TWICE = 2.0
