@@ -115,9 +115,9 @@ def played(fault: Fault, index: int) -> Episode:
 
 @pytest.fixture
 def said(judge, tmp_path):
-    """The function that gives the report on a fault, searched for as one effect."""
+    """The function that gives the diagnosis of a fault, searched for among some effects."""
 
-    def make(fault: Fault, effect: str):
+    def make(fault: Fault, *effects: str):
         (tmp_path / "scene.xml").write_text(fault.xml)
         names = ", ".join(fault.joints)
         tips = "object: block\nfingertips: [tip]\n" if "tip" in fault.xml else ""
@@ -126,7 +126,7 @@ def said(judge, tmp_path):
             f"noise: {{joint_position: {NOISE_RAD}, fingertip_force: {NOISE_N}, object_pose: [{NOISE_M}, 0.0001]}}\n"
         )
         episodes = [played(fault, i) for i in range(EPISODES)]
-        return judge(load_scene(tmp_path / "scene.yaml"), episodes, only=(effect,))
+        return judge(load_scene(tmp_path / "scene.yaml"), episodes, only=effects)
 
     return make
 
@@ -178,3 +178,22 @@ def test_a_dead_band_above_all_forces_is_known_to_be_no_less(said):
     number = the_number(said(Fault(FINGER, ("a",), 0.1, 0.09, band_n=2.6), "tactile_dead_band"))
     assert number.bounded == "low"
     assert 0.8 < number.low < number.value < 2.6
+
+
+def test_one_of_two_faults_is_known_from_one_side_and_the_other_from_both(said):
+    """The second joint sticks, the first one's servo is weak."""
+
+    def change(model):
+        model.dof_frictionloss[1] = 0.4
+        model.actuator_gainprm[0, 0] *= 0.7
+        model.actuator_biasprm[0, 1] *= 0.7
+
+    found = said(Fault(ARM, ("a", "b"), 0.0, 0.1, change), "joint_dry_friction", "servo_gain")
+    numbers = {(e.name, e.element): next(iter(e.parameters.values())) for e in found.report.effects}
+    assert set(numbers) == {("joint_dry_friction", "b"), ("servo_gain", "a")}
+    friction, gain = numbers["joint_dry_friction", "b"], numbers["servo_gain", "a"]
+    assert friction.bounded == "low"
+    # Friction of 0.1 already moves the joints as 0.4 does, of 0.08 some by 2 mrad.
+    assert 0.07 < friction.low < friction.value < 0.11
+    assert gain.bounded == "both"
+    assert gain.low < 0.7 < gain.high
