@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from candata.gap.compare import standard_error
 from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import taken
-from candata.gap.shrink import NORMAL, every_other, intervals
+from candata.gap.shrink import NORMAL, RISEN, every_other, intervals
 
 Array = NDArray[np.float64]
 #: Standard errors, and log likelihood [nats], by which the loss must rise for that to count: what a parabola has risen
@@ -72,6 +72,11 @@ class _Side:
     tried: dict[float, float] = field(default_factory=lambda: {0.0: 0.0})
 
     @property
+    def is_open(self) -> bool:
+        """Whether the loss has surely risen nowhere."""
+        return max(self.tried.values()) < RISEN / ERRORS
+
+    @property
     def near(self) -> float:
         """Distance at which the loss must have risen for the interval to stand."""
         return min(TWICE * self.reach, self.room)
@@ -109,9 +114,10 @@ def known(problem: Problem, fit: Fit) -> Known:
 
     Intervals come from resampling and curvature (`shrink.intervals`). Of each number that is a member's only one, the
     others held where they are, the loss is simulated twice as far out to both sides, at the effect's absence on one
-    side and at the bound on the other. Where it has not risen so near, the end is where it first has; up to the bound
-    that may be nowhere, and then that end is not known. Where it has not risen at the effect's absence either, replays
-    of single episodes do not tell the number. Its interval stays as it is, and so do those of choices and vectors.
+    side and at the bound on the other. Where it has not risen so near, the end is where it first has; where it has
+    surely risen nowhere up to the bound, that end is not known. Where it has not risen at the effect's absence either,
+    replays of single episodes do not tell the number. Its interval stays as it is, and so do those of choices and
+    vectors.
     """
     low, high = intervals(problem, fit)
     own = np.concatenate([u for _, u in fit.members])
@@ -122,16 +128,15 @@ def known(problem: Problem, fit: Fit) -> Known:
     sides = [side for pair in pairs for side in pair]
     unclear = [s for s in sides if s.risen != s.near]
     _look(problem, fit, [(s, _between(s.near, s.room if s.risen is None else s.risen)) for s in unclear])
-    edges = [s for pair in pairs for s in pair if s in unclear or pair[1].risen is None]
+    edges = [s for toward, away in pairs for s in (toward, away) if s in unclear or away.is_open]
     for _ in range(ROUNDS):
         _look(problem, fit, [(s, _inside(s.flat, s.risen)) for s in edges if s.risen is not None])
     value, no_low, no_high = own.copy(), np.zeros(len(own), bool), np.zeros(len(own), bool)
-    for pair in pairs:
-        i, toward = pair[0].number, pair[0]
-        below, above = sorted(pair, key=lambda s: s.sign)
-        low[i], high[i] = own[i] - below.end, own[i] + above.end
-        no_low[i], no_high[i] = below.risen is None, above.risen is None
-        if no_low[i] or no_high[i]:
+    for toward, away in pairs:
+        i = toward.number
+        low[i], high[i] = (own[i] + s.sign * s.end for s in sorted((toward, away), key=lambda s: s.sign))
+        if away.is_open:
+            (no_low if away.sign < 0 else no_high)[i] = True
             value[i] += toward.sign * toward.least
     return Known(value, low, high, no_low, no_high)
 

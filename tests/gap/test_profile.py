@@ -143,7 +143,7 @@ def test_a_rise_that_costs_less_than_a_nat_is_none_however_alike_in_all_episodes
     assert known(*posed(arm, rise, own=0.1)).no_high[0]
 
     def plain(u, off):
-        return np.maximum(0.06 + off - u, 0) ** 2 + 4 * tiny / 1e4 * np.clip((u - 0.1) / 0.01, 0, 1)
+        return np.maximum(0.06 + off - u, 0) ** 2 + 8 * tiny / 1e4 * np.clip((u - 0.1) / 0.01, 0, 1)
 
     assert not known(*posed(arm, plain, own=0.1)).no_high[0]
 
