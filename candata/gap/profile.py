@@ -93,15 +93,13 @@ class _Side:
 
     @property
     def end(self) -> float:
-        """Distance of the interval's end: where the rise counts, never nearer than the interval says.
+        """Distance of the interval's end: across a flat stretch the first place where the loss has risen.
 
-        Across a stretch that was flat it is the first place where the loss has risen; else the rise in units of its
-        error grows evenly, as that of a parabola does.
+        It is never nearer than the interval says.
         """
-        if self.risen is None:
-            return max(self.reach, self.room)
-        is_even = self.flat == 0.0
-        return max(self.reach, self.risen / self.tried[self.risen] if is_even else self.risen)
+        if self.flat == 0.0 and self.risen is not None:
+            return self.reach
+        return max(self.reach, self.room if self.risen is None else self.risen)
 
     @property
     def least(self) -> float:
