@@ -361,13 +361,10 @@ def judged(world: World, jobs: int, rng: np.random.Generator) -> tuple[bool, boo
     if not report.effects:
         return False, False, report.verdict
     ((_, estimate),) = report.effects[0].parameters.items()
-    said = estimate.bounded
-    low, high = (
-        (float("-inf") if estimate.low is None else estimate.low),
-        (float("inf") if estimate.high is None else estimate.high),
-    )
+    low = -np.inf if estimate.low is None else estimate.low
+    high = np.inf if estimate.high is None else estimate.high
     text = f"{estimate.value:.4g} [{low:.4g}, {high:.4g}] {report.effects[0].element or ''}"
-    return said == world.known, low <= world.truth <= high, text
+    return estimate.bounded == world.known, low <= world.truth <= high, text
 
 
 def main() -> None:
@@ -392,12 +389,10 @@ def main() -> None:
                 f"({time.process_time() - begin:.0f} CPU s)",
                 flush=True,
             )
-        if count:
-            print(
-                f"{word}: the honest side is stated in {sum(sides)} of {count}, the range holds the truth in "
-                f"{sum(holds)} ({100 * np.mean(holds):.0f} %)",
-                flush=True,
-            )
+        print(
+            f"{word}: the honest side is stated in {sum(sides)} of {count}, the range holds the truth in {sum(holds)}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
