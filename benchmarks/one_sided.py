@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 
 from candata.datasets import append, create_dataset, open_dataset
+from candata.errors import CandataError
 from candata.gap import diagnose
 from candata.scenes import Scene, load_scene
 from candata.schema.episode import Episode, EpisodeMeta
@@ -357,7 +358,10 @@ def judged(world: World, jobs: int, rng: np.random.Generator) -> tuple[bool, boo
     """Return whether the honest side is stated, whether the range holds the truth, and what was said."""
     with tempfile.TemporaryDirectory() as name:
         scene = recorded(Path(name), world, rng)
-        report = diagnose(open_dataset(Path(name) / "real"), scene, only=(world.effect,), jobs=jobs).report
+        try:
+            report = diagnose(open_dataset(Path(name) / "real"), scene, only=(world.effect,), jobs=jobs).report
+        except CandataError as error:
+            return False, False, str(error).splitlines()[0]
     if not report.effects:
         return False, False, report.verdict
     ((_, estimate),) = report.effects[0].parameters.items()
@@ -389,10 +393,7 @@ def main() -> None:
                 f"({time.process_time() - begin:.0f} CPU s)",
                 flush=True,
             )
-        print(
-            f"{word}: the honest side is stated in {sum(sides)} of {count}, the range holds the truth in {sum(holds)}",
-            flush=True,
-        )
+        print(f"{word}: honest side stated in {sum(sides)} of {count}, truth in the range in {sum(holds)}", flush=True)
 
 
 if __name__ == "__main__":
