@@ -23,6 +23,7 @@ from candata.gap.mismatch_commands import (
     zero_findings,
 )
 from candata.gap.mismatch_forces import exchange_findings, scale_findings
+from candata.gap.mismatch_range import range_findings
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
 from candata.gap.mismatch_swaps import confirmed, distances, ordered, swap_findings, swaps
 from candata.gap.recordings import Recordings
@@ -104,8 +105,8 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
     scene = replayer.scene
     some = recs.take(_evenly(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
-    found = pose_findings(scene, some)
-    if pairs is not None:
+    found = pose_findings(scene, recs) + range_findings(scene, recs, paired(scene, recs))
+    if pairs is not None and not any(f.definite for f in found):
         found += unit_findings(scene, pairs) + still_findings(some, pairs)
     if not any(f.definite for f in found) and not is_toss(scene):
         found += _by_replay(_Look(replayer, some, pairs))

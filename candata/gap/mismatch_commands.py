@@ -22,6 +22,8 @@ REACH_S = 0.3
 FOLLOWS = 0.8
 #: Factors between units that people mix up.
 UNITS = {"degrees": 180 / np.pi, "thousandths (mm, mrad)": 1e3, "hundredths (cm, per cent)": 1e2}
+#: What map.yaml calls them.
+MAPPED = {"degrees": "deg", "thousandths (mm, mrad)": "mrad, or mm of slides", "hundredths (cm, per cent)": "cm"}
 #: A slope this many times off the nearest unit's factor still counts as that unit: servos sag, fingers are stopped.
 UNIT_WITHIN = 1.7
 #: Rows below which stillness says nothing: motions begin at rest.
@@ -118,9 +120,10 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
     names = _named(p, some)
     return Finding(
         "command_unit" if channel == "action" else "joint_unit", True,
-        f"{channel} looks like {unit}", "rad, or m for slides",
-        f"a joint moves by {np.median(slope[some]):.3g} when its command moves by 1 ({_listed(names)})",
-        f"give its unit in map.yaml: `units: {{{channel}: ...}}`", channel, names,
+        f"{channel} looks like {unit}", "rad, or m for slides: a joint moves by about 1 when its command does",
+        f"it moves by {np.median(slope[some]):.3g} ({_listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
+        "as large",
+        f"give the unit of these columns in map.yaml: {MAPPED[unit]}", channel, names,
     )  # fmt: skip
 
 
