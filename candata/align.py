@@ -22,6 +22,12 @@ Times = NDArray[np.int64]
 #: Neighbours further apart than this many periods of the stream are the ends of a gap: between one lost reading
 #: (two periods) and none (one period, with jitter).
 MAX_GAP_PERIODS = 1.5
+#: A step this many times the median is a gap that should be marked invalid.
+GAP_STEPS = 5.0
+#: Units of time that stamps are taken for by mistake, as ratios of seconds, milliseconds, microseconds, nanoseconds.
+TIME_UNITS = (1e3, 1e6, 1e9)
+#: How near a ratio of rates is to a whole number, or to a unit's, to be called that. Chosen.
+NEAR_FACTOR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,3 +290,19 @@ def _last(rows: NDArray, first: NDArray, stop: NDArray) -> NDArray:
 
 
 _OVER_A_STEP = {"measurement": _mean, "sample": _last, "flag": _any}
+
+
+def time_factor(ratio: float) -> str:
+    """Return in words by what factor steps of time are off; nothing where it is none of a unit and no whole number.
+
+    Parameters
+    ----------
+    ratio : float
+        Their median over what the stated rate says.
+    """
+    times = max(ratio, 1 / ratio)
+    factor = next((f for f in (*TIME_UNITS, float(round(times))) if abs(times / f - 1) < NEAR_FACTOR), 1.0)
+    if factor == 1:
+        return ""
+    unit = ": stamps in another unit of time" if factor in TIME_UNITS else ""
+    return f", {factor:.4g} times as {'long' if ratio > 1 else 'short'} a step{unit}"

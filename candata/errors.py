@@ -82,6 +82,10 @@ class DataError(CandataError):
     """Data that does not hold what its schema promises (exit 2)."""
 
 
+class RateError(DataError):
+    """Stamps or a rate that are not those of the scene or of each other (exit 2)."""
+
+
 class SceneError(CandataError):
     """A scene that names what its model lacks, or that does not compile (exit 2)."""
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 if TYPE_CHECKING:
     from candata.checks._view import View
     from candata.datasets import RawPart
+    from candata.scenes import Scene
 
 Level = Literal["error", "warning", "info", "unknown"]
 #: Grades, the gravest first.
@@ -147,6 +148,8 @@ class Rule:
         Returns what `judge` is to know of an episode; None where it tells nothing.
     judge : callable, optional
         Yields what is wrong with the set, from what was gathered (at least one).
+    sample : callable, optional
+        `(views, scene)` yields what is wrong with some whole episodes, drawn at random from the set, in the scene.
     needs : tuple of str
         Channels without which an episode is not looked at: it counts as not checked.
     scene : bool
@@ -160,6 +163,7 @@ class Rule:
     episode: Callable[[View], Iterator[Finding]] = _episode_fine
     gather: Callable[[View], Any] | None = None
     judge: Callable[[Sequence[Any]], Iterator[Finding]] | None = None
+    sample: Callable[[Sequence[View], Scene], Iterator[Finding]] | None = None
     needs: tuple[str, ...] = ()
     scene: bool = False
     idle: str = ""

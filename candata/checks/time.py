@@ -7,17 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.align import GAP_STEPS, time_factor
 from candata.checks._finding import Finding, Level, Rule
 from candata.checks._view import View
 
 #: Said where rows come together and then not for a while: gaps between them are no gaps of the recording.
 BURSTS = "rows come in bursts"
-#: Beyond this factor between median and nominal step, the unit or the rate is wrong, not the clock.
-WRONG_FACTOR = 2.0
+#: Beyond this factor between median and nominal step, the unit or the rate is wrong, not the clock: twice and half, as
+#: jitter leaves them. Chosen.
+WRONG_FACTOR = 1.75
 #: Beyond this relative difference the stated rate misleads whoever resamples by it.
 DOUBTFUL_SHARE = 0.1
-#: A step this many times the median is a gap that should be marked invalid.
-GAP_STEPS = 5.0
 #: A step this many times the median lacks a row, where the steps around it do not make up for it.
 LACKING_STEPS = 1.6
 #: Share of lacking rows that is worth more than a remark.
@@ -64,7 +64,7 @@ def _rate(view: View, median: float) -> Iterator[Finding]:
     level: Level = "warning" if 1 / WRONG_FACTOR <= ratio <= WRONG_FACTOR else "error"
     text = f"median rate {1e9 / median:.4g} Hz, expected rate_hz = {rate_hz:.4g}"
     yield view.finding(
-        level, "time", "the rate is another than the stated one", text, "time_ns",
+        level, "time", "the rate is another than the stated one", text + time_factor(ratio), "time_ns",
         remedy="correct rate_hz, or the unit of the time column", rate_hz=1e9 / median, stated_hz=rate_hz,
     )  # fmt: skip
 

@@ -18,11 +18,11 @@ from candata.units import TO_SI
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-#: Ranges by which a value lies beyond its joint's own range before it is far from it. Chosen: limits give by hundredths of
-#: a radian, and a model's range is seldom short by as much as its width.
+#: Ranges by which a value lies beyond its joint's own range before it is far from it. Chosen: limits give by hundredths
+#: of a radian, and a model's range is seldom short by as much as its width.
 RANGES = 1.0
-#: Least distance from its range at which a hinge [rad] or a slide [m] is far from it, however narrow the range is. Chosen:
-#: half a turn, and more than a hand travels; of degrees and millimetres they are next to nothing.
+#: Least distance from its range at which a hinge [rad] or a slide [m] is far from it, however narrow the range is.
+#: Chosen: half a turn, and more than a hand travels; of degrees and millimetres they are next to nothing.
 LEAST_RAD, LEAST_M = np.pi, 0.5
 #: Share of the rows of an episode, and number, of which more must be as far: spikes of an encoder are fewer. Chosen.
 ROWS, FEW_ROWS = 0.1, 2
@@ -35,7 +35,7 @@ STEADY = 0.9
 #: Units that hinges and slides, and velocity servos and motors of both, are recorded in by mistake; the smallest factor
 #: first.
 TURNS, LENGTHS, RATES, SPEEDS, TORQUES = ("deg", "mrad"), ("cm", "mm"), ("deg/s",), ("mm/s",), ("mN m",)
-LEAST = {TURNS: LEAST_RAD, LENGTHS: LEAST_M}
+LEAST: dict[tuple[str, ...], float] = {TURNS: LEAST_RAD, LENGTHS: LEAST_M}
 #: Units in words.
 WORDS = {
     "deg": "degrees",
@@ -261,13 +261,15 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
             names,
         )
     other = "" if alone else f", and look at {'action' if b.channel == 'joint_position' else 'joint_position'} too"
+    where = "" if episodes.all() else " of these episodes"
+    columns_of = mapped(b.channel, unit, b.names if b.mixed else ())
     return Finding(
         kind,
         sure,
         f"{b.channel} looks like {WORDS[unit]}",
         expected,
         f"{text}: {1 / TO_SI[unit]:.4g} times what fits",
-        f"give its unit in map.yaml{'' if episodes.all() else ' of these episodes'}: {mapped(b.channel, unit, b.names if b.mixed else ())}{other}",
+        f"give its unit in map.yaml{where}: {columns_of}{other}",
         b.channel,
         names,
     )

@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.align import time_factor
 from candata.datasets import Dataset
-from candata.errors import DataError, Where
+from candata.errors import DataError, RateError, Where
 from candata.gap.held import sources
 from candata.gap.spikes import without_spikes
 from candata.scenes import Scene
@@ -154,7 +155,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
 def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:
     """Return the episodes that can be replayed, the channels they share, and what was left out."""
     usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
-    faults = [_fault(scene, e, usual) for e in episodes]
+    faults = [fault_of(scene, e, usual) for e in episodes]
     sound = [e for e, fault in zip(episodes, faults, strict=True) if fault is None]
     first = next((f for f in faults if f is not None), None)
     if first is not None and not sound:
@@ -177,7 +178,7 @@ def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[s
     return sound, shared, tuple(notes)
 
 
-def _fault(scene: Scene, episode: Episode, usual: float) -> DataError | None:
+def fault_of(scene: Scene, episode: Episode, usual: float) -> DataError | None:
     """Return why an episode cannot be replayed in the scene, or None; `usual` is the usual number of rows."""
     if len(episode) < max(2.0, SHORT * usual):
         return DataError(
@@ -196,12 +197,22 @@ def _fault(scene: Scene, episode: Episode, usual: float) -> DataError | None:
 def _off_beat(episode: Episode) -> DataError | None:
     """Return that rows are missing: a stamp lies far from where the rate puts it. A replay takes one step a row."""
     step = 1 / episode.meta.rate_hz
+    steps = np.diff(episode.time_s)
+    ratio = float(np.median(steps) * episode.meta.rate_hz)
+    if factor := time_factor(ratio) if steps.min() > 0 and ratio > 0 else "":
+        return RateError(
+            "the rate is another than that of the stamps",
+            expected=f"stamps {step:.4g} s apart (rate_hz = {episode.meta.rate_hz:g})",
+            found=f"{np.median(steps):.4g} s apart, {1 / np.median(steps):.4g} Hz{factor}",
+            where=Where(episode=episode.meta.id, channel="time_ns"),
+            fix="give the true rate_hz in map.yaml, or the unit of the time column",
+        )
     off = np.abs(episode.time_s - step * np.arange(len(episode)))
     allowed = max(STAMP_ROWS * step, STAMP_SHARE * step * len(episode))
     if off.max() <= allowed:
         return None
     row = int(np.argmax(off > allowed))
-    return DataError(
+    return RateError(
         "stamps do not keep the rate: rows are missing, or the clock jumps",
         expected=f"row {row} at {row * step:.3f} s ({episode.meta.rate_hz:g} Hz)",
         found=f"{episode.time_s[row]:.3f} s",
@@ -228,10 +239,10 @@ def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
     """Return, for each channel, the recorded columns in the scene's order."""
     meta, file = episode.meta, scene.file
     if abs(meta.rate_hz / file.rate_hz - 1) > RATE_TOLERANCE:
-        raise DataError(
+        raise RateError(
             "the episode's rate is not the scene's",
             expected=f"{file.rate_hz:g} Hz",
-            found=f"{meta.rate_hz:g} Hz",
+            found=f"{meta.rate_hz:g} Hz, {meta.rate_hz / file.rate_hz:.4g} times that",
             where=Where(episode=meta.id),
             fix="give map.yaml (or the episode) and scene.yaml the true rate of the recording",
         )

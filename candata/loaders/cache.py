@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.checks.time import GAP_STEPS
+from candata.align import GAP_STEPS
 from candata.datasets import Dataset, durable
 from candata.errors import CandataError, DataError, SetupError, Where
 from candata.loaders.layout import POINT_CLOUD, Shapes, row_dtype, row_shapes

@@ -23,12 +23,12 @@ LAYERS = (
     ("effects",),
     ("policies",),
     ("simulate",),
-    ("checks",),
     ("record",),
     ("loaders",),
     ("models",),
     ("training",),
     ("gap",),
+    ("checks",),
     ("repair",),
     ("reports",),
 )

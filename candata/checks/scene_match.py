@@ -1,0 +1,74 @@
+"""Rule: units and orders are the scene's: joints, commands, forces and poses do what the scene's do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from candata.checks._finding import Finding, Level, Rule
+from candata.checks._view import View
+from candata.errors import CandataError, DataError, RateError
+from candata.gap.finding import Finding as Mismatch
+from candata.gap.mismatch import mismatch
+from candata.gap.recordings import Recordings, fault_of, recordings
+from candata.gap.replay import Replayer
+from candata.scenes import Scene
+from candata.schema.episode import Episode
+
+NAME = "scene_match"
+#: Kinds of what `mismatch` notes that say nothing of the data being wrong.
+NO_FAULT = ("no_repeats", "still")
+#: Kinds that are worth a look where they are not sure; others may be the world's own doing.
+DOUBTFUL = ("joint_unit", "command_unit", "force_unit", "pose_unit", "swapped_fingertips", "broken_episodes")
+
+
+def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
+    """Yield what no physics explains between some episodes and the scene under their commands."""
+    episodes = [e for e in map(_episode, views) if e is not None]
+    usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
+    faults = [fault_of(scene, e, usual) for e in episodes]
+    yield from (_fault(fault) for fault in faults if isinstance(fault, RateError))
+    recs = _recordings(scene, [e for e, fault in zip(episodes, faults, strict=True) if fault is None])
+    if isinstance(recs, str):
+        reason = next((f.problem for f in faults if f is not None and not isinstance(f, RateError)), recs)
+        if not any(isinstance(f, RateError) for f in faults):
+            yield Finding("unknown", NAME, reason, problem=reason)
+        return
+    yield from (_finding(one) for one in mismatch(Replayer(scene), recs) if one.kind not in NO_FAULT)
+
+
+def _episode(view: View) -> Episode | None:
+    """Return what is stored as an episode; None where it is none: other rules say why."""
+    try:
+        return Episode(view.raw.meta(), {n: np.asarray(a) for n, a in view.raw.arrays.items()})
+    except (CandataError, ValueError):
+        return None
+
+
+def _recordings(scene: Scene, episodes: list[Episode]) -> Recordings | str:
+    """Return the episodes as recordings, or why they cannot be compared."""
+    if not episodes:
+        return "no episode that can be played in the scene"
+    try:
+        return recordings(scene, episodes)
+    except DataError as error:
+        return error.problem
+
+
+def _fault(error: DataError) -> Finding:
+    """Return the finding that an episode cannot be played in the scene."""
+    text = f"{error.problem}: expected {error.expected}, found {error.found}"
+    return Finding(
+        "error", NAME, text, error.where.episode, error.where.channel, None, error.problem, (), {}, error.fix or "",
+    )  # fmt: skip
+
+
+def _finding(one: Mismatch) -> Finding:
+    """Return a mismatch as a finding: an error where it is sure."""
+    level: Level = "error" if one.definite else "warning" if one.kind in DOUBTFUL else "info"
+    text = f"{one.problem}: expected {one.expected}, found {one.found}"
+    return Finding(level, NAME, text, None, one.channel, None, one.problem, (), {"kind": one.kind}, one.fix)
+
+
+RULE = Rule(meaning="units, orders and rate are the scene's", sample=_sample, scene=True)
