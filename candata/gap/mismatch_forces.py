@@ -11,17 +11,15 @@ from scipy.optimize import linear_sum_assignment
 
 from candata.effects import effect
 from candata.gap.finding import Finding
-from candata.gap.mismatch_sensors import TOUCH_N, TOUCH_ROWS, tare
+from candata.gap.mismatch_mixed import ABOVE_NOISE, UNITS, mixed_findings
+from candata.gap.mismatch_sensors import TOUCH_N, TOUCH_ROWS, free_spread, tare
 from candata.gap.mismatch_swaps import AT_LEAST, cycles, in_episodes, some_of
 from candata.gap.recordings import Recordings
-from candata.gap.starts import STILL_ROWS
 from candata.scenes import Scene
 from candata.units import TO_SI
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-#: Units that forces are recorded in by mistake.
-UNITS = ("mN", "gf", "kgf")
 #: Ratio of the largest to the smallest factor between fingertips up to which they share one.
 ALIKE = 1.6
 #: How far the factor may lie from a unit's where no noise tells, and how far that of the noise where it does.
@@ -31,8 +29,6 @@ ALONE, NOISE = 1.15, 1.5
 DRAWN = 2.0
 #: Ratio to the scene's forces beyond which it is another unit, known or not: five times the largest `tactile_gain`.
 FORCE_RATIO = 30.0
-#: A reading is a touch at this many times the spread of a free fingertip's.
-ABOVE_NOISE = 5.0
 #: Rise of the mean cosine with the scene's forces by which an exchange of fingertips is told, and what it must reach:
 #: in some 300 simulated worlds, each with other causes, no exchange gained anything in all episodes together; in some
 #: episodes it did, and reached 0.53.
@@ -58,6 +54,8 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     """
     if "fingertip_force" not in recs.readings:
         return []
+    if mixed := mixed_findings(recs, force):
+        return mixed
     real = recs.readings["fingertip_force"]
     each = _factors(real, force)
     factors = each[np.isfinite(each)]
@@ -88,7 +86,7 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
     factor of a unit that no gain reaches is sure.
     """
     telling = np.flatnonzero(np.isfinite(factors))
-    noise = np.array([_free_spread(real[:, :, [f]], force[:, :, [f]]) for f in range(len(factors))])
+    noise = np.array([free_spread(real[:, :, [f]], force[:, :, [f]]) for f in range(len(factors))])
     units: dict[int, str] = {}
     for f in telling if len(telling) > 1 else ():
         others, unit = np.median(noise[telling[telling != f]]), _nearest(factors[f])
@@ -123,7 +121,7 @@ def _factors(real: Array, force: Array) -> Array:
     size = np.linalg.norm(real - tare(real, force), axis=-1)
     own = np.linalg.norm(force, axis=-1)
     touched = (own > TOUCH_N) & np.isfinite(size)
-    both = touched & (size > ABOVE_NOISE * _free_spread(real, force))
+    both = touched & (size > ABOVE_NOISE * free_spread(real, force))
     rows = both.sum((0, 1))
     telling = np.flatnonzero(rows >= TOUCH_ROWS)
     factors = np.full(len(rows), np.nan)
@@ -132,17 +130,9 @@ def _factors(real: Array, force: Array) -> Array:
     return factors
 
 
-def _free_spread(real: Array, force: Array) -> float:
-    """Return the usual spread of a component of a fingertip that the scene does not touch while motions begin."""
-    free = (np.linalg.norm(force[:, :STILL_ROWS], axis=-1) < 1e-6).all(1)
-    begin = np.moveaxis(real[:, :STILL_ROWS], 1, -1)[free]
-    begin = begin[np.isfinite(begin).all((1, 2))]
-    return float(np.sqrt(np.median(begin.var(-1, ddof=1).mean(-1)))) if len(begin) else 0.0
-
-
 def _noise_factor(scene: Scene, recs: Recordings, force: Array) -> float | None:
     """Return the noise of free fingertips over the declared one; None where it does not tell."""
-    noise, spread = scene.file.noise, _free_spread(recs.readings["fingertip_force"], force)
+    noise, spread = scene.file.noise, free_spread(recs.readings["fingertip_force"], force)
     if noise is None or not spread:
         return None
     # Rounding to steps of a width has a spread of width / sqrt(12) (Widrow and Kollar 2008, chapter 4).

@@ -235,7 +235,7 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
     unit = "" if shifted else _unit(b, columns, slope)
     names = tuple(b.names[c] for c in columns)
     sure = bool(episodes.all() or episodes.sum() >= max(AT_LEAST, SHARE * len(episodes)))
-    text = _reach(b, columns) + ("" if episodes.all() else f", {in_episodes(recs, episodes)}")
+    text = _reach(b, columns) + ("" if episodes.all() else f", at least {in_episodes(recs, episodes)}")
     kind = {"joint_position": "joint_unit", "action": "command_unit"}[b.channel]
     expected = f"{b.channel} in rad (m for slides), within the range that the scene gives"
     if shifted:

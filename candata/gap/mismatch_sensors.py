@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.finding import Finding
 from candata.gap.recordings import Recordings
-from candata.gap.starts import reach, support_height
+from candata.gap.starts import STILL_ROWS, reach, support_height
 from candata.rotation import conjugate, normalise, rotate
 from candata.scenes import Scene
 
@@ -190,6 +190,14 @@ def tare(recorded: Array, nominal: Array) -> Array:
         rows = rows[np.isfinite(rows).all(1)]
         out[tip] = np.median(rows, axis=0) if len(rows) else 0.0
     return out
+
+
+def free_spread(real: Array, force: Array) -> float:
+    """Return the usual spread of a component of a fingertip that the scene does not touch while motions begin."""
+    free = (np.linalg.norm(force[:, :STILL_ROWS], axis=-1) < 1e-6).all(1)
+    begin = np.moveaxis(real[:, :STILL_ROWS], 1, -1)[free]
+    begin = begin[np.isfinite(begin).all((1, 2))]
+    return float(np.sqrt(np.median(begin.var(-1, ddof=1).mean(-1)))) if len(begin) else 0.0
 
 
 def tips(scene: Scene, joints: Array) -> tuple[Array, Array]:

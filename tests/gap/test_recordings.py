@@ -87,7 +87,7 @@ def test_a_wrong_rate_is_refused(arm):
     assert refusal(arm, episode(rate_hz=80.0)) == (
         "the episode's rate is not the scene's\n"
         "  expected: 100 Hz\n"
-        "  found: 80 Hz\n"
+        "  found: 80 Hz, 0.8 times that\n"
         "  where: episode e0\n"
         "  do: give map.yaml (or the episode) and scene.yaml the true rate of the recording"
     )
