@@ -25,7 +25,7 @@ from candata.gap.mismatch_commands import (
 from candata.gap.mismatch_forces import exchange_findings, scale_findings
 from candata.gap.mismatch_range import range_findings
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
-from candata.gap.mismatch_swaps import confirmed, distances, ordered, swap_findings, swaps
+from candata.gap.mismatch_swaps import Swap, confirmed, distances, ordered, overlap, swap_findings, swaps
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer
 from candata.gap.starts import STILL_ROWS, is_toss, starts
@@ -159,8 +159,11 @@ def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
 
 def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     """Return that commands or joints are in another order, where the scene agrees: with it its joints come closer."""
-    drive, found = pairs.drive, []
+    drive = pairs.drive
+    found: list[Swap] = []
     for chosen in swaps(pairs):
+        if any(overlap(chosen, one.chosen) for one in found):
+            continue
         commands, joint = look.recs.commands.copy(), look.recs.readings["joint_position"].copy()
         commands[..., drive.columns] = (pairs.target[..., chosen] - drive.offset) / drive.slope
         joint[..., drive.joints] = ordered(pairs.joint, chosen)
@@ -169,8 +172,9 @@ def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
             replace(look.recs, readings=look.recs.readings | {"joint_position": joint}),
         )
         plays = (_Look(look.replayer, r, None).play(r)["joint_position"][..., drive.joints] for r in others)
-        found.append(confirmed(pairs, chosen, own, *plays))
-    return swap_findings(pairs, look.recs, [f for f in found if f is not None])
+        if one := confirmed(pairs, chosen, own, *plays):
+            found.append(one)
+    return swap_findings(pairs, look.recs, found)
 
 
 def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:

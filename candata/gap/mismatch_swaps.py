@@ -48,13 +48,27 @@ class Swap:
 def swaps(p: Paired) -> list[Index]:
     """Return exchanges `(S,)` that are worth a replay: which command each joint may follow instead of its own.
 
-    First those of all episodes together, then those that several ask for. A cost is the log squared error, mean over
-    episodes: those in which contact stops the fingers tell little, and weigh little.
+    First that of all episodes together as a whole, then its cycles, then those that several ask for. A cost is the log
+    squared error, mean over episodes: those in which contact stops the fingers tell little, and weigh little.
     """
     costs = np.stack([_cost(p, e) for e in range(len(p.joint))])
     asked = Counter(c for cost in costs for c in _asked(cost))
     often = [c for c, count in asked.most_common() if count >= AT_LEAST]
-    return [np.array(c) for c in dict.fromkeys([*_asked(costs.mean(0)), *often])]
+    together = _asked(costs.mean(0))
+    return [np.array(c) for c in dict.fromkeys([*_whole(together), *together, *often])]
+
+
+def _whole(parts: Sequence[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """Return the one exchange that disjoint exchanges make; nothing without any."""
+    return [tuple(next((x for x in same if x != i), i) for i, same in enumerate(zip(*parts, strict=True)))] * bool(
+        parts
+    )
+
+
+def overlap(one: Index, other: Index) -> bool:
+    """Tell whether two exchanges move a joint both."""
+    straight = np.arange(len(one))
+    return bool(((one != straight) & (other != straight)).any())
 
 
 def _asked(cost: Array) -> list[tuple[int, ...]]:
