@@ -9,14 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.finding import Finding
+from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
 from candata.gap.recordings import Recordings
 from candata.gap.starts import STILL_ROWS, reach, support_height
 from candata.rotation import conjugate, normalise, rotate
 from candata.scenes import Scene
+from candata.units import TO_SI
 
 Array = NDArray[np.float64]
 #: How far the object may lie from where contact says it is [m]: the bound of `pose_bias`, and as much again.
 FAR_M = 0.2
+#: Extents of the scene beyond which a pose lies far outside it, and beyond which it does where another unit of length
+#: brings it back. Chosen.
+FAR_EXTENTS, UNIT_EXTENTS = 10.0, 2.0
+#: Units of length that poses are recorded in by mistake, in words; the smallest factor first.
+LENGTHS = {"cm": "centimetres", "mm": "millimetres"}
 #: Depth below the support [m] at which an orientation is not believed: three times what the largest drawn
 #: `pose_rotation_bias` (0.12 rad) does to a can of 30 mm radius.
 SUNK_M = 0.012
@@ -36,11 +43,12 @@ def pose_findings(scene: Scene, recs: Recordings) -> list[Finding]:
     """Return what is wrong with the object's poses themselves: unit, place, order of the quaternion."""
     if "object_pose" not in recs.readings or not np.isfinite(recs.readings["object_pose"]).any():
         return []
-    flat = recs.readings["object_pose"].reshape(-1, 7)
-    pose = _some(flat[np.isfinite(flat).all(1)])
-    size = float(np.median(np.abs(pose[:, :3]).max(1)))
-    extent = float(max(scene.model.stat.extent, np.abs(scene.model.qpos0).max(), 1.0))
-    if size > 10 * extent:
+    each = [row[np.isfinite(row).all(1)] for row in recs.readings["object_pose"]]
+    if other := _other_unit(scene, recs, each):
+        return [other]
+    pose = _some(np.concatenate(each))
+    size, extent = _size(pose), _extent(scene)
+    if size > FAR_EXTENTS * extent:
         return [Finding(
             "pose_unit", True, "object_pose lies far outside the scene", f"metres, within about {extent:.2g} m",
             f"{size:.3g} (as millimetres: {size / 1000:.3g} m)",
@@ -49,6 +57,50 @@ def pose_findings(scene: Scene, recs: Recordings) -> list[Finding]:
     if scene.file.support is None:
         return []
     return _place(scene, pose) or _order(scene, pose)
+
+
+def _size(pose: Array) -> float:
+    """Return the usual largest coordinate of poses `(N, 7)`."""
+    return float(np.median(np.abs(pose[:, :3]).max(1)))
+
+
+def _extent(scene: Scene) -> float:
+    """Return about how far the scene reaches [m]."""
+    return float(max(scene.model.stat.extent, np.abs(scene.model.qpos0).max(), 1.0))
+
+
+def _other_unit(scene: Scene, recs: Recordings, each: list[Array]) -> Finding | None:
+    """Return that poses are lengths of another unit, in all episodes or in some; None where no unit brings them back.
+
+    Parameters
+    ----------
+    each : list of (N, 7) float64
+        Poses of each episode that were seen.
+    """
+    units = [_length_unit(scene, _some(pose)) if len(pose) else "" for pose in each]
+    unit = max(LENGTHS, key=units.count)
+    some = np.array([u == unit for u in units])
+    if not some.any() or not (some.all() or some.sum() >= AT_LEAST):
+        return None
+    size = _size(np.concatenate([pose for pose, s in zip(each, some, strict=True) if s]))
+    where = "" if some.all() else f", {in_episodes(recs, some)}"
+    of_these = "" if some.all() else " of these episodes"
+    return Finding(
+        "pose_unit", True, f"object_pose looks like {LENGTHS[unit]}", f"metres, within about {_extent(scene):.2g} m",
+        f"{size:.3g}: {1 / TO_SI[unit]:.4g} times what fits{where}",
+        f"give its unit in map.yaml{of_these}: `units: {{object_pose: {unit}}}`", "object_pose",
+    )  # fmt: skip
+
+
+def _length_unit(scene: Scene, pose: Array) -> str:
+    """Return the unit that brings poses `(N, 7)` from far outside back to where the object is; nothing if none does."""
+    size, extent = _size(pose), _extent(scene)
+    over = float((lowest(scene, pose) - support_height(scene)).min()) if scene.file.support else 0.0
+    if size < FAR_EXTENTS * extent and over < UNIT_EXTENTS * extent:
+        return ""
+    home, place = scene.model.qpos0[scene.object_qpos : scene.object_qpos + 3], np.median(pose[:, :3], axis=0)
+    away = {u: float(np.linalg.norm(TO_SI[u] * place - home)) for u in LENGTHS if size * TO_SI[u] < extent}
+    return min(away, key=away.__getitem__, default="")
 
 
 def _place(scene: Scene, pose: Array) -> list[Finding]:

@@ -22,6 +22,9 @@ Index = NDArray[np.int64]
 SWAP_GAIN = 1.3
 #: By how much an exchange must bring the scene's joints closer to the recorded ones to be sure.
 CLOSER = 0.5
+#: Share of its difference to the scene's joint that an exchange leaves of a joint that tells clearly, and how many such
+#: joints decide for those that contact keeps from telling. Chosen: no effect drawn on ten scenes came near.
+CLEAR, CLEAR_JOINTS = 0.1, 2
 #: Episodes that must ask for the same exchange where the others do not.
 AT_LEAST = 2
 
@@ -96,7 +99,8 @@ def ordered(values: Array, chosen: Index) -> Array:
 def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: Array) -> Swap | None:
     """Return the exchange where it brings the scene's joints closer to the recorded ones, each of them.
 
-    Beside a dead joint, a small one that is asked to go far stops at its range: both together would come closer.
+    Beside a dead joint, a small one that is asked to go far stops at its range: both together would come closer. Where
+    fingers hold something, a replay soon lets it go: joints that are free decide for them, if they fit closely.
 
     Parameters
     ----------
@@ -105,9 +109,28 @@ def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: A
     own, commanded, renamed : (E, T, S) float64
         Where the scene's joints go as recorded, under exchanged commands, and from where exchanged joints start.
     """
+    exchanged = ordered(p.joint, chosen) - renamed
+    return _closer(p, chosen, own, commanded, exchanged) or _clear(p, chosen, own, commanded, exchanged)
+
+
+def _clear(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: Array) -> Swap | None:
+    """Return the exchange where several joints that it moves do what the scene's do, and did not before."""
+    moved = chosen != np.arange(len(chosen))
+    left = {"action": p.joint - commanded, "joint_position": exchanged}
+    channels = tuple(name for name, off in left.items() if _clearly(off, p.joint - own, moved))
+    return Swap(chosen, channels, (True,) * len(p.joint)) if channels else None
+
+
+def _closer(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: Array) -> Swap | None:
+    """Return the exchange where all joints that it moves come closer, in all episodes or in those that ask for it.
+
+    Parameters
+    ----------
+    exchanged : (E, T, S) float64
+        Difference of joints exchanged, from where the scene's go then.
+    """
     moved = chosen != np.arange(len(chosen))
     given, commands = (distances(p.joint - v, moved) for v in (own, commanded))
-    exchanged = ordered(p.joint, chosen) - renamed
     joints = distances(exchanged, moved)
     best = np.minimum(commands, joints)
     away = distances(_from_zero(p.joint - own), moved)
@@ -120,8 +143,8 @@ def confirmed(p: Paired, chosen: Index, own: Array, commanded: Array, renamed: A
     if not any(_each_closer(off, p.joint - own, moved, holds) for off in (p.joint - commanded, exchanged)):
         return None
     as_commands, as_joints = (float(np.median(v[holds])) for v in (commands, joints))
-    channels = [("action", as_joints), ("joint_position", as_commands)]
-    told = tuple(name for name, rival in channels if min(as_commands, as_joints) < CLOSER * rival)
+    rivals = [("action", as_joints), ("joint_position", as_commands)]
+    told = tuple(name for name, rival in rivals if min(as_commands, as_joints) < CLOSER * rival)
     return Swap(chosen, told if len(told) == 1 else ("action", "joint_position"), tuple(holds.tolist()))
 
 
@@ -166,6 +189,13 @@ def _each_closer(off: Array, given: Array, some: NDArray[np.bool_], episodes: ND
     alone = [np.arange(off.shape[2]) == j for j in np.flatnonzero(some)]
     each = [(distances(off[episodes], one), distances(_from_zero(given[episodes]), one)) for one in alone]
     return all(bool(np.median(now) < np.median(before)) for now, before in each)
+
+
+def _clearly(off: Array, given: Array, some: NDArray[np.bool_]) -> bool:
+    """Tell whether several joints that an exchange moves then do what the scene's do, and did not before."""
+    alone = [np.arange(off.shape[2]) == j for j in np.flatnonzero(some)]
+    each = [(np.median(distances(off, one)), np.median(distances(_from_zero(given), one))) for one in alone]
+    return sum(bool(now < CLEAR * before) for now, before in each) >= CLEAR_JOINTS
 
 
 def _from_zero(off: Array) -> Array:
