@@ -8,8 +8,23 @@ from candata.checks._view import View
 def pairs(view: View) -> tuple[tuple[int, int], ...]:
     """Return `(column of joint_position, column of action)` of each driven joint.
 
-    By name; by place where an episode has as many commands as joints and names neither, or both alike.
+    By name; by place where an episode has as many commands as joints and names neither, or both alike. Only position
+    servos, where the scene is known: what motors and velocity servos are told is no place.
     """
+    return tuple((j, a) for j, a in _named(view) if _is_place(view, a))
+
+
+def _is_place(view: View, column: int) -> bool:
+    """Tell whether a command says where a joint is to go, as far as is known."""
+    scene, names = view.scene, view.elements("action")
+    if scene is None or names[column] not in scene.file.actuator_names:
+        return True
+    actuator = scene.actuator_ids[scene.file.actuator_names.index(names[column])]
+    return bool(scene.model.actuator_biasprm[actuator, 1] != 0)
+
+
+def _named(view: View) -> tuple[tuple[int, int], ...]:
+    """Return `(column of joint_position, column of action)` of each joint and the command of its name or place."""
     if not {"joint_position", "action"} <= view.raw.arrays.keys() or view.meta is None:
         return ()
     joint, action = view.raw.arrays["joint_position"], view.raw.arrays["action"]

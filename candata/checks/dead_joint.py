@@ -9,6 +9,7 @@ import numpy as np
 
 from candata.checks._drive import pairs
 from candata.checks._finding import Finding, Rule
+from candata.checks._forces import touched
 from candata.checks._signal import noise
 from candata.checks._view import View, rounded
 
@@ -20,12 +21,17 @@ STILL = 0.03
 SHORT, FAR = 0.25, 0.1
 #: Time for which a command must be held, within this share of its way [s].
 HELD_S, HELD = 0.4, 0.02
+#: Share of an episode's rows with a touch from which something is held. Chosen.
+HELD_SHARE = 0.5
 REMEDY = "check motor and encoder; leave the joint out, or mark its rows invalid"
 
 
 @dataclass(frozen=True)
 class _Ways:
-    """How far joints and commands move in an episode, the joints' noise, and how far from held commands they stop."""
+    """How far joints and commands move in an episode, the joints' noise, and how far from held commands they stop.
+
+    `held` tells whether something is touched most of the time: what fingers hold may stop them.
+    """
 
     id: str
     names: tuple[str, ...]
@@ -33,6 +39,7 @@ class _Ways:
     command: np.ndarray
     quiet: np.ndarray
     short: np.ndarray
+    held: bool
 
 
 def _gather(view: View) -> _Ways | None:
@@ -44,7 +51,9 @@ def _gather(view: View) -> _Ways | None:
     names = view.elements("joint_position")
     mine, theirs = joint[:, [j for j, _ in driven]], command[:, [a for _, a in driven]]
     short = _short(mine, theirs, round(HELD_S * view.rate_hz))
-    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine), short)
+    touch = touched(view)
+    held = touch is not None and bool(np.nanmean(touch) > HELD_SHARE)
+    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine), short, held)
 
 
 def _way(values: np.ndarray) -> np.ndarray:
@@ -74,7 +83,7 @@ def _judge(seen: Sequence[_Ways]) -> Iterator[Finding]:
         still = asked & (joint < np.maximum(STILL * command, np.minimum(8 * quiet, 0.1 * command)))
         for k in np.flatnonzero(still):
             problem = f"a joint does not follow its command: {name}"
-            sure = joint[k] == 0 or still.sum() == asked.sum() > 2
+            sure = joint[k] == 0 or (still.sum() == asked.sum() > 2 and not all(one.held for one, _ in mine))
             yield Finding(
                 "error" if sure else "warning", "dead_joint",
                 f"{problem}, it moves {joint[k]:.3g} where {command[k]:.3g} is commanded", mine[k][0].id,

@@ -211,6 +211,38 @@ def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.ra
     return _changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))
 
 
+def all_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with joints and commands in degrees."""
+    return _changed(arrays, **{name: np.rad2deg(arrays[name]) for name in ("joint_position", "action")})
+
+
+def commands_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with commands in degrees."""
+    return _changed(arrays, action=np.rad2deg(arrays["action"]))
+
+
+def force_divided(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with forces over `severity`: kilogram-force by default."""
+    return _changed(arrays, fingertip_force=arrays["fingertip_force"] / severity)
+
+
+def exchanged(channel: str) -> Damage:
+    """Return what puts the last two columns of a channel in the place of each other."""
+
+    def damage(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+        """Return arrays with two columns exchanged."""
+        columns = np.arange(arrays[channel].shape[1])
+        columns[-2:] = columns[:-3:-1]
+        return _changed(arrays, **{channel: arrays[channel][:, columns]})
+
+    return damage
+
+
+def stamps_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose stamps are `severity` times as far apart."""
+    return arrays | {"time_ns": (arrays["time_ns"] * severity).astype(arrays["time_ns"].dtype)}
+
+
 _FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")
 #: Name of a defect to what it is; the first ten are those of other validators' test.
 DEFECTS: Mapping[str, Defect] = MappingProxyType({
@@ -246,6 +278,14 @@ DEFECTS: Mapping[str, Defect] = MappingProxyType({
                          0.2, "m", (0.1, 0.05)),
     "fall_scaled": Defect("free flight is no free fall", _POSE, ("free_fall",), fall_scaled, 0.5, "1",
                           (0.2, 0.1, 0.05)),
+    "all_in_degrees": Defect("joints and commands in degrees", _DRIVE, ("scene_match",), all_in_degrees),
+    "commands_in_degrees": Defect("commands in degrees", _DRIVE, ("scene_match",), commands_in_degrees),
+    "force_in_kilograms": Defect("forces in kilogram-force", _FORCE, ("scene_match",), force_divided, 9.80665, "1"),
+    "tips_exchanged": Defect("two fingertips exchanged", _FORCE, ("scene_match",), exchanged("fingertip_force")),
+    "joints_exchanged": Defect("two joints exchanged", _DRIVE, ("scene_match",), exchanged("joint_position")),
+    "commands_exchanged": Defect("two commands exchanged", _DRIVE, ("scene_match",), exchanged("action")),
+    "stamps_scaled": Defect("stamps twice as far apart", ("time_ns",), ("time", "scene_match"), stamps_scaled, 2.0, "1",
+                            (0.5,)),
     "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),
 })  # fmt: skip
 

@@ -26,6 +26,11 @@ DOUBTFUL = ("joint_unit", "command_unit", "force_unit", "pose_unit", "swapped_fi
 def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
     """Yield what no physics explains between some episodes and the scene under their commands."""
     episodes = [e for e in map(_episode, views) if e is not None]
+    if episodes and not any(_of_scene(e, scene) for e in episodes):
+        yield Finding(
+            "unknown", NAME, "the joints are none of the scene's", problem="the joints are none of the scene's"
+        )
+        return
     usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
     faults = [fault_of(scene, e, usual) for e in episodes]
     yield from (_fault(fault) for fault in faults if isinstance(fault, RateError))
@@ -44,6 +49,12 @@ def _episode(view: View) -> Episode | None:
         return Episode(view.raw.meta(), {n: np.asarray(a) for n, a in view.raw.arrays.items()})
     except (CandataError, ValueError):
         return None
+
+
+def _of_scene(episode: Episode, scene: Scene) -> bool:
+    """Tell whether an episode may be of the scene: it shares a joint's name, or has as many joints, or none."""
+    names = episode.meta.joint_names
+    return not names or len(names) == len(scene.file.joints) or bool(set(names) & set(scene.file.joints))
 
 
 def _recordings(scene: Scene, episodes: list[Episode]) -> Recordings | str:

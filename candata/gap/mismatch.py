@@ -36,7 +36,7 @@ from candata.schema.effect import EffectSetting
 from candata.simulate import Trajectory, rollout
 
 Array = NDArray[np.float64]
-#: Episodes that are looked at, evenly spread: a mismatch is in all of them.
+#: Episodes that are played: a mismatch is in all of them, or in a part that shows among so many.
 LOOKED_AT = 12
 #: Rows by which joints may react earlier than the scene's before it is asked why.
 EARLY_ROWS = 0.6
@@ -103,7 +103,7 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
         E recorded episodes.
     """
     scene = replayer.scene
-    some = recs.take(_evenly(len(recs), LOOKED_AT))
+    some = recs.take(_drawn(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
     found = pose_findings(scene, recs) + range_findings(scene, recs, paired(scene, recs))
     if pairs is not None and not any(f.definite for f in found):
@@ -112,6 +112,16 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
         found += _by_replay(_Look(replayer, some, pairs))
     found += _tasks(recs)
     return tuple(sorted(found, key=lambda f: not f.definite))
+
+
+def _drawn(count: int, most: int) -> NDArray[np.int64]:
+    """Return the numbers of at most `most` of `count` episodes, one at random from each of as many equal stretches.
+
+    Evenly spaced ones would miss, or hold only, what every other episode has.
+    """
+    ends = np.linspace(0, count, min(most, count) + 1)
+    inside = np.random.default_rng(0).uniform(ends[:-1], ends[1:])
+    return np.unique(np.minimum(inside.astype(int), count - 1))
 
 
 def _evenly(count: int, most: int) -> NDArray[np.int64]:

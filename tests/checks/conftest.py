@@ -31,6 +31,17 @@ def toss_scene():
 
 
 @pytest.fixture(scope="session")
+def light_scene():
+    return load_scene("gripper_tabletop")
+
+
+@pytest.fixture(scope="session")
+def light(light_scene):
+    """Twelve episodes of a light scene with the declared noise."""
+    return simulated(light_scene, 12, duration_s=1.8)
+
+
+@pytest.fixture(scope="session")
 def hand(hand_scene):
     """Ten episodes, two of each motion, with the declared noise."""
     return simulated(hand_scene, 10)

@@ -29,6 +29,9 @@ WEAKEST = {
 #: Defects that the tosses show, and those that take the scene.
 TOSS = ("pose_in_millimetres", "quaternion_not_unit", "quaternion_swapped", "rows_dropped", "time_jump", "fall_scaled")
 WITH_SCENE = ("joint_beyond_limits", "object_sunk", "object_far")
+#: Defects that only the scene's own motion tells.
+AGAINST_MOTION = ("all_in_degrees", "commands_in_degrees", "force_in_kilograms", "tips_exchanged", "joints_exchanged",
+                  "commands_exchanged", "stamps_scaled")  # fmt: skip
 OTHERS = ("joint_dead", "rows_dropped", "rows_dropped_unseen", "time_jump", "clock_drift", "action_shifted",
           "joint_in_degrees")  # fmt: skip
 
@@ -44,7 +47,7 @@ def caught(judged, raws, name, scene=None):
 
 def test_the_ten_are_there_and_every_defect_names_rules():
     assert set(TEN) <= set(defects.names())
-    assert {*TEN, *TOSS, *WITH_SCENE, *OTHERS} == set(defects.names())
+    assert {*TEN, *TOSS, *WITH_SCENE, *AGAINST_MOTION, *OTHERS} == set(defects.names())
     for name in defects.names():
         assert set(defects.defect(name).rules) <= set(rule_names())
 
@@ -86,6 +89,13 @@ def test_it_is_found_where_flags_were_derived_from_the_damaged_forces(hand, judg
 @pytest.mark.parametrize("name", TOSS)
 def test_a_defect_of_tosses_is_found(tosses, judged, name):
     assert caught(judged, defects.inject(tosses, name, rng()), name)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5])
+@pytest.mark.parametrize("name", AGAINST_MOTION)
+def test_what_the_scenes_own_motion_contradicts_is_an_error(light, light_scene, judged, name, share):
+    found = judged(defects.inject(light, name, rng(), share=share), light_scene, ["scene_match"])
+    assert "error" in {f.level for f in found}
 
 
 @pytest.mark.parametrize("name", WITH_SCENE)
