@@ -9,7 +9,7 @@ import numpy as np
 
 from candata.checks._drive import pairs
 from candata.checks._finding import Finding, Rule
-from candata.checks._forces import touched
+from candata.checks._forces import forces, touched
 from candata.checks._signal import noise
 from candata.checks._view import View, rounded
 
@@ -51,9 +51,14 @@ def _gather(view: View) -> _Ways | None:
     names = view.elements("joint_position")
     mine, theirs = joint[:, [j for j, _ in driven]], command[:, [a for _, a in driven]]
     short = _short(mine, theirs, round(HELD_S * view.rate_hz))
-    touch = touched(view)
-    held = touch is not None and bool(np.nanmean(touch) > HELD_SHARE)
-    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine), short, held)
+    return _Ways(view.id, tuple(names[j] for j, _ in driven), _way(mine), _way(theirs), noise(mine), short, _held(view))
+
+
+def _held(view: View) -> bool:
+    """Tell whether something is touched most of the time, by force where it is known, else by flag."""
+    force = forces(view)
+    touch = touched(view) if force is None else force.touch.any(axis=1)
+    return touch is not None and bool(np.nanmean(touch) > HELD_SHARE)
 
 
 def _way(values: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ writer might. `inject` damages a share of a dataset's episodes and gives them as
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -15,6 +15,16 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.checks._unit_defects import (
+    Arrays,
+    Damage,
+    all_in_degrees,
+    changed,
+    commands_in_degrees,
+    exchanged,
+    force_divided,
+    stamps_scaled,
+)
 from candata.datasets import Dataset, RawEpisode, append, create_dataset
 from candata.datasets.encode import hash_columns, meta_json
 from candata.errors import DataError, UnknownNameError
@@ -23,9 +33,6 @@ from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
-Arrays = dict[str, NDArray]
-#: `(arrays, rate_hz, severity, rng) -> arrays`: what is stored, damaged.
-Damage = Callable[[Arrays, float, float, np.random.Generator], Arrays]
 #: Gram-force a newton (standard gravity, CGPM 1901).
 GRAM_FORCE = 1 / 9.80665e-3
 
@@ -61,11 +68,6 @@ class Defect:
     milder: tuple[float, ...] = ()
 
 
-def _changed(arrays: Arrays, **columns: NDArray) -> Arrays:
-    """Return arrays with other columns, in the type that they had."""
-    return arrays | {name: np.asarray(value).astype(arrays[name].dtype) for name, value in columns.items()}
-
-
 def _late(array: NDArray, rows: int) -> NDArray:
     """Return an array that comes `rows` rows later; the first row is held before. Earlier where negative."""
     if rows == 0:
@@ -88,19 +90,19 @@ def contact_inverted(arrays: Arrays, rate_hz: float, severity: float, rng: np.ra
 
 def force_in_grams(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays with forces times `severity`: gram-force by default."""
-    return _changed(arrays, fingertip_force=arrays["fingertip_force"] * severity)
+    return changed(arrays, fingertip_force=arrays["fingertip_force"] * severity)
 
 
 def force_late(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose forces come `severity` seconds late."""
-    return _changed(arrays, fingertip_force=_late(arrays["fingertip_force"], _rows(rate_hz, severity)))
+    return changed(arrays, fingertip_force=_late(arrays["fingertip_force"], _rows(rate_hz, severity)))
 
 
 def force_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose forces drift from 0 to `severity` newton along the fingertips' normal (their last axis)."""
     force = arrays["fingertip_force"].copy()
     force[..., 2] += np.linspace(0, severity, len(force))[:, None]
-    return _changed(arrays, fingertip_force=force)
+    return changed(arrays, fingertip_force=force)
 
 
 def finger_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -108,14 +110,14 @@ def finger_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.
     force = arrays["fingertip_force"].copy()
     tip = int(np.argmax(np.nansum(np.abs(force), axis=(0, 2))))
     force[:, tip] = 0
-    return _changed(arrays, fingertip_force=force)
+    return changed(arrays, fingertip_force=force)
 
 
 def force_saturated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose forces end at `1 - severity` of the largest component."""
     force = arrays["fingertip_force"]
     limit = (1 - severity) * float(np.nanmax(np.abs(force), initial=0.0))
-    return _changed(arrays, fingertip_force=np.clip(force, -limit, limit))
+    return changed(arrays, fingertip_force=np.clip(force, -limit, limit))
 
 
 def force_nan(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -123,17 +125,17 @@ def force_nan(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Ge
     force = arrays["fingertip_force"].copy()
     rows = rng.choice(len(force), max(1, int(severity * len(force))), replace=False)
     force[rows, int(rng.integers(force.shape[1]))] = np.nan
-    return _changed(arrays, fingertip_force=force)
+    return changed(arrays, fingertip_force=force)
 
 
 def pose_in_millimetres(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays with the object's place times `severity`: millimetres by default."""
-    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[[severity] * 3, [1] * 4])
+    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[[severity] * 3, [1] * 4])
 
 
 def quaternion_not_unit(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose quaternions have the norm 1 + `severity`."""
-    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[[1] * 3, [1 + severity] * 4])
+    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[[1] * 3, [1 + severity] * 4])
 
 
 def quaternion_swapped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -146,7 +148,7 @@ def joint_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.G
     joint = arrays["joint_position"].copy()
     moves = int(np.argmax(np.ptp(joint, axis=0)))
     joint[:, moves] = joint[0, moves]
-    return _changed(arrays, joint_position=joint)
+    return changed(arrays, joint_position=joint)
 
 
 def rows_dropped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -183,64 +185,32 @@ def clock_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.
 
 def action_shifted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose commands are logged `severity` rows late."""
-    return _changed(arrays, action=_late(arrays["action"], int(severity)))
+    return changed(arrays, action=_late(arrays["action"], int(severity)))
 
 
 def joint_beyond_limits(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays in which all joints are off by `severity` radian."""
-    return _changed(arrays, joint_position=arrays["joint_position"] + severity)
+    return changed(arrays, joint_position=arrays["joint_position"] + severity)
 
 
 def object_sunk(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays with the object `severity` metres lower."""
-    return _changed(arrays, object_pose=arrays["object_pose"] - np.r_[0, 0, severity, 0, 0, 0, 0])
+    return changed(arrays, object_pose=arrays["object_pose"] - np.r_[0, 0, severity, 0, 0, 0, 0])
 
 
 def object_far(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays with the object `severity` metres to the side."""
-    return _changed(arrays, object_pose=arrays["object_pose"] + np.r_[severity, 0, 0, 0, 0, 0, 0])
+    return changed(arrays, object_pose=arrays["object_pose"] + np.r_[severity, 0, 0, 0, 0, 0, 0])
 
 
 def fall_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose object falls with `1 - severity` of gravity: heights scaled."""
-    return _changed(arrays, object_pose=arrays["object_pose"] * np.r_[1, 1, 1 - severity, 1, 1, 1, 1])
+    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[1, 1, 1 - severity, 1, 1, 1, 1])
 
 
 def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays with joints in degrees."""
-    return _changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))
-
-
-def all_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with joints and commands in degrees."""
-    return _changed(arrays, **{name: np.rad2deg(arrays[name]) for name in ("joint_position", "action")})
-
-
-def commands_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with commands in degrees."""
-    return _changed(arrays, action=np.rad2deg(arrays["action"]))
-
-
-def force_divided(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with forces over `severity`: kilogram-force by default."""
-    return _changed(arrays, fingertip_force=arrays["fingertip_force"] / severity)
-
-
-def exchanged(channel: str) -> Damage:
-    """Return what puts the last two columns of a channel in the place of each other."""
-
-    def damage(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-        """Return arrays with two columns exchanged."""
-        columns = np.arange(arrays[channel].shape[1])
-        columns[-2:] = columns[:-3:-1]
-        return _changed(arrays, **{channel: arrays[channel][:, columns]})
-
-    return damage
-
-
-def stamps_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose stamps are `severity` times as far apart."""
-    return arrays | {"time_ns": (arrays["time_ns"] * severity).astype(arrays["time_ns"].dtype)}
+    return changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))
 
 
 _FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")

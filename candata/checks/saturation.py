@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.checks._finding import Finding, Rule
+from candata.checks._finding import Finding, Level, Rule
 from candata.checks._forces import Forces, forces
 from candata.checks._view import View
 
@@ -24,6 +24,9 @@ OVERSHOOT = 12.0
 SLOPE_ROWS = 4
 #: Relative rounding of float32 components that a constant norm keeps.
 ROUNDING = 1e-6
+#: Full scale [N] below which a plateau is doubtful: no fingertip sensor ends there (BioTac SP manual: 50 N; ATI Nano17
+#: data sheet: 17 N and more), while a constant bias of a sensor without noise stands as still.
+SMALLEST_N = 1.0
 REMEDY = "the sensor's full scale was reached: use a larger range, or mark these rows invalid"
 
 
@@ -42,8 +45,9 @@ def _episode(view: View) -> Iterator[Finding]:
                 best, limit = rows, float(series.max())
         if best.any():
             text = f"{name} stands at {limit:.4g} N in {best.sum()} rows"
+            level: Level = "error" if limit > SMALLEST_N else "warning"
             yield view.finding(
-                "error", "saturation", "a force saturates", text, "fingertip_force", best, REMEDY,
+                level, "saturation", "a force saturates", text, "fingertip_force", best, REMEDY,
                 fingertip=name, limit_N=limit, rows=int(best.sum()), equal_neighbours_share=equal,
             )  # fmt: skip
 

@@ -22,7 +22,7 @@ from candata.gap.mismatch_commands import (
     within,
     zero_findings,
 )
-from candata.gap.mismatch_forces import exchange_findings, scale_findings
+from candata.gap.mismatch_forces import exchange_findings, exchange_rivals, scale_findings
 from candata.gap.mismatch_range import range_findings
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
 from candata.gap.mismatch_swaps import Swap, confirmed, distances, ordered, overlap, swap_findings, swaps
@@ -164,7 +164,14 @@ def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
     found += exchange_findings(scene, recs, force)
     if any(f.definite for f in found) or touching is None:
         return found
-    return found + force_findings(scene, touching)
+    turned = force_findings(scene, touching)
+    if turned and (rival := exchange_rivals(scene, recs, force)):
+        words, fix = (
+            f"{turned[0].found}; or fingertips are exchanged: {rival}",
+            f"{turned[0].fix}, or put columns in order",
+        )
+        turned = [replace(turned[0], found=words, fix=fix), *turned[1:]]
+    return found + turned
 
 
 def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:

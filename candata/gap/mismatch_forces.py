@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +37,9 @@ RISE, REACHED = 0.05, 0.6
 #: What it must reach to be sure where only one episode asks, or others speak against it. (On a hand of two fingers
 #: against one, whose joints were off by 5 deg, the two agreed better when exchanged in 3 of 12 episodes: 0.64.)
 SURE = 0.8
+#: Share of the largest squared force among exchanged fingertips that each must feel, recorded and simulated, to let an
+#: episode ask: which of two opposed jaws bears a tilted object alone is chance. Chosen: 0.002 there at most.
+SHARED = 0.005
 #: Rows of touch that let an episode ask for an exchange.
 ASKING_ROWS = 8
 
@@ -131,13 +135,28 @@ def _factors(real: Array, force: Array) -> Array:
 
 
 def _noise_factor(scene: Scene, recs: Recordings, force: Array) -> float | None:
-    """Return the noise of free fingertips over the declared one; None where it does not tell."""
-    noise, spread = scene.file.noise, free_spread(recs.readings["fingertip_force"], force)
+    """Return the noise of fingertips over the declared one, of free ones where there are; None where it does not tell.
+
+    What is held from the start leaves none free: then the noise is at most what readings bend from row to row.
+    """
+    noise, real = scene.file.noise, recs.readings["fingertip_force"]
+    spread = free_spread(real, force) or _bend(real)
     if noise is None or not spread:
         return None
     # Rounding to steps of a width has a spread of width / sqrt(12) (Widrow and Kollar 2008, chapter 4).
     declared = float(np.hypot(noise.fingertip_force, noise.force_step / np.sqrt(12)))
     return spread / declared if declared > 0 else None
+
+
+def _bend(real: Array) -> float:
+    """Return the spread of readings from row to row, by second differences (white noise: its standard deviation).
+
+    Source: second differences of white noise have six times its variance; 0.6745 is the median of |x| for a unit normal
+    (Rousseeuw and Croux 1993, eq. 1.3).
+    """
+    bend = np.abs(np.diff(real, 2, axis=1))
+    seen = np.isfinite(bend)
+    return float(np.median(bend[seen]) / 0.6745 / np.sqrt(6)) if seen.any() else 0.0
 
 
 def _unit(times: float, unit: str) -> Finding:
@@ -208,13 +227,17 @@ def exchange_findings(scene: Scene, recs: Recordings, force: Array) -> list[Find
     a = _agreement(recs.readings["fingertip_force"], force)
     for chosen in _exchanges(a):
         moved = np.flatnonzero(chosen != np.arange(len(chosen)))
-        rise = _rises(a, chosen, moved)
+        rise, signed = _rises(a, chosen, moved), _rises(a, chosen, moved, np.asarray)
+        # Where some episodes agree as they are, a sign is no other convention.
+        rise = signed if (signed < -RISE).any() else rise
         asked, against = rise > RISE, rise < -RISE
         if not asked.any() or (against.any() and asked.sum() < AT_LEAST):
             continue
         cosines = a.cosines(asked)
-        before, after = float(np.abs(cosines[moved, moved]).mean()), float(cosines[moved, chosen[moved]].mean())
-        rival = float(a.turned(asked)[moved].mean())
+        before = float((cosines if against.any() else np.abs(cosines))[moved, moved].mean())
+        after = float(cosines[moved, chosen[moved]].mean())
+        # A frame that is turned is so in every episode.
+        rival = 0.0 if against.any() else float(a.turned(asked)[moved].mean())
         if after > max(before + RISE, rival, REACHED):
             sure = after > SURE or (asked.sum() >= AT_LEAST and not against.any())
             return [_exchanged(scene, recs, chosen, asked, against, (before, after), sure)]
@@ -251,12 +274,32 @@ def _asked(cosines: Array) -> list[tuple[int, ...]]:
     return [some_of(chosen, cycle) for cycle in cycles(chosen)]
 
 
-def _rises(a: _Agreement, chosen: Index, moved: Index) -> Array:
-    """Return `(E,)` by how much the mean cosine rises with an exchange; 0 where an episode has no say."""
+def exchange_rivals(scene: Scene, recs: Recordings, force: Array) -> str:
+    """Return which exchange of fingertips makes recorded forces agree with the scene's; nothing where none does."""
+    if "fingertip_force" not in recs.readings or len(scene.file.fingertips) < 2:
+        return ""
+    a, tips = _agreement(recs.readings["fingertip_force"], force), scene.file.fingertips
+    cosines = a.cosines(np.ones(len(a.dot), bool))
+    for chosen in _exchanges(a):
+        moved = np.flatnonzero(chosen != np.arange(len(chosen)))
+        if cosines[moved, chosen[moved]].min() > SURE:
+            return ", ".join(f"{tips[i]} reads what {tips[chosen[i]]} feels" for i in moved)
+    return ""
+
+
+def _rises(a: _Agreement, chosen: Index, moved: Index, own: Callable[[Array], Array] = np.abs) -> Array:
+    """Return `(E,)` by how much the mean cosine rises with an exchange; 0 where an episode has no say.
+
+    Parameters
+    ----------
+    own : callable
+        What counts of a fingertip's cosine with its own: its size, unless a sign is no other convention.
+    """
     out = np.zeros(len(a.dot))
-    for e in np.flatnonzero(a.asking[:, moved].all(1)):
+    shared = np.logical_and(*(size[:, moved].min(1) > SHARED * size[:, moved].max(1) for size in (a.real, a.nominal)))
+    for e in np.flatnonzero(a.asking[:, moved].all(1) & shared):
         cosines = a.cosines(np.arange(len(out)) == e)
-        out[e] = (cosines[moved, chosen[moved]] - np.abs(cosines[moved, moved])).mean()
+        out[e] = (cosines[moved, chosen[moved]] - own(cosines[moved, moved])).mean()
     return out
 
 
