@@ -47,3 +47,8 @@ def exchanged(channel: str) -> Damage:
 def stamps_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose stamps are `severity` times as far apart."""
     return arrays | {"time_ns": (arrays["time_ns"] * severity).astype(arrays["time_ns"].dtype)}
+
+
+def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with joints in degrees."""
+    return changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))

@@ -23,6 +23,7 @@ from candata.checks._unit_defects import (
     commands_in_degrees,
     exchanged,
     force_divided,
+    joint_in_degrees,
     stamps_scaled,
 )
 from candata.datasets import Dataset, RawEpisode, append, create_dataset
@@ -206,11 +207,6 @@ def object_far(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.G
 def fall_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose object falls with `1 - severity` of gravity: heights scaled."""
     return changed(arrays, object_pose=arrays["object_pose"] * np.r_[1, 1, 1 - severity, 1, 1, 1, 1])
-
-
-def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with joints in degrees."""
-    return changed(arrays, joint_position=np.rad2deg(arrays["joint_position"]))
 
 
 _FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")
