@@ -1,4 +1,4 @@
-"""Rule: what touches is near: the fingertips that touch lie at the object."""
+"""Rule: what touches is near: fingertips that feel a force lie at something that they can touch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from candata.checks._view import View
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
 
-#: Distances between touching fingertip and object that are told, doubtful and wrong [m].
+#: Distances between a touching fingertip and what it can touch that are told, doubtful and wrong [m].
 TOLD_M, DOUBTFUL_M, WRONG_M = 0.005, 0.015, 0.05
 #: Fewest rows with contact, and the share of them that must be as far.
 FEWEST, ROWS = 3, 0.5
@@ -25,7 +25,7 @@ REMEDY = "check the frames of object and hand, the timing of contact against pos
 
 
 def _episode(view: View) -> Iterator[Finding]:
-    """Yield fingertips that are flagged, or feel a force, far from the object."""
+    """Yield fingertips that are flagged, or feel a force, far from all that they can touch."""
     scene, touch = view.scene, touched(view)
     if scene is None:
         return
@@ -41,7 +41,8 @@ def _episode(view: View) -> Iterator[Finding]:
         return
     rows = np.flatnonzero(tips.any(axis=1))
     groups = [_geoms(scene, tip) for tip in range(len(scene.file.fingertips))]
-    found = [(row, _distance(scene, data, groups, tips[row])) for row, data in placed(view, scene, rows)]
+    others = [_touchable(scene.model, geoms) for geoms in groups]
+    found = [(row, _distance(scene.model, data, groups, others, tips[row])) for row, data in placed(view, scene, rows)]
     if len(found) < FEWEST:
         return
     apart = float(np.quantile([d for _, d in found], 1 - ROWS))
@@ -51,7 +52,7 @@ def _episode(view: View) -> Iterator[Finding]:
         at = np.zeros(len(tips), bool)
         at[[row for row, d in found if d > TOLD_M]] = True
         yield view.finding(
-            level, "proximity", "contact without proximity", f"{1e3 * apart:.0f} mm between object and what touches it",
+            level, "proximity", "contact without proximity", f"{1e3 * apart:.0f} mm to what it can touch",
             "fingertip_contact", at, REMEDY, distance_m=apart, rows=len(found),
         )  # fmt: skip
 
@@ -99,15 +100,35 @@ def _geoms(scene: Scene, tip: int) -> list[int]:
     return np.flatnonzero(np.isin(model.geom_bodyid, bodies) & touch).tolist()
 
 
-def _distance(scene: Scene, data: mujoco.MjData, groups: list[list[int]], touching: NDArray[np.bool_]) -> float:
-    """Return the largest distance between a touching fingertip and the object [m]; of any, where it is not known which.
+def _touchable(model: mujoco.MjModel, tip: list[int]) -> list[int]:
+    """Return the geoms that a fingertip can touch: the object, the table, other fingers; not its neighbouring links."""
+    welds = model.body_weldid
+    own = {int(welds[model.geom_bodyid[g]]) for g in tip}
+    near = own | {int(welds[model.body_parentid[b]]) for b in own}
+    near |= {int(welds[b]) for b in range(1, model.nbody) if int(welds[model.body_parentid[b]]) in own}
+    kind, affine = model.geom_contype, model.geom_conaffinity
+    return [
+        g
+        for g in range(model.ngeom)
+        if (int(welds[model.geom_bodyid[g]]) not in near - {0} and int(welds[model.geom_bodyid[g]]) not in own)
+        and any((kind[g] & affine[t]) | (kind[t] & affine[g]) for t in tip)
+    ]
 
-    Looks no farther than 1 m.
+
+def _distance(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    groups: list[list[int]],
+    others: list[list[int]],
+    touching: NDArray[np.bool_],
+) -> float:
+    """Return the largest distance between a touching fingertip and what it can touch [m].
+
+    The least of all fingertips, where it is not known which touches. Looks no farther than 1 m.
     """
-    objects = scene.object_geoms.tolist()
     near = [
-        min((mujoco.mj_geomDistance(scene.model, data, g, o, 1.0, None) for g in geoms for o in objects), default=1.0)
-        for geoms in groups
+        min((mujoco.mj_geomDistance(model, data, g, o, 1.0, None) for g in geoms for o in touchable), default=1.0)
+        for geoms, touchable in zip(groups, others, strict=True)
     ]
     if len(touching) != len(near):
         return float(min(near))

@@ -31,6 +31,8 @@ SUNK_M = 0.012
 SUNK_RATIO = 1.8
 #: Force [N] that counts as a touch once the reading out of contact is taken off, and rows of it that are needed.
 TOUCH_N, TOUCH_ROWS = 0.5, 20
+#: Share of touched readings at which the scene's fingertip must be free for the object's place to be doubted. Chosen.
+MOSTLY = 0.5
 #: Rows that are looked at for geometry.
 LOOKED_AT = 400
 #: Cosine of recorded and expected forces below which they disagree, and above which another reading of them agrees.
@@ -268,8 +270,14 @@ def tips(scene: Scene, joints: Array) -> tuple[Array, Array]:
 
 
 def distance_findings(scene: Scene, t: Touches) -> list[Finding]:
-    """Return that the object is far from every fingertip whenever one of them is touched."""
-    real = np.linalg.norm(t.real, axis=-1) > TOUCH_N
+    """Return that the object is far from every fingertip that is touched while the scene's touches nothing there.
+
+    A fingertip feels the table and other fingers, too: where the scene's touches something, the object need not be near.
+    """
+    touched, free = np.linalg.norm(t.real, axis=-1) > TOUCH_N, np.linalg.norm(t.nominal, axis=-1) <= TOUCH_N
+    if (touched & free).sum() < MOSTLY * touched.sum():
+        return []
+    real = touched & free
     apart = np.where(real, np.linalg.norm(t.place - t.object[:, None], axis=-1), np.nan)
     seen = np.isfinite(apart).any(1)
     if seen.sum() < TOUCH_ROWS:
