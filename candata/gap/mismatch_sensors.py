@@ -272,7 +272,7 @@ def tips(scene: Scene, joints: Array) -> tuple[Array, Array]:
 def distance_findings(scene: Scene, t: Touches) -> list[Finding]:
     """Return that the object is far from every fingertip that is touched while the scene's touches nothing there.
 
-    A fingertip feels the table and other fingers, too: where the scene's touches something, the object need not be near.
+    A fingertip feels the table and other fingers, too: where the scene's touches something, no object need be near.
     """
     touched, free = np.linalg.norm(t.real, axis=-1) > TOUCH_N, np.linalg.norm(t.nominal, axis=-1) <= TOUCH_N
     if (touched & free).sum() < MOSTLY * touched.sum():
