@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate, elements_of
+from candata.gap.floor import WORLDS
 from candata.gap.score import Score
 from candata.gap.search import Fit
 from candata.scenes import Scene
@@ -24,6 +25,9 @@ BELOW = 1.28
 #: little sharper wins, in every episode alike. Chosen: of five blind cases between damping of servos and of joints,
 #: the wrong one came first by 0.08, 0.13 (named with support 0.88) and 0.8 %, the right one by 1.4 and 3.7 %.
 BLUNT = 0.01
+#: Share of null recordings that lie below the level from which there is a gap. Chosen: of 300 nulls none or one is
+#: called a gap by chance.
+NULL_QUANTILE = 0.998
 
 
 def tied_with(best: Fit, fits: Sequence[Fit], reachable: float = 0.0) -> list[Fit]:
@@ -75,8 +79,14 @@ def error_within(values: Array, tasks: Sequence[str]) -> float:
     return float(np.sqrt(sum(len(g) * g.var(ddof=1) for g in groups)) / len(values))
 
 
-def null_level(score: Score, rng: np.random.Generator, quantile: float = 0.99, sets: int = 1000) -> float:
-    """Return the quantile of the mean loss of null sets, in floors."""
+def null_level(score: Score, rng: np.random.Generator, quantile: float = NULL_QUANTILE, sets: int = 4000) -> float:
+    """Return the quantile of the mean loss of null sets, in floors.
+
+    It is wider by how far the nulls' own mean is known, from so many worlds, and the sensors' noise.
+    """
     count = score.null_loss.shape[1]
     chosen = rng.integers(len(score.null_loss), size=(sets, count))
-    return float(np.quantile(score.null_loss[chosen, np.arange(count)].mean(1), quantile))
+    means = 1 + np.sqrt(1 + 1 / WORLDS) * (score.null_loss[chosen, np.arange(count)].mean(1) - 1)
+    if score.loss_error:
+        means = means * (1 + score.loss_error * rng.standard_normal(sets))
+    return float(np.quantile(means, quantile))

@@ -41,7 +41,7 @@ def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Pr
         problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, nulls,
         problem.setting(members),
     )  # fmt: skip
-    return replace(problem, score=score(problem.raw, spread, problem.plan))
+    return replace(problem, score=score(problem.raw, spread, problem.plan, problem.score.loss_error))
 
 
 def refitted(problem: Problem, first: Fit, world: Problem, best: Fit) -> Fit | None:

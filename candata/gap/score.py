@@ -36,6 +36,8 @@ class Score:
         Which physical quantity each of the K is.
     typical : float
         Mean size of a null over that of the others.
+    loss_error : float
+        Relative standard error of a mean loss because the sensors' noise is estimated.
     """
 
     sigma: Compact
@@ -45,6 +47,7 @@ class Score:
     null_loss: Array
     group: NDArray[np.int64]
     typical: float = 1.0
+    loss_error: float = 0.0
 
     def normal(self, residual: Array | Compact) -> Compact:
         """Return residuals `(E, B, D)` as `(E, K)` in units of the floor's spread; zero where not recorded."""
@@ -101,8 +104,10 @@ class Score:
         )
 
 
-def score(residual: Array, floor: Floor, plan: Layout) -> Score:
+def score(residual: Array, floor: Floor, plan: Layout, loss_error: float = 0.0) -> Score:
     """Return the score for recordings whose residual under the nominal replay is `residual (E, B, D)`.
+
+    `loss_error` is that of the noise by which the floor was made.
 
     Only what both the recording and the nulls hold is compared. One is what a recording of the nominal scene is
     expected to be: nulls lie nearer their own spread and mean than another replay does, the nearer the fewer they are.
@@ -126,7 +131,9 @@ def score(residual: Array, floor: Floor, plan: Layout) -> Score:
     # What is learnt from fewer is further off, by the ratio of their numbers.
     kept = 1 - 1 / max(len(floor.without), 1)
     more = [1 + kept * (float(np.nanmean(x)) - 1) for x in (losses, sizes)]
-    return replace(first, floor=level * more[0], null_loss=losses / losses.mean(), typical=more[1])
+    return replace(
+        first, floor=level * more[0], null_loss=losses / losses.mean(), typical=more[1], loss_error=loss_error
+    )
 
 
 def _groups(plan: Layout) -> NDArray[np.int64]:
