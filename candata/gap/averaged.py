@@ -88,7 +88,9 @@ class Averaged:
         """Return losses and discrepancies `(2, E)` of one replay of each world; below 0, of a null recording's."""
         p, rng = self.problem, np.random.default_rng([self.seed, abs(k), k < 0])
         recs = null_recordings(p.replayer, p.recs, p.begin, p.noise, rng, 1) if k < 0 else p.recs
-        begin = perturbed(p.replayer, starts(p.replayer.scene, recs) if k < 0 else p.begin, p.noise, rng)
+        begin = perturbed(
+            p.replayer, starts(p.replayer.scene, recs, p.begin.moving) if k < 0 else p.begin, p.noise, rng
+        )
         played = replay_all(p.replayer, _jittered(recs, p.noise, rng), begin, worlds)
         zs = [p.score.normal(residual(recs, p.plan, r)) for r in played]
         return [np.stack([p.score.loss(z), p.score.size(z)]) for z in zs]

@@ -159,7 +159,8 @@ def null_residuals(
 ) -> Array:
     """Return the residuals `(R, E, B, D)` of null recordings under their replay; parameters as in `floor`."""
     nulls = null_recordings(replayer, recs, begin, noise, rng, replicas, world)
-    readings = replay(replayer, nulls, starts(replayer.scene, nulls), [world])[0]
+    from_null = starts(replayer.scene, nulls, np.tile(begin.moving, replicas))
+    readings = replay(replayer, nulls, from_null, [world])[0]
     wide = replace(plan, phase=np.concatenate([plan.phase] * replicas))
     return residual(nulls, wide, readings).reshape(replicas, len(recs), *plan.phase.shape[1:], -1)
 

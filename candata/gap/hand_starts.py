@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.memory import State, hides_state, integrated, lead_rows, led, recorded_dofs, settled
+from candata.gap.noise import SMALLEST, SMALLEST_SLIDE_M
 from candata.gap.recordings import Recordings
 from candata.gap.shooting import HORIZON_S, Shown, shot, unknowns
 from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
@@ -23,8 +24,6 @@ STILL_ROWS = 8
 SURELY = 9.0
 #: Rows over which they are compared, in halves of the smoother's window. Chosen: a finger forgets its start in 0.1 s.
 AFTER = 3
-#: Least noise that a difference is divided by.
-TINY = 1e-9
 
 
 class HandStarts(NamedTuple):
@@ -35,7 +34,9 @@ class HandStarts(NamedTuple):
     first: State
 
 
-def hand_starts(scene: Scene, recs: Recordings, threads: int = 1) -> HandStarts:
+def hand_starts(
+    scene: Scene, recs: Recordings, moving: NDArray[np.bool_] | None = None, threads: int = 1
+) -> HandStarts:
     """Return where the episodes of a hand start.
 
     Recorded positions tell the state of joints and object: at rest their mean over the first rows, in motion a
@@ -45,20 +46,18 @@ def hand_starts(scene: Scene, recs: Recordings, threads: int = 1) -> HandStarts:
 
     What no position tells is settled: joints that hang on recorded ones, activations and past commands are simulated
     with the recorded ones held where they were, or led along their recorded path. What even that leaves open is found
-    by shooting.
+    by shooting. Where it is known, `moving (E,)` says which episodes begin in motion.
     """
     rest, row = _at_rest(scene, recs, threads), lead_rows(scene)
-    moves = _moves(scene, recs)
-    index = np.flatnonzero(recs.lengths > 2 * (half_rows(scene.file.rate_hz) + row))
-    # Recordings are cut alike: where most episodes do not move, only those that do may have begun in motion.
-    index = index if 2 * moves[index].sum() > len(index) else index[moves[index]]
-    rows = np.zeros(len(recs), int)
+    index, rows = np.flatnonzero(_may_move(scene, recs) if moving is None else moving), np.zeros(len(recs), int)
     if not len(index):
         return HandStarts(rows, rest, rest)
     some = recs.take(index)
     start, first = _in_motion(scene, some, rest.take(index), threads)
-    nearer = _distance(scene, some, rest.take(index), 0, threads) - _distance(scene, some, start, row, threads)
-    chosen = _begins_moving(nearer)
+    chosen = np.ones(len(index), bool)
+    if moving is None:
+        nearer = _distance(scene, some, rest.take(index), 0, threads) - _distance(scene, some, start, row, threads)
+        chosen = _begins_moving(nearer)
     rows[index[chosen]] = row
     start, first = (_put(rest, index[chosen], state.take(chosen)) for state in (start, first))
     return HandStarts(rows, start, first)
@@ -105,8 +104,9 @@ def _shown(scene: Scene, recs: Recordings, first: int, last: int, around: int) -
     joints, pose = _rows(scene, recs, first, last)
     half = half_rows(scene.file.rate_hz)
     near_joints, near_pose = _rows(scene, recs, around, around + 2 * half)
-    noise = fitted(near_joints, half).noise, pose_fit(near_pose, half)[0].noise
-    sizes = [np.where(np.isfinite(n), np.maximum(n, TINY), np.inf) for n in noise]
+    least = _least(scene)
+    noise = fitted(near_joints, half, least.joints).noise, pose_fit(near_pose, half, least.pose)[0].noise
+    sizes = [np.where(np.isfinite(n), n, np.inf) for n in noise]
     return Shown(recs.commands[:, first : last + 1], joints, pose, *sizes)
 
 
@@ -123,13 +123,32 @@ def _rows(scene: Scene, recs: Recordings, first: int, last: int) -> tuple[Array,
     return joints, pose
 
 
-def _moves(scene: Scene, recs: Recordings) -> NDArray[np.bool_]:
-    """Return `(E,)` whether some position of an episode surely changes over its first rows."""
+def _may_move(scene: Scene, recs: Recordings) -> NDArray[np.bool_]:
+    """Return `(E,)` whether an episode may begin in motion: some position surely changes over its first rows.
+
+    Recordings are cut alike: where most episodes move, the others may do so too slowly to be seen.
+    """
     half = half_rows(scene.file.rate_hz)
     joints, pose = _rows(scene, recs, 0, 2 * half)
     if joints.shape[1] <= 2 * half:
         return np.zeros(len(recs), bool)
-    return np.asarray(fitted(joints, half).moves | pose_fit(pose, half)[0].moves)
+    least = _least(scene)
+    moves = fitted(joints, half, least.joints).moves | pose_fit(pose, half, least.pose)[0].moves
+    long_enough = recs.lengths > 2 * (half + lead_rows(scene))
+    return np.asarray(long_enough & (moves | (2 * moves[long_enough].sum() > long_enough.sum())))
+
+
+class _Least(NamedTuple):
+    """Least noise that is believed of joints `(J,)` [rad or m] and of poses `(6,)` [m, rad]."""
+
+    joints: Array
+    pose: Array
+
+
+def _least(scene: Scene) -> _Least:
+    """Return the resolution of the sensors of a scene."""
+    joints = np.where(scene.sliding, SMALLEST_SLIDE_M, np.asarray(SMALLEST.joint_position))
+    return _Least(joints, np.repeat(SMALLEST.object_pose, 3))
 
 
 def _at_rest(scene: Scene, recs: Recordings, threads: int) -> State:
@@ -173,12 +192,13 @@ def _smoothed(scene: Scene, recs: Recordings, row: int, rest: Array) -> _Path:
     joints, pose = _rows(scene, recs, begin, begin + 2 * half)
     at, dofs = recorded_dofs(scene)
     qpos, qvel = rest.copy(), np.zeros((len(recs), scene.model.nv))
-    fit = fitted(joints, row - begin)
+    least = _least(scene)
+    fit = fitted(joints, row - begin, least.joints)
     qpos[:, scene.joint_qpos] = np.where(np.isfinite(fit.position), fit.position, qpos[:, scene.joint_qpos])
     qvel[:, scene.joint_dof] = np.nan_to_num(fit.speed * rate)
     if scene.object_id is not None:
         where, seen = slice(scene.object_qpos, scene.object_qpos + 7), np.isfinite(pose).all((1, 2))
-        fit, anchor = pose_fit(pose[seen], row - begin)
+        fit, anchor = pose_fit(pose[seen], row - begin, least.pose)
         qpos[seen, where] = pose_of(fit, anchor)
         qvel[seen, scene.object_dof : scene.object_dof + 6] = twist_of(fit, qpos[seen, where], rate)
     return _Path(qpos[:, at], qvel[:, dofs])

@@ -43,12 +43,13 @@ def drives(scene: Scene) -> Drives:
     joint's spring; it rests where both are equal.
     """
     model, rows = scene.model, []
-    forgetting = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    kinds = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+    forgetting = np.isin(model.actuator_dyntype, [int(kind) for kind in kinds])
     known = {int(j): i for i, j in enumerate(scene.joint_ids)}
     for column, a in enumerate(scene.actuator_ids.tolist()):
         joint = known.get(scene.driven_joints.get(a, -1))
         gain, (bias, slope), gear = model.actuator_gainprm[a, 0], model.actuator_biasprm[a, :2], model.actuator_gear[a]
-        if joint is None or slope >= 0 or gain == 0 or gear[0] == 0 or model.actuator_dyntype[a] not in forgetting:
+        if joint is None or slope >= 0 or gain == 0 or gear[0] == 0 or not forgetting[a]:
             continue
         affine = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
         if not affine or model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:

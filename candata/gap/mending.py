@@ -173,7 +173,7 @@ def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) 
     scene, count = problem.replayer.scene, len(problem.recs)
     real = residual_force(problem.replayer, problem.recs, problem.begin, world)
     nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
-    null = residual_force(problem.replayer, nulls, starts(scene, nulls), world)
+    null = residual_force(problem.replayer, nulls, starts(scene, nulls, np.tile(problem.begin.moving, REPLICAS)), world)
     found = suspects(scene, real, null, problem.parts)
     own = [_gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
            for r in range(REPLICAS)]  # fmt: skip

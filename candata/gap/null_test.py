@@ -101,7 +101,7 @@ def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int
     worlds = [problem.setting(incumbent), problem.setting(grown)]
     replayer, scene = problem.replayer, problem.replayer.scene
     nulls = null_recordings(replayer, problem.recs, problem.begin, problem.noise, problem.rng, copies, worlds[0])
-    played = replay_all(replayer, nulls, starts(scene, nulls), worlds)
+    played = replay_all(replayer, nulls, starts(scene, nulls, np.tile(problem.begin.moving, copies)), worlds)
     plan = replace(problem.plan, phase=np.concatenate([problem.plan.phase] * copies))
     each = [np.split(residual(nulls, plan, readings), copies) for readings in played]
     losses = np.array([[problem.score.loss(problem.score.normal(z)) for z in some] for some in each])

@@ -119,7 +119,7 @@ def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -
     if all(effect(s.name).unread is None for s in some):
         return begin
     true = replace(recs, readings=recs.readings | unread(scene, recs.readings, some))
-    own, plain = (starts(scene, r).arrays for r in (true, recs))
+    own, plain = (starts(scene, r, begin.moving).arrays for r in (true, recs))
     state = {n: values + own[n] - plain[n] for n, values in begin.arrays.items() if n != "rows"}
     if scene.object_id is not None:
         turn = slice(scene.object_qpos + 3, scene.object_qpos + 7)

@@ -273,7 +273,7 @@ def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout,
     )
     replayer.count(recs.commands.shape[0] * recs.commands.shape[1] * replayer.scene.substeps)
     made = replace(recs, readings={n: v for n, v in played.readings.items() if n in recs.readings})
-    readings = replay_all(replayer, made, starts(replayer.scene, made), [()])[0]
+    readings = replay_all(replayer, made, starts(replayer.scene, made, begin.moving), [()])[0]
     return residual(made, plan, readings).astype(np.float32)
 
 

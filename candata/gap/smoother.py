@@ -49,20 +49,21 @@ def half_rows(rate_hz: float) -> int:
     return max(HALF_ROWS, round(HALF_S * rate_hz))
 
 
-def fitted(rows: Array, at: int) -> Fit:
+def fitted(rows: Array, at: int, least: Array) -> Fit:
     """Return the fit of `rows (E, W, D)` read at row `at`: a parabola, or a cubic where that is plainly one.
 
-    Ordinary least squares; the noise is pooled over episodes, as a fit of a few rows leaves too little to tell it.
+    Ordinary least squares; the noise is pooled over episodes, as a fit of a few rows leaves too little to tell it, and
+    taken for no less than `least (D,)`, the sensors' resolution.
     """
     steps = np.arange(rows.shape[1]) - at
-    parabola, error, _ = _polynomial(rows, steps, 2)
-    cubic, cubic_error, noise = _polynomial(rows, steps, 3)
+    parabola, error, _ = _polynomial(rows, steps, 2, least)
+    cubic, cubic_error, noise = _polynomial(rows, steps, 3, least)
     bends = np.abs(cubic[3]) > CURVED * cubic_error[3]
     chosen = np.where(bends, cubic[:2], parabola[:2])
     return Fit(chosen[0], chosen[1], np.where(bends, cubic_error[1], error[1]), noise)
 
 
-def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int) -> tuple[Array, Array, Array]:
+def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int, least: Array) -> tuple[Array, Array, Array]:
     """Return coefficients `(degree + 1, E, D)`, their standard errors `(degree + 1, 1, D)` and the noise `(D,)`."""
     basis = np.vander(steps.astype(float), degree + 1, increasing=True)
     solve = np.linalg.pinv(basis)
@@ -72,18 +73,18 @@ def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int) -> tuple[Arr
     variance = (remainder**2).sum(1) / max(free, 1)
     finite = np.isfinite(variance)
     typical = np.array([np.median(v[f]) if f.any() else np.nan for v, f in zip(variance.T, finite.T, strict=True)])
-    noise = np.sqrt(typical)
+    noise = np.maximum(np.sqrt(typical), least)
     return values, (noise * np.sqrt((solve**2).sum(1))[:, None])[:, None, :], noise
 
 
-def pose_fit(pose: Array, at: int) -> tuple[Fit, Array]:
+def pose_fit(pose: Array, at: int, least: Array) -> tuple[Fit, Array]:
     """Return the fit of poses `(E, W, 7)` in the tangent space at row `at`, and the anchors `(E, 7)` it counts from.
 
     Columns are position [m] and the world-frame rotation vector [rad] from the anchor.
     """
     anchor = pose[:, at]
     turn = difference(pose[..., 3:], np.broadcast_to(anchor[:, None, 3:], pose[..., 3:].shape))
-    return fitted(np.concatenate([pose[..., :3], turn], axis=-1), at), anchor
+    return fitted(np.concatenate([pose[..., :3], turn], axis=-1), at, least), anchor
 
 
 def pose_of(fit: Fit, anchor: Array) -> Array:

@@ -60,6 +60,11 @@ class Starts:
         return Starts(*(values[index] for values in self.arrays.values()))
 
     @property
+    def moving(self) -> NDArray[np.bool_]:
+        """Which episodes `(E,)` begin in motion, so that their replay starts later."""
+        return self.rows > 0
+
+    @property
     def arrays(self) -> dict[str, NDArray]:
         """All of it by name."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
@@ -80,11 +85,14 @@ def is_toss(scene: Scene) -> bool:
     return len(scene.actuator_ids) == 0 and scene.object_id is not None
 
 
-def starts(scene: Scene, recs: Recordings, threads: int = 1) -> Starts:
-    """Return the starts of all episodes: those of a hand by `hand_starts`, of tosses fitted to their flights."""
+def starts(scene: Scene, recs: Recordings, moving: NDArray[np.bool_] | None = None, threads: int = 1) -> Starts:
+    """Return the starts of all episodes: those of a hand by `hand_starts`, of tosses fitted to their flights.
+
+    Where it is known which episodes of a hand begin in motion, `moving (E,)` says so.
+    """
     if is_toss(scene):
         return _tosses(scene, recs)
-    rows, start, first = hand_starts(scene, recs, threads)
+    rows, start, first = hand_starts(scene, recs, moving, threads)
     return Starts(rows, start.qpos, start.qvel, first.qpos, first.qvel, start.memory, first.memory)
 
 

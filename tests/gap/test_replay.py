@@ -85,7 +85,7 @@ def test_the_observer_pulls_a_wrong_start_back_at_its_gain(hand, plain_recording
     at, off = hand.object_qpos, 0.004
     wrong = qpos.copy()
     wrong[:, at] += off
-    begin = Starts(np.zeros(1, int), wrong, qvel, wrong, qvel)
+    begin = Starts(np.zeros(1, int), wrong, qvel, wrong, qvel, *[np.zeros((1, 0))] * 2)
     error = replay(Replayer(hand), recs, begin, [()])[0]["object_pose"][0, :, 0] - still["object_pose"][0, :, 0]
     # Nothing but the support touches the object, so each row leaves 1 - gain of the error; the table's friction may
     # move it by less than 1 % of the offset.
@@ -102,7 +102,9 @@ def test_a_latency_leaves_as_much_noise_in_the_replay_of_a_resting_object(hand, 
     noisy = {n: np.repeat(v, count, axis=0) for n, v in still.items()}
     noisy["object_pose"][..., :2] += sd * np.random.default_rng(1).standard_normal((count, rows, 2))
     recs = plain_recordings(commands=joints, **noisy)
-    begin = Starts(*(np.repeat(v, count, axis=0) for v in (np.zeros(1, int), qpos, qvel, qpos, qvel)))
+    begin = Starts(
+        *(np.repeat(v, count, axis=0) for v in (np.zeros(1, int), qpos, qvel, qpos, qvel, *[np.zeros((1, 0))] * 2))
+    )
     world = planted("pose_latency", latency_s=steps / hand.file.rate_hz)
     found = [replay(Replayer(hand), recs, begin, [some])[0]["object_pose"] for some in ((), world)]
     off = [np.std((p - noisy["object_pose"])[:, 20:180, :2].reshape(count, -1, 4, 2).mean(2)) for p in found]
@@ -117,7 +119,9 @@ def test_a_gap_in_the_recording_pulls_nothing(hand, plain_recordings):
     joints = np.repeat(qpos[:, None, hand.joint_qpos], rows, axis=1)
     free = rollout(hand, joints, qpos, qvel, [()]).readings
     recs = plain_recordings(commands=joints, **{n: np.full_like(v, np.nan) for n, v in free.items()})
-    again = replay(Replayer(hand), recs, Starts(np.zeros(1, int), qpos, qvel, qpos, qvel), [()])[0]
+    again = replay(
+        Replayer(hand), recs, Starts(np.zeros(1, int), qpos, qvel, qpos, qvel, *[np.zeros((1, 0))] * 2), [()]
+    )[0]
     for channel, values in free.items():
         np.testing.assert_allclose(again[channel], values, atol=1e-12)
 
@@ -128,7 +132,7 @@ def test_tosses_start_at_rows_of_their_own(cube, played):
     begin = starts(cube, recs)
     true = rollout(cube, recs.commands, begin.qpos0, begin.qvel0, [()] * 3, keep_state=True)
     pick = np.arange(3), rows
-    begin = Starts(rows, true.qpos[pick], true.qvel[pick], begin.qpos0, begin.qvel0)
+    begin = replace(begin, rows=rows, qpos=true.qpos[pick], qvel=true.qvel[pick])
     again = replay(Replayer(cube), replace(recs, readings=true.readings), begin, [()])[0]["object_pose"]
     for e, row in enumerate(rows):
         assert np.isnan(again[e, :row]).all()

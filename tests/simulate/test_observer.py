@@ -36,7 +36,7 @@ def corrected(scene, recorded, touch, qpos):
     at = scene.object_qpos
     state = {"object_pose": qpos[:, at : at + 7].copy(), "joint_position": qpos[:, scene.joint_qpos]}
     out = qpos.copy()
-    Follower(scene, Observer(recorded)).correct(ROW, state, touch, out)
+    Follower(scene, Observer(recorded)).correct(ROW, state, touch, out, np.zeros((len(out), scene.model.nv)))
     return out
 
 
@@ -106,7 +106,13 @@ def pulled(scene, off, noise=NOISE, unseen=(), shake=0.0):
     out = []
     for row in range(ROWS):
         out.append(qpos[0, scene.joint_qpos] - begin[0])
-        follower.correct(row, {"joint_position": qpos[:, scene.joint_qpos].copy()}, np.zeros(1, bool), qpos)
+        follower.correct(
+            row,
+            {"joint_position": qpos[:, scene.joint_qpos].copy()},
+            np.zeros(1, bool),
+            qpos,
+            np.zeros((1, scene.model.nv)),
+        )
     return np.array(out)
 
 
