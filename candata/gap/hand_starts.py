@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 #: Rows over which a still object's pose is averaged at most (0.1 s at 80 Hz).
 STILL_ROWS = 8
-#: Chi-squared by which one start must be nearer than the other to tell: three standard errors of one number. Chosen.
+#: Chi-squared by which one account must be nearer than another to tell: three standard errors of one number. Chosen.
 SURELY = 9.0
 #: Rows over which they are compared, in halves of the smoother's window. Chosen: a finger forgets its start in 0.1 s.
 AFTER = 3
@@ -82,21 +82,26 @@ def _begins_moving(nearer: Array) -> NDArray[np.bool_]:
 
 
 def _distance(scene: Scene, recs: Recordings, state: State, begin: int, threads: int) -> Array:
-    """Return `(E,)` chi-squared of the rows after the lead under an open-loop replay from a state at row `begin`."""
+    """Return `(E,)` chi-squared of the rows after the lead under an open-loop replay from a state at row `begin`.
+
+    Rows before it, of a start at rest, count by what they surely leave beyond noise.
+    """
     half, row = half_rows(scene.file.rate_hz), lead_rows(scene)
     shown = _shown(scene, recs, begin, row + AFTER * half, row - half)
     played = rollout(
         scene, shown.commands, state.qpos, state.qvel, [()] * len(recs), memory=state.memory, threads=threads
     ).readings
-    after, out = slice(row + 1 - begin, None), np.zeros(len(recs))
+    squares = [np.zeros((len(recs), shown.joints.shape[1], 0))]
     if "joint_position" in played:
-        apart = (shown.joints - played["joint_position"])[:, after] / shown.joint_noise
-        out += np.nansum(apart**2, axis=(1, 2))
+        squares.append(((shown.joints - played["joint_position"]) / shown.joint_noise) ** 2)
     if "object_pose" in played:
         turn = difference(shown.pose[..., 3:], played["object_pose"][..., 3:])
         apart = np.concatenate([shown.pose[..., :3] - played["object_pose"][..., :3], turn], axis=-1)
-        out += np.nansum((apart[:, after] / shown.pose_noise) ** 2, axis=(1, 2))
-    return out
+        squares.append((apart / shown.pose_noise) ** 2)
+    every, first = np.concatenate(squares, axis=2), row + 1 - begin
+    lead, after = every[:, 1:first], np.nansum(every[:, first:], axis=(1, 2))
+    count = (np.isfinite(lead) & (lead > 0)).sum((1, 2))
+    return after + np.maximum(np.nansum(lead, axis=(1, 2)) - count - np.sqrt(SURELY * 2 * count), 0.0)
 
 
 def _shown(scene: Scene, recs: Recordings, first: int, last: int, around: int) -> Shown:
@@ -155,12 +160,13 @@ def _at_rest(scene: Scene, recs: Recordings, threads: int) -> State:
     """Return the state at row 0 of episodes that begin at rest."""
     count, model = len(recs), scene.model
     qpos = np.repeat(np.asarray(model.qpos0, float)[None], count, axis=0)
+    shown = _shown(scene, recs, 0, STILL_ROWS - 1, 0)
     if "joint_position" in recs.readings:
-        first = recs.readings["joint_position"][:, :STILL_ROWS]
-        qpos[:, scene.joint_qpos] = _still_mean(first, _first_seen(first, qpos[:, scene.joint_qpos]))
+        seen = _first_seen(shown.joints, qpos[:, scene.joint_qpos])
+        qpos[:, scene.joint_qpos] = _at_first(shown.joints, seen, shown.joint_noise)
     if "object_pose" in recs.readings:
         at = scene.object_qpos
-        qpos[:, at : at + 7] = _still_pose(recs.readings["object_pose"][:, :STILL_ROWS], qpos[:, at : at + 7])
+        qpos[:, at : at + 7] = _pose_at_first(shown.pose, qpos[:, at : at + 7], shown.pose_noise)
     if not hides_state(scene):
         return State(qpos, np.zeros((count, model.nv)), np.zeros((count, 0)))
     state = settled(scene, qpos, recs.commands[:, 0], threads)
@@ -238,24 +244,27 @@ def _first_seen(rows: Array, fallback: Array) -> Array:
     return np.where(finite.any(1), np.take_along_axis(rows, at, axis=1)[:, 0], fallback)
 
 
-def _still_mean(rows: Array, fallback: Array) -> Array:
-    """Return the mean `(E, D)` of the first rows where all were seen and show no trend, else the fallback.
+def _at_first(rows: Array, fallback: Array, noise: Array) -> Array:
+    """Return `(E, D)` where a joint at rest was at the first of rows `(E, W, D)`; the fallback where one was not seen.
 
-    A trend is a change between the halves of more than three standard errors.
+    The mean, or, where that plainly does not fit the noise `(D,)`, the start of what rises from rest: least squares on
+    1, k^2 and k^3 of the row k.
     """
-    half = rows.shape[1] // 2
-    if half < 1:
-        return fallback
-    early, late = rows[:, :half].mean(1), rows[:, half:].mean(1)
-    spread = np.maximum(rows[:, :half].std(1), rows[:, half:].std(1)) * np.sqrt(2 / half)
-    still = np.isfinite(rows).all(1) & (np.abs(late - early) <= 3 * spread + 1e-7)
-    return np.where(still, rows.mean(1), fallback)
+    steps = np.arange(rows.shape[1], dtype=float)
+    basis = np.stack([np.ones_like(steps), steps**2, steps**3], axis=1)
+    rising = np.einsum("kw,ewd->ked", np.linalg.pinv(basis), rows)
+    left = [
+        ((rows - fit) ** 2).sum(1) / noise**2
+        for fit in (rows.mean(1)[:, None], np.einsum("wk,ked->ewd", basis, rising))
+    ]
+    first = np.where(left[0] > left[1] + SURELY, rising[0], rows.mean(1))
+    return np.where(np.isfinite(rows).all(1), first, fallback)
 
 
-def _still_pose(rows: Array, fallback: Array) -> Array:
-    """Return the mean pose `(E, 7)` of the first rows where still, else the first that was seen."""
+def _pose_at_first(rows: Array, fallback: Array, noise: Array) -> Array:
+    """Return the pose `(E, 7)` at the first of some rows, as `_at_first` does in the tangent space."""
     anchor = _first_seen(rows, fallback)
     turn = difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))
     tangent = np.concatenate([rows[:, :, :3] - anchor[:, None, :3], turn], axis=-1)
-    mean = _still_mean(tangent, np.zeros((len(rows), 6)))
+    mean = _at_first(tangent, np.zeros((len(rows), 6)), noise)
     return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)

@@ -85,7 +85,10 @@ def settled(scene: Scene, qpos: Array, commands: Array, threads: int = 1) -> Sta
     path = np.repeat(qpos[:, None, at], rows, axis=1)
     still = np.zeros((len(qpos), rows, len(dofs)))
     played = _held(scene, np.repeat(commands[:, None], rows, axis=1), qpos, still[:, 0], path, still, KEPT, threads)
-    return _last(scene, played, qpos)
+    state = _last(scene, played, qpos)
+    # The last row was reached by a step in which the recorded joints were free.
+    state.qpos[:, at], state.qvel[:, dofs] = qpos[:, at], 0.0
+    return state
 
 
 def led(scene: Scene, commands: Array, state: State, path: Array, speed: Array, threads: int = 1) -> State:

@@ -130,7 +130,16 @@ def _target(scene: Scene, readings: dict[str, Array], recs: Recordings) -> _Targ
         whole: NDArray[np.bool_] = np.asarray(np.isfinite(readings["object_pose"]).all(2))
         seen[:, :, -dictionary.AXES :] = whole[:, :, None]
         pose, velocity = _smooth_pose(scene, _filled(readings["object_pose"]))
-    return _Target(joints, rates, pose, velocity, seen)
+    return _Target(joints, rates, pose, velocity, _before_padding(scene, seen))
+
+
+def _before_padding(scene: Scene, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return `(E, T, D)` what was seen, less the rows before its end that the smoothing filter mixes with padding."""
+    after = np.logical_or.accumulate(seen[:, ::-1], axis=1)[:, ::-1]
+    half = _window(scene, seen.shape[1]) // 2
+    later = np.zeros_like(after)
+    later[:, :-half] = after[:, half:]
+    return seen & (later | after[:, -1:])
 
 
 def _filled(values: Array) -> Array:

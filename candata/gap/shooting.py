@@ -60,16 +60,20 @@ class Unknowns(NamedTuple):
 
 
 def unknowns(scene: Scene, moving: bool) -> Unknowns:
-    """Return what no lead tells: integrators, and joints that were not recorded where the episode begins in motion."""
+    """Return what no lead tells surely: integrators, and of an episode that begins in motion also filters and joints.
+
+    A lead forgets the unknown start of filters, and of joints that were not recorded, but never all of it.
+    """
     model = scene.model
-    integrators = np.flatnonzero(model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR)
-    low, high = model.actuator_actrange[integrators].T
-    limited = np.asarray(model.actuator_actlimited[integrators], bool)
+    integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
+    remembers = np.flatnonzero(integrates | (moving & (model.actuator_actnum == 1)))
+    low, high = model.actuator_actrange[remembers].T
+    limited = np.asarray(model.actuator_actlimited[remembers], bool)
     spans = np.where(limited, RANGE_SHARE * (high - low), ACTIVATION)
     dofs = np.setdiff1d(np.arange(model.nv), recorded_dofs(scene)[1]) if moving else np.zeros(0, int)
     slides = np.array([_slides(model, int(d)) for d in dofs], bool)
     return Unknowns(
-        ACT + model.actuator_actadr[integrators].astype(int),
+        ACT + model.actuator_actadr[remembers].astype(int),
         spans,
         dofs.astype(int),
         np.where(slides, SHIFT_M, TURN),
