@@ -41,10 +41,12 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     more than that, by the joint torques J^T f of balanced forces towards the object's centre. The rest stays where it
     is.
     """
+    if scene.object_id is None:
+        return None
     free = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
     tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
     tips = [t for t in tips if len(t)]
-    if scene.object_id is None or not len(free) or not tips:
+    if not len(free) or not tips:
         return None
     hand = _Hand(scene, free, tips)
     touching, distances = hand.touch()
