@@ -96,10 +96,10 @@ def test_a_late_tracker_gains_as_much_on_null_recordings_of_a_block_at_rest(scen
 
 
 def test_a_planted_cause_gains_beyond_what_nulls_show(arm, arm_episodes, planted):
-    cause = planted("joint_damping", damping_Nms_rad=0.003)
+    cause = planted("joint_damping", damping_Nms_rad=0.001)
     recs = recordings(arm, arm_episodes(cause, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    damped = (candidate("joint_damping", arm), np.array([0.003]))
+    damped = (candidate("joint_damping", arm), np.array([0.001]))
     own, nominal = (problem.score.loss(problem.residuals([problem.setting(s)])[0]) for s in ((damped,), ()))
     gain = nominal - own
     assert 0 < gain.mean() < 1  # as faint as a null loses in all: else it would pass unasked
