@@ -84,6 +84,7 @@ def null_level(score: Score, rng: np.random.Generator, quantile: float = NULL_QU
 
     It is wider by how far the nulls' own mean is known, from so many worlds, and the sensors' noise.
     """
+    rng = rng.spawn(1)[0]  # how often a level is asked for changes nothing that is drawn after it
     count = score.null_loss.shape[1]
     chosen = rng.integers(len(score.null_loss), size=(sets, count))
     means = 1 + np.sqrt(1 + 1 / WORLDS) * (score.null_loss[chosen, np.arange(count)].mean(1) - 1)

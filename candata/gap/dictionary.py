@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.score import rho, weights
+from candata.gap.robust import rho, weights
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

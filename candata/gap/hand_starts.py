@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from candata.gap.memory import State, hides_state, integrated, lead_rows, led, recorded_dofs, settled
 from candata.gap.noise import SMALLEST, SMALLEST_SLIDE_M
 from candata.gap.recordings import Recordings
+from candata.gap.robust import rho
 from candata.gap.shooting import HORIZON_S, Shown, shot, unknowns
 from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
 from candata.rotation import difference, exp, multiply
@@ -22,6 +23,8 @@ Index = NDArray[np.int64]
 STILL_ROWS = 8
 #: Chi-squared by which one account must be nearer than another to tell: three standard errors of one number. Chosen.
 SURELY = 9.0
+#: The same where most recordings speak against it: five standard errors. Chosen.
+UNDOUBTED = 25.0
 #: Rows over which they are compared, in halves of the smoother's window. Chosen: a finger forgets its start in 0.1 s.
 AFTER = 3
 
@@ -57,7 +60,7 @@ def hand_starts(
     chosen = np.ones(len(index), bool)
     if moving is None:
         nearer = _distance(scene, some, rest.take(index), 0, threads) - _distance(scene, some, start, row, threads)
-        chosen = _begins_moving(nearer)
+        chosen = _begins_moving(nearer, len(recs))
     rows[index[chosen]] = row
     start, first = (_put(rest, index[chosen], state.take(chosen)) for state in (start, first))
     return HandStarts(rows, start, first)
@@ -71,35 +74,38 @@ def _put(state: State, index: Index, other: State) -> State:
     return out
 
 
-def _begins_moving(nearer: Array) -> NDArray[np.bool_]:
+def _begins_moving(nearer: Array, count: int) -> NDArray[np.bool_]:
     """Return which episodes begin in motion, by how much nearer in chi-squared `(n,)` a start in motion comes.
 
-    One that does not tell begins as most of those do that tell: recordings are cut alike.
+    Recordings are cut alike. Where most of `count` episodes surely begin in motion, one does that does not tell; else
+    only one that leaves no doubt.
     """
-    surely, surely_not = nearer > SURELY, nearer < -SURELY
-    usual = surely.sum() > surely_not.sum()
-    return np.asarray(surely | (~surely_not & usual))
+    if 2 * (nearer > SURELY).sum() > count:
+        return np.asarray(nearer > -SURELY)
+    return np.asarray(nearer > UNDOUBTED)
 
 
 def _distance(scene: Scene, recs: Recordings, state: State, begin: int, threads: int) -> Array:
-    """Return `(E,)` chi-squared of the rows after the lead under an open-loop replay from a state at row `begin`.
+    """Return `(E,)` twice the Student-t loss of rows after the lead under an open-loop replay from row `begin`.
 
-    Rows before it, of a start at rest, count by what they surely leave beyond noise.
+    That is chi-squared of what noise leaves, and a logarithm of what a contact does that came out otherwise. Rows
+    before the end of the lead, of a start at rest, count by what they surely leave beyond noise.
     """
     half, row = half_rows(scene.file.rate_hz), lead_rows(scene)
-    shown = _shown(scene, recs, begin, row + AFTER * half, row - half)
+    shown = _shown(scene, recs, begin, row + (1 + AFTER) * half, row - half)
     played = rollout(
         scene, shown.commands, state.qpos, state.qvel, [()] * len(recs), memory=state.memory, threads=threads
     ).readings
-    squares = [np.zeros((len(recs), shown.joints.shape[1], 0))]
+    apart = [np.zeros((len(recs), shown.joints.shape[1], 0))]
     if "joint_position" in played:
-        squares.append(((shown.joints - played["joint_position"]) / shown.joint_noise) ** 2)
+        apart.append((shown.joints - played["joint_position"]) / shown.joint_noise)
     if "object_pose" in played:
         turn = difference(shown.pose[..., 3:], played["object_pose"][..., 3:])
-        apart = np.concatenate([shown.pose[..., :3] - played["object_pose"][..., :3], turn], axis=-1)
-        squares.append((apart / shown.pose_noise) ** 2)
-    every, first = np.concatenate(squares, axis=2), row + 1 - begin
-    lead, after = every[:, 1:first], np.nansum(every[:, first:], axis=(1, 2))
+        shift = shown.pose[..., :3] - played["object_pose"][..., :3]
+        apart.append(np.concatenate([shift, turn], axis=-1) / shown.pose_noise)
+    every, first = 2 * rho(np.concatenate(apart, axis=2).astype(np.float32)).astype(float), row + 1 - begin
+    # Rows to which the start in motion was smoothed say nothing for it.
+    lead, after = every[:, 1:first], np.nansum(every[:, first + half :], axis=(1, 2))
     count = (np.isfinite(lead) & (lead > 0)).sum((1, 2))
     return after + np.maximum(np.nansum(lead, axis=(1, 2)) - count - np.sqrt(SURELY * 2 * count), 0.0)
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from candata.effects import effect
 from candata.gap.candidates import Candidate, elements_of, local_candidates, on_slides
 from candata.gap.response import Curve, Plane
-from candata.gap.score import Compact, rho
+from candata.gap.robust import rho
+from candata.gap.score import Compact
 from candata.gap.search import Problem, fit_one
 
 Array = NDArray[np.float64]

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from candata.gap.evidence import HeatMap
 from candata.gap.residuals import Layout
-from candata.gap.score import Compact, Score, rho
+from candata.gap.robust import rho
+from candata.gap.score import Compact, Score
 from candata.scenes import Scene
 from candata.schema.report import Symptom
 

@@ -23,9 +23,9 @@ Array = NDArray[np.float64]
 #: Null recordings of every episode on which an effect is tried. Chosen: with twelve episodes their mean gain is known
 #: to a seventh of what one recording's differs by.
 COPIES = 4
-#: Standard errors by which an effect must gain more than on null recordings: in the spread of those, and in its own
-#: over episodes. Chosen: one in 10,000 and one in 20 of normal errors; the search had the choice of a hundred effects,
-#: and a true effect may show in few episodes.
+#: Standard errors by which an effect must gain more than on null recordings of the same episodes: in the spread of
+#: those from one recording of an episode to the next, and over episodes. Chosen: one in 10,000 and one in 20 of normal
+#: errors; the search had the choice of a hundred effects, and a true effect may show in few episodes.
 BEYOND_NULLS, BEYOND_CHANCE = 3.7, 1.64
 #: Gain [floors] that no effect can have on a null recording: all that one loses.
 ALL_OF_A_NULL = 1.0
@@ -91,9 +91,10 @@ def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array)
         return True
     rest = tuple(m for i, m in enumerate(members) if i != index)
     nulls = null_gains(problem, rest, members)
-    excess = float(gain.mean() - nulls.mean())
-    error = float(np.sqrt(nulls.var(axis=1, ddof=1).mean() / nulls.shape[1] * (1 + 1 / len(nulls))))
-    return excess > max(BEYOND_NULLS * error, BEYOND_CHANCE * standard_error(gain))
+    excess = gain - nulls.mean(0)
+    copies, episodes = nulls.shape
+    error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / episodes * (1 + 1 / copies)))
+    return bool(excess.mean() > max(BEYOND_NULLS * error, BEYOND_CHANCE * standard_error(excess)))
 
 
 def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int = COPIES) -> Array:

@@ -13,7 +13,8 @@ from candata.gap.candidates import FEW_NUMBERS, Candidate, typical_size
 from candata.gap.folds import CrossFit, cross_fit
 from candata.gap.replay import is_simulated
 from candata.gap.response import Curve, Plane
-from candata.gap.score import Compact, weights
+from candata.gap.robust import weights
+from candata.gap.score import Compact
 from candata.gap.screen import slopes
 from candata.gap.search import Fit, Members, Problem, fit_one
 from candata.gap.starts import is_toss

@@ -13,7 +13,7 @@ from candata.gap.lagged import drives
 from candata.gap.locate import LEVEL, max_test
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import Layout
-from candata.gap.score import rho
+from candata.gap.robust import rho
 from candata.gap.search import Problem
 from candata.scenes import Scene
 from candata.schema.contact import fingertip_contact

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.candidates import Candidate
-from candata.gap.score import Compact, Score, weights
+from candata.gap.robust import weights
+from candata.gap.score import Compact, Score
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from candata.gap.floor import Floor
 from candata.gap.residuals import Layout
+from candata.gap.robust import rho
 
 Array = NDArray[np.float64]
 Compact = NDArray[np.float32]
-#: Degrees of freedom of the Student-t loss (Lange, Little & Taylor 1989).
-NU = 5.0
 
 
 @dataclass(frozen=True)
@@ -141,21 +140,3 @@ def _groups(plan: Layout) -> NDArray[np.int64]:
     kinds = [(channel, unit) for channel, _, unit in plan.columns]
     order = list(dict.fromkeys(kinds))
     return np.tile([order.index(kind) for kind in kinds], plan.phase.shape[1])
-
-
-def rho(z: Compact) -> Compact:
-    """Return the Student-t loss of each normalised residual, `(nu + 1) / 2 log(1 + z^2 / nu)`.
-
-    A logarithm of single precision takes a quarter of the time of `log1p`; residuals that it takes for zero are.
-    """
-    out = z * z
-    out *= 1 / NU
-    out += 1
-    np.log(out, out=out)
-    out *= (NU + 1) / 2
-    return out
-
-
-def weights(z: Compact) -> Compact:
-    """Return the weights of iteratively reweighted least squares, `(nu + 1) / (nu + z^2)`."""
-    return (np.float32(NU + 1) / (np.float32(NU) + z * z)).astype(np.float32)

@@ -16,7 +16,7 @@ from candata.gap.refine import ENOUGH
 from candata.gap.replay import needs_simulation, replay_all
 from candata.gap.residuals import residual
 from candata.gap.response import Curve, Plane
-from candata.gap.score import weights
+from candata.gap.robust import weights
 from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import taken
 from candata.rotation import difference

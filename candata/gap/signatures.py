@@ -42,8 +42,8 @@ Compact = NDArray[np.float32]
 CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
 OWN_CODE = (
-    *("floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "shooting", "signatures", "smoother"),
-    "starts",
+    *("floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "robust", "shooting", "signatures"),
+    *("smoother", "starts"),
 )
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start

@@ -82,7 +82,7 @@ def pose_fit(pose: Array, at: int, least: Array) -> tuple[Fit, Array]:
 
     Columns are position [m] and the world-frame rotation vector [rad] from the anchor.
     """
-    anchor = pose[:, at]
+    anchor = pose[:, min(at, pose.shape[1] - 1)]
     turn = difference(pose[..., 3:], np.broadcast_to(anchor[:, None, 3:], pose[..., 3:].shape))
     return fitted(np.concatenate([pose[..., :3], turn], axis=-1), at, least), anchor
 

@@ -17,7 +17,8 @@ from candata.gap.candidates import candidates
 from candata.gap.compare import standard_error
 from candata.gap.refine import WIDTHS, around, divided, joint, slopes_of, stepped
 from candata.gap.response import Plane
-from candata.gap.score import Score, weights
+from candata.gap.robust import weights
+from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import brief
 

@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.plugins import load, names
-from candata.scenes import transmission
+from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 
 LIBRARY = "candata.scenes.library"
-_FORCE, _INTERNAL, _FRAME, _TOUCH = "candata_force_", "candata_internal_", "candata_frame_", "candata_touch_"
-#: Numbers of a contact sensor (MuJoCo XML reference, sensor/contact): data bit of `force`, reduction `netforce`, slots.
-_NET_FORCE = (2, 3, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +132,7 @@ class Scene:
     @cached_property
     def force_sensors(self) -> NDArray[np.int64]:
         """`(F, 3)` addresses of the world-frame forces in sensordata: of all contacts of each fingertip, on it."""
-        return self._sensor(_FORCE, 3)
+        return self._sensor(sensors.FORCE, 3)
 
     @cached_property
     def internal_sensors(self) -> dict[int, NDArray[np.int64]]:
@@ -143,17 +140,17 @@ class Scene:
 
         Keyed by the fingertip's index; only fingertips that consist of several bodies have one.
         """
-        sensors = {
+        found = {
             name: self.model.sensor(name)
-            for name in (f"{_INTERNAL}{i}" for i in range(len(self.file.fingertips)))
+            for name in (f"{sensors.INTERNAL}{i}" for i in range(len(self.file.fingertips)))
             if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0
         }
-        return {int(name.removeprefix(_INTERNAL)): s.adr[0] + np.arange(3) for name, s in sensors.items()}
+        return {int(name.removeprefix(sensors.INTERNAL)): s.adr[0] + np.arange(3) for name, s in found.items()}
 
     @cached_property
     def frame_sensors(self) -> NDArray[np.int64]:
         """`(F, 4)` addresses of the frames' quaternions in sensordata."""
-        return self._sensor(_FRAME, 4)
+        return self._sensor(sensors.FRAME, 4)
 
     def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
         start = [self.model.sensor(f"{prefix}{i}").adr[0] for i in range(len(self.file.fingertips))]
@@ -162,7 +159,7 @@ class Scene:
     @cached_property
     def touch_sensors(self) -> NDArray[np.int64]:
         """`(R,)` addresses of the flags that tell whether a robot's links touch the object."""
-        found = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(_TOUCH)]
+        found = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(sensors.TOUCH)]
         return np.array([self.model.sensor(s).adr[0] for s in found], int)
 
     @cached_property
@@ -284,18 +281,9 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         body = spec.body(file.object)
         _check_free(name, file.object, body)
         body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
-        for index, root in enumerate(sorted({_name_of(spec, _root(spec.joint(j).parent)) for j in file.joints})):
-            spec.add_sensor(
-                name=f"{_TOUCH}{index}",
-                type=mujoco.mjtSensor.mjSENS_CONTACT,
-                objtype=mujoco.mjtObj.mjOBJ_XBODY,
-                objname=file.object,
-                reftype=mujoco.mjtObj.mjOBJ_XBODY,
-                refname=root,
-                intprm=(1, 0, 1),
-            )
+        sensors.add_touch(spec, file)
     for index, tip in enumerate(file.fingertips):
-        _add_sensors(spec, file, index, tip)
+        sensors.add_force(spec, file, index, tip)
     try:
         model = spec.compile()
     except ValueError as error:
@@ -374,51 +362,3 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, servo: Servo) -> None:
     actuator.set_to_position(kp=servo.kp, kv=servo.kv)
     if servo.limit is not None:
         actuator.forcelimited, actuator.forcerange = True, (-servo.limit, servo.limit)
-
-
-def _name_of(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> str:
-    """Return the name of a body; one that has none gets one, as a sensor can only refer to a name."""
-    if not body.name:
-        body.name = f"candata_body_{len(_named(spec.bodies))}"
-    return str(body.name)
-
-
-def _root(body: mujoco.MjsBody) -> mujoco.MjsBody:
-    """Return the ancestor of `body` that stands on the world."""
-    while body.parent.name != "world":
-        body = body.parent
-    return body
-
-
-def _add_sensors(spec: mujoco.MjSpec, file: SceneFile, index: int, tip: str) -> None:
-    """Add the net force of all contacts on a fingertip (world frame) and the fingertip's frame.
-
-    The fingertip is the second party of the sensor and the first is left open, so that the force is the one on it.
-    """
-    body = spec.body(tip)
-    kind = mujoco.mjtObj.mjOBJ_GEOM if body is None else mujoco.mjtObj.mjOBJ_XBODY
-    spec.add_sensor(
-        name=f"{_FORCE}{index}",
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_UNKNOWN,
-        reftype=kind,
-        refname=tip,
-        intprm=_NET_FORCE,
-    )
-    if body is not None and body.bodies:
-        spec.add_sensor(
-            name=f"{_INTERNAL}{index}",
-            type=mujoco.mjtSensor.mjSENS_CONTACT,
-            objtype=kind,
-            objname=tip,
-            reftype=kind,
-            refname=tip,
-            intprm=_NET_FORCE,
-        )
-    carrier = _name_of(spec, spec.geom(tip).parent) if body is None else tip
-    frame = (
-        (mujoco.mjtObj.mjOBJ_SITE, file.fingertip_frames[index])
-        if file.fingertip_frames
-        else (mujoco.mjtObj.mjOBJ_XBODY, carrier)
-    )
-    spec.add_sensor(name=f"{_FRAME}{index}", type=mujoco.mjtSensor.mjSENS_FRAMEQUAT, objtype=frame[0], objname=frame[1])

@@ -10,7 +10,7 @@ import pytest
 from candata.gap.candidates import candidate, typical_size
 from candata.gap.folds import CrossFit
 from candata.gap.response import Curve, Plane
-from candata.gap.score import weights
+from candata.gap.robust import weights
 from candata.gap.search import Fit
 from candata.gap.shrink import CURVED, FINEST, _axes, intervals
 

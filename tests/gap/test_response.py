@@ -10,7 +10,7 @@ import pytest
 from candata.gap import response as module
 from candata.gap.candidates import Candidate
 from candata.gap.response import Curve, Plane
-from candata.gap.score import rho
+from candata.gap.robust import rho
 
 E, K = 6, 300
 

@@ -11,7 +11,8 @@ from scipy.stats import t
 from candata.gap.compare import null_level
 from candata.gap.floor import Floor, spread
 from candata.gap.residuals import Layout
-from candata.gap.score import NU, score, weights
+from candata.gap.robust import NU, weights
+from candata.gap.score import score
 from candata.schema.scene import Noise
 
 E, B, D, R = 3, 6, 3, 10

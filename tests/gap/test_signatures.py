@@ -14,6 +14,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import residual
 from candata.gap.signatures import library
+from candata.simulate import at_rest, rollout
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +56,13 @@ def test_where_none_are_kept_a_signature_is_what_the_effect_takes_off_the_record
 
 def test_a_sensor_at_fault_began_elsewhere_and_read_what_was_recorded(arm, arm_episodes, planted, tmp_path):
     """Of its own recording a library knows what was read; of another recording, shared, only the place."""
-    some = planted("joint_offset", offset_rad=(0.08, -0.06))
-    recs = recordings(arm, arm_episodes(some, noise=False))
+    offset = np.array([0.08, -0.06])
+    some = planted("joint_offset", offset_rad=tuple(offset))
+    recs = recordings(arm, arm_episodes(noise=False))
+    # At rest its servos hold the readings at the commands: the joints stand off by the offset.
+    qpos, qvel = at_rest(arm, len(recs))
+    played = rollout(arm, recs.commands, qpos - offset, qvel, [some] * len(recs))
+    recs = replace(recs, readings=played.readings)
     own = _problem(Replayer(arm), recs, np.random.default_rng(0), tmp_path, lambda stage: None, share=True)
     inside = np.isfinite(own.raw)
     (found,), (other,) = (part.signatures([some]) for part in (own.library, replace(own.library, own=False, memo={})))

@@ -25,7 +25,8 @@ from candata.gap.blind.signatures import Signature, least_squares, signatures
 from candata.gap.candidates import Candidate, candidate, probes
 from candata.gap.folds import folds, rest
 from candata.gap.replay import EffectSet
-from candata.gap.score import Compact, rho
+from candata.gap.robust import rho
+from candata.gap.score import Compact
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, CaseResults, Label
 from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Report, Unknown

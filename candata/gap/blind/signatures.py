@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from candata.gap.blind.bed import Bed
 from candata.gap.candidates import Candidate, candidates, probes
-from candata.gap.score import Compact, Score, weights
+from candata.gap.robust import weights
+from candata.gap.score import Compact, Score
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
