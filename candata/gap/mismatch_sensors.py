@@ -31,6 +31,8 @@ SUNK_M = 0.012
 SUNK_RATIO = 1.8
 #: Force [N] that counts as a touch once the reading out of contact is taken off, and rows of it that are needed.
 TOUCH_N, TOUCH_ROWS = 0.5, 20
+#: Size of forces across their main direction, as a share of that along it, from which they tell a frame. Chosen.
+DIRECTIONS = 0.25
 #: Share of touched readings at which the scene's fingertip must be free for the object's place to be doubted. Chosen.
 MOSTLY = 0.5
 #: Rows that are looked at for geometry.
@@ -358,9 +360,16 @@ def _turn(real: Array, nominal: Array) -> Array:
 
 
 def _as_turned(real: Array, nominal: Array) -> bool:
-    """Tell whether forces `(N, 3)` disagree as they are and agree after the best rotation."""
+    """Tell whether forces `(N, 3)` disagree as they are and agree after the best rotation.
+
+    Forces of one direction say nothing of a frame: some rotation brings them to any other direction.
+    """
     rows = np.ones(len(real), bool)
     if len(real) < TOUCH_ROWS or _cosine(real, nominal, rows) > AGAINST:
+        return False
+    if any(
+        spread[1] < DIRECTIONS * spread[0] for spread in (np.linalg.svd(v, compute_uv=False) for v in (real, nominal))
+    ):
         return False
     return _cosine(_turn(real, nominal), nominal, rows) > 0.85
 
