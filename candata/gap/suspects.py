@@ -201,16 +201,16 @@ def _against(real: Sample, null: Sample, groups: Sequence[tuple[int, ...]]) -> S
     first = replace(null, sigma=_spread(null.force))
     bias = fitted(first, everything)
     left = [s.force - np.einsum("ebak,ka->eba", s.terms[..., list(everything)], bias) for s in (real, null)]
-    return replace(real, force=left[0], groups=tuple(groups), sigma=_spread(left[1]))
+    return replace(real, force=left[0], groups=tuple(groups), sigma=_spread(left[1], len(everything)))
 
 
-def _spread(force: Array) -> Array:
-    """Return `(A,)` the 68 % quantile of the sizes; 1 where there are none."""
+def _spread(force: Array, fitted_terms: int = 0) -> Array:
+    """Return `(A,)` the 68 % quantile of the sizes; 1 where there are no more of them than terms were fitted."""
     flat = np.abs(force).reshape(-1, force.shape[-1])
     out = np.ones(flat.shape[1])
     for a in range(flat.shape[1]):
         seen = flat[np.isfinite(flat[:, a]), a]
-        if len(seen):
+        if len(seen) > fitted_terms:
             out[a] = max(float(np.quantile(seen, 0.68)), 1e-9)
     return out
 
