@@ -43,9 +43,9 @@ WORTH, TRIED = -0.015, 0.005
 NEARER = 3.0
 #: How many effects are compared at the end, and what share of the best gain so far they must have. Chosen.
 COMPARED, RIVAL = 2, 0.4
-#: Mean gain [floors], and standard errors of it, from which an effect is named. Chosen: of those two nulls one lost
-#: 0.007 floors and one gained 0.003; of eight faults that one replay hid, none gained less than 0.014 or 2.1 errors.
-NAMED, STEADY = 0.01, 1.5
+#: Mean gain [floors] beyond what null recordings gain, and standard errors of it, from which an effect is named.
+#: Chosen: one in 700 of normal errors, as some 16 effects are tried.
+NAMED, STEADY = 0.01, 3.0
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from candata.gap.noise import SMALLEST, SMALLEST_SLIDE_M
 from candata.gap.recordings import Recordings
 from candata.gap.robust import rho
 from candata.gap.shooting import HORIZON_S, Shown, shot, unknowns
-from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, twist_of
+from candata.gap.smoother import fitted, half_rows, pose_fit, pose_of, tangent, twist_of
 from candata.rotation import difference, exp, multiply
 from candata.scenes import Scene
 from candata.simulate import rollout
@@ -212,6 +212,10 @@ def _smoothed(scene: Scene, recs: Recordings, row: int, rest: Array) -> _Path:
     if scene.object_id is not None:
         where, seen = slice(scene.object_qpos, scene.object_qpos + 7), np.isfinite(pose).all((1, 2))
         fit, anchor = pose_fit(pose[seen], row - begin, least.pose)
+        # A hand in motion beside an object at rest: a speed within its error would roll a ball away.
+        rests = ~fit.moves[:, None]
+        mean = tangent(pose[seen], anchor).mean(1)
+        fit = fit._replace(position=np.where(rests, mean, fit.position), speed=np.where(rests, 0.0, fit.speed))
         qpos[seen, where] = pose_of(fit, anchor)
         qvel[seen, scene.object_dof : scene.object_dof + 6] = twist_of(fit, qpos[seen, where], rate)
     return _Path(qpos[:, at], qvel[:, dofs])
@@ -271,7 +275,5 @@ def _at_first(rows: Array, fallback: Array, noise: Array) -> Array:
 def _pose_at_first(rows: Array, fallback: Array, noise: Array) -> Array:
     """Return the pose `(E, 7)` at the first of some rows, as `_at_first` does in the tangent space."""
     anchor = _first_seen(rows, fallback)
-    turn = difference(rows[:, :, 3:], np.broadcast_to(anchor[:, None, 3:], rows[:, :, 3:].shape))
-    tangent = np.concatenate([rows[:, :, :3] - anchor[:, None, :3], turn], axis=-1)
-    mean = _at_first(tangent, np.zeros((len(rows), 6)), noise)
-    return np.concatenate([anchor[:, :3] + mean[:, :3], multiply(exp(mean[:, 3:]), anchor[:, 3:])], axis=1)
+    first = _at_first(tangent(rows, anchor), tangent(anchor[:, None], anchor)[:, 0], noise)
+    return np.concatenate([first[:, :3], multiply(exp(first[:, 3:]), anchor[:, 3:])], axis=1)

@@ -27,6 +27,8 @@ COPIES = 4
 #: those from one recording of an episode to the next, and over episodes. Chosen: one in 10,000 and one in 20 of normal
 #: errors; the search had the choice of a hundred effects, and a true effect may show in few episodes.
 BEYOND_NULLS, BEYOND_CHANCE = 3.7, 1.64
+#: The same over episodes, where the mismatch without the name lies within what nulls show. Chosen: one in 700.
+BEYOND_CHANCE_WITHOUT_A_GAP = 3.0
 #: Gain [floors] that no effect can have on a null recording: all that one loses.
 ALL_OF_A_NULL = 1.0
 
@@ -46,8 +48,7 @@ def with_names_tested(problem: Problem, found: Attribution) -> Attribution:
         return found
     stays = tuple(m for i, m in enumerate(fit.members) if i != failing)
     if not stays:
-        loss = float(problem.score.loss(problem.nominal).mean())
-        remains = loss > null_level(problem.score, world.rng)
+        remains = leaves_gap(problem, ())
         return replace(found, chosen=None, tied=(), score=problem.score, remains=remains, rivals=(), mean=None)
     fit = joint(world, stays, world.score.loss(world.nominal), WIDTHS[1:])
     fit, world, remains = judged(world, fit)
@@ -94,7 +95,14 @@ def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array)
     excess = gain - nulls.mean(0)
     copies, episodes = nulls.shape
     error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / episodes * (1 + 1 / copies)))
-    return bool(excess.mean() > max(BEYOND_NULLS * error, BEYOND_CHANCE * standard_error(excess)))
+    chance = BEYOND_CHANCE if leaves_gap(problem, rest) else BEYOND_CHANCE_WITHOUT_A_GAP
+    return bool(excess.mean() > max(BEYOND_NULLS * error, chance * standard_error(excess)))
+
+
+def leaves_gap(problem: Problem, members: Members) -> bool:
+    """Tell whether the mismatch of a set lies beyond what null recordings show."""
+    loss = problem.score.loss(problem.residuals([problem.setting(members)])[0]).mean()
+    return bool(loss > null_level(problem.score, problem.rng))
 
 
 def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int = COPIES) -> Array:

@@ -77,14 +77,16 @@ def _polynomial(rows: Array, steps: NDArray[np.int64], degree: int, least: Array
     return values, (noise * np.sqrt((solve**2).sum(1))[:, None])[:, None, :], noise
 
 
-def pose_fit(pose: Array, at: int, least: Array) -> tuple[Fit, Array]:
-    """Return the fit of poses `(E, W, 7)` in the tangent space at row `at`, and the anchors `(E, 7)` it counts from.
-
-    Columns are position [m] and the world-frame rotation vector [rad] from the anchor.
-    """
-    anchor = pose[:, min(at, pose.shape[1] - 1)]
+def tangent(pose: Array, anchor: Array) -> Array:
+    """Return poses `(E, W, 7)` as positions [m] and world-frame rotation vectors [rad] from anchors `(E, 7)`."""
     turn = difference(pose[..., 3:], np.broadcast_to(anchor[:, None, 3:], pose[..., 3:].shape))
-    return fitted(np.concatenate([pose[..., :3], turn], axis=-1), at, least), anchor
+    return np.concatenate([pose[..., :3], turn], axis=-1)
+
+
+def pose_fit(pose: Array, at: int, least: Array) -> tuple[Fit, Array]:
+    """Return the fit of poses `(E, W, 7)` in the tangent space at row `at`, and the anchors `(E, 7)` it counts from."""
+    anchor = pose[:, min(at, pose.shape[1] - 1)]
+    return fitted(tangent(pose, anchor), at, least), anchor
 
 
 def pose_of(fit: Fit, anchor: Array) -> Array:
