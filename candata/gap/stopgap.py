@@ -165,4 +165,6 @@ def _setting(scene: Scene, suspect: Suspect, coefficients: Array) -> EffectSetti
             j = scene.file.joints.index(suspect.element)
             x[j * len(JOINT_TERMS) + k] = row[0]
             x[total + j] = suspect.wave
-    return setting(EFFECT, x, scene, suspect.element)
+    # A regression on little motion may ask for more than the effect takes: the largest stands for it.
+    ends = np.concatenate([np.tile(p.bounds(scene), (p.size(scene), 1)) for p in parameters])
+    return setting(EFFECT, np.clip(x, *ends.T), scene, suspect.element)

@@ -16,6 +16,7 @@ from candata.datasets import Dataset
 from candata.datasets.drafts import place
 from candata.effects import effect
 from candata.errors import DataError, Where
+from candata.gap.memory import ACT
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.starts import Starts, starts
 from candata.repair.affine import Free, free_parameters
@@ -200,7 +201,7 @@ def _sequence(scene: Scene, recs: Recordings, begin: Starts, e: int, model: mujo
         "sensordata_times": times[seen],
         "sensordata_data": data[seen],
         "sensordata_signal_mapping": _sensor_mapping(model),
-        "initial_state": _state(model, begin.qpos[e], begin.qvel[e]),
+        "initial_state": _state(model, begin.take(np.array([e]))),
     }
     if "fingertip_force" in recs.readings:
         out["fingertip_force"] = recs.readings["fingertip_force"][e, first:last][seen]
@@ -223,10 +224,12 @@ def _mapping(names: Sequence[str], kind: int, widths: dict[str, int]) -> Array:
     return np.asarray(json.dumps(out))
 
 
-def _state(model: mujoco.MjModel, qpos: Array, qvel: Array) -> Array:
-    """Return a state of the model as MuJoCo's rollout takes it."""
+def _state(model: mujoco.MjModel, begin: Starts) -> Array:
+    """Return the state of the model at the start of one episode as MuJoCo's rollout takes it."""
     data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = qpos, qvel
+    data.qpos[:], data.qvel[:] = begin.qpos[0], begin.qvel[0]
+    if begin.memory.size:
+        data.act[:] = begin.memory[0, ACT : ACT + model.na]
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
