@@ -173,3 +173,26 @@ def test_no_declared_noise_confirms_none(plain_recordings, rng):
 def test_one_repeat_may_be_an_accident(plain_recordings, rng):
     recs = played_again(plain_recordings, rng).take([0, 1, 2, 3])
     assert sensor_noise(None, recs, still(recs)).kind == "assumed"
+
+
+def test_noise_of_slides_is_read_apart_from_that_of_hinges(plain_recordings, rng):
+    """Rails are read ten times finer: neither number stands for the other."""
+    size = np.array([0.002, 0.0002, 0.002])
+    recs = plain_recordings(joint_position=size * rng.standard_normal((8, 160, 3)))
+    noise = sensor_noise(None, recs, still(recs), np.array([False, True, False])).noise
+    assert noise.joint_position == pytest.approx(tuple(size), rel=SURE)
+
+
+def test_noise_declared_for_each_joint_is_added_to_each(rng):
+    size = (0.001, 0.01)
+    noisy = add_noise({"joint_position": np.zeros((50, 100, 2))}, Noise(joint_position=size), rng)
+    # 5000 values are known to 1 %.
+    assert noisy["joint_position"].std((0, 1)) == pytest.approx(size, rel=0.05)
+
+
+def test_few_windows_leave_a_loss_less_sure_than_many(plain_recordings, rng):
+    few, many = (plain_recordings(joint_position=0.002 * rng.standard_normal((n, 160, 2))) for n in (4, 64))
+    errors = [sensor_noise(None, recs, still(recs)).loss_error for recs in (few, many)]
+    # Sixteen times as many windows: a quarter of the error.
+    assert errors[1] == pytest.approx(errors[0] / 4, rel=0.01)
+    assert sensor_noise(Noise(joint_position=0.002), many, still(many)).loss_error == 0
