@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset
 from candata.effects import effect_names
 from candata.errors import DataError, Where
-from candata.gap.attribute import attribute
+from candata.gap.attribute import Attribution, attribute
 from candata.gap.averaged import ALL, SOME, sizes_in_mean
 from candata.gap.budget import Budget
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
@@ -24,7 +24,7 @@ from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
 from candata.gap.mismatch import checked
 from candata.gap.noise import sensor_noise
-from candata.gap.null_test import with_names_tested
+from candata.gap.null_test import leaves_gap, with_names_tested
 from candata.gap.outlook import say_outlook
 from candata.gap.pace import REST, Pace
 from candata.gap.recordings import Recordings, read
@@ -33,12 +33,12 @@ from candata.gap.residuals import layout, residual
 from candata.gap.score import score
 from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import with_telling
-from candata.gap.shrink import HeldOut, held_out
+from candata.gap.shrink import HeldOut, gap, held_out
 from candata.gap.signatures import library
 from candata.gap.sized import with_sizes
 from candata.gap.starts import is_toss, start_notes, starts
 from candata.gap.untested import library as searchable
-from candata.gap.verdict import FEWEST
+from candata.gap.verdict import FEWEST, verdict
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]
@@ -113,7 +113,17 @@ def diagnose(
         problem = replace(problem, recs=replace(problem.recs, notes=(*problem.recs.notes, IN_MEAN)))
     elif len(untouched):
         world, held = _untouched(world, everything.take(untouched), found.chosen)
+    if found.chosen and not leaves_gap(problem, ()) and _fails(problem, found, held):
+        # What does not pass says nothing where there is no gap: nulls of a chaotic world hold as much.
+        found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
+        world, held = problem, held_out(problem, None)
     return concluded(Findings(dataset, scene, problem, found, world, held, len(everything)), problem.rng)
+
+
+def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:
+    """Tell whether what was chosen does not pass on held-out episodes."""
+    size = gap(held.size_before, held.size_after, problem.rng.spawn(1)[0], gap_left=True)
+    return verdict(found, size, problem.measured) == "unknown_effect"
 
 
 class Posed(NamedTuple):

@@ -75,7 +75,9 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     alike, told = factors.max() <= ALIKE * factors.min(), noise is not None and _ratio(noise * TO_SI[unit]) < NOISE
     if not alike and (newton or (np.log(factors) * np.sign(np.log(times))).min() < 0.5 * abs(np.log(times))):
         return []
-    if _ratio(times) > FORCE_RATIO or (near < DRAWN and told) or (near < ALONE and alike and not newton):
+    # A contact that the scene holds and the recording does not makes forces small without any unit.
+    beyond = times > FORCE_RATIO or (1 / times > FORCE_RATIO and near < DRAWN and not newton)
+    if beyond or (near < DRAWN and told) or (near < ALONE and alike and not newton):
         return [_unit(times, unit if near < DRAWN else "")]
     if near < (ALONE if newton else DRAWN):
         return [_doubtful(times, f"{unit} are {1 / TO_SI[unit]:.3g} times; `tactile_gain` explains it as well")]
