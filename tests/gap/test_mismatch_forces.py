@@ -50,7 +50,7 @@ KGF = 1 / 9.80665
         (0.2, 0.2, False, "`tactile_gain` explains it as well"),
         (0.06, 1.0, False, "`tactile_gain` goes from 0.1 to 6"),
         # A contact of the scene alone makes forces small, and their noise stays what it is.
-        (0.0243, 1.0, False, "`tactile_gain` goes from 0.1 to 6"),
+        (0.0243, 0.3, False, "`tactile_gain` goes from 0.1 to 6"),
         (10.0, 10.0, False, "`tactile_gain` goes from 0.1 to 6"),
         (1e3, 1e3, True, "(mN: 1000)"),
         (1e3, 1.0, True, "(mN: 1000)"),
