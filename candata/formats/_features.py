@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.formats._assemble import Block
 from candata.formats._mapping import check_channels, fits, si_units, unfit
-from candata.formats._names import element_names, fingertip_names
+from candata.formats._names import element_names, fingertip_names, split_entry
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.exchange import FeatureMap
 from candata.units import TO_SI, to_si
@@ -118,13 +119,16 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     """Return how one channel is made."""
     where = Where(path=str(path), channel=channel)
     entry = mapping.channels[channel]
-    parts = tuple(_part(text, by_name, where) for text in ((entry,) if isinstance(entry, str) else entry))
+    parts = tuple(part(text, by_name, where) for text in ((entry,) if isinstance(entry, str) else entry))
     flat = [(by_name[name], column) for name, columns in parts for column in columns]
-    shape = _shape(channel, len(flat), where)
+    shape = _shape(channel, [_label(feature, column) for feature, column in flat], where)
     if channel in QUATERNION and mapping.quaternion == "xyzw":
         flat = [flat[i] for i in _XYZW]
         parts = tuple((feature.name, (column,)) for feature, column in flat)
     columns = tuple(_label(feature, column) for feature, column in flat)
+    repeated = [column for column, count in Counter(columns).items() if count > 1]
+    if repeated:
+        raise UsageError(f"{channel} names a column twice", found=", ".join(repeated), where=where)
     named = tuple(feature.names[column] if feature.names else "" for feature, column in flat)
     _check_quaternion(channel, named, where)
     factors = _factors(channel, mapping.units.get(channel), len(flat), where)
@@ -132,21 +136,28 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     return Pick(channel, parts, shape, factors, columns, elements)
 
 
-def _part(text: str, by_name: Mapping[str, Feature], where: Where) -> tuple[str, tuple[int, ...]]:
-    """Return a feature and the numbers of its columns from `feature` or `feature[columns]`."""
-    found = re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", text)
-    name = text if text in by_name or found is None else found.group(1)
+def part(text: str, by_name: Mapping[str, Feature], where: Where) -> tuple[str, tuple[int, ...]]:
+    """Return a feature and the numbers of its columns from `feature` or `feature[columns]`.
+
+    Raises
+    ------
+    UnknownNameError, UsageError
+        When the feature or a column of it is not there.
+    """
+    name, chosen = split_entry(text, by_name)
     if name not in by_name:
         raise UnknownNameError("feature", name, by_name, where)
     feature = by_name[name]
     if feature.width > _MOST_COLUMNS:
         raise UsageError(
-            f"{name} is too wide for a channel", expected=f"at most {_MOST_COLUMNS} columns", found=str(feature.width),
+            f"{name} is too wide for a channel",
+            expected=f"at most {_MOST_COLUMNS} columns",
+            found=str(feature.width),
             where=where,
-        )  # fmt: skip
-    if name == text or found is None:
+        )
+    if chosen is None:
         return name, tuple(range(feature.width))
-    columns = [column for word in found.group(2).split(",") for column in _columns(word.strip(), feature, where)]
+    columns = [column for word in chosen.split(",") for column in _columns(word.strip(), feature, where)]
     if not columns:
         raise UsageError("the map picks no column", found=text, where=where)
     return name, tuple(columns)
@@ -174,11 +185,20 @@ def _columns(word: str, feature: Feature, where: Where) -> list[int]:
 
 def _label(feature: Feature, column: int) -> str:
     """Return what a column is called in messages."""
+    if feature.names == (feature.name,):
+        return feature.name
     return f"{feature.name}[{feature.names[column] if feature.names else column}]"
 
 
-def _shape(channel: str, width: int, where: Where) -> tuple[int, ...]:
-    """Return the shape of a row of `width` numbers."""
+def width_of_row(channel: str) -> int | None:
+    """Return how many numbers each element of a channel has; None where it has one."""
+    symbols = CHANNELS[channel].shape[1:]
+    return int(symbols[-1]) if len(symbols) == 2 else None
+
+
+def _shape(channel: str, columns: Sequence[str], where: Where) -> tuple[int, ...]:
+    """Return the shape of a row of these columns."""
+    width = len(columns)
     symbols = CHANNELS[channel].shape[1:]
     last = symbols[-1] if symbols else 1
     fixed = len(symbols) < 2 and isinstance(last, int)
@@ -186,7 +206,7 @@ def _shape(channel: str, width: int, where: Where) -> tuple[int, ...]:
         raise UsageError(
             f"{channel} has the wrong number of columns",
             expected=f"{last} columns" if fixed else f"{last} columns a fingertip",
-            found=str(width),
+            found=f"{width}: {', '.join(columns)}"[:200],
             where=where,
         )
     return {0: (), 1: (width,), 2: (width // 3, 3)}[len(symbols)]
@@ -247,7 +267,7 @@ def _check_quaternion(channel: str, named: Sequence[str], where: Where) -> None:
             expected="w x y z",
             found=", ".join(words),
             where=where,
-            fix="say `quaternion: xyzw` in a --map",
+            fix="say `quaternion: xyzw` in the map",
         )
 
 
@@ -265,5 +285,5 @@ def _check_counts(made: Sequence[Pick], path: Path) -> None:
                 expected=f"{other.shape[0]} as in {other.channel}",
                 found=str(pick.shape[0]),
                 where=Where(path=str(path), channel=pick.channel),
-                fix="give a --map that picks the columns of both channels in the same order",
+                fix="give a map that picks the columns of both channels in the same order",
             )

@@ -267,7 +267,8 @@ def _servo(scene: Scene, effort: Array) -> tuple[Array, Array]:
 def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Array:
     """Return `(E, T, D)` generalised forces of fingertip forces `extra (E, T, F, 3)` on joints and object.
 
-    A scene without an object has them on joints alone: what else a fingertip touches is taken to stand still. The recorded force of a row is the mean over the step before it, so it counts for that step.
+    A scene without an object has them on joints alone: what else a fingertip touches is taken to stand still. The
+    recorded force of a row is the mean over the step before it, so it counts for that step.
     """
     model, data = scene.model, mujoco.MjData(scene.model)
     out = np.zeros((*extra.shape[:2], len(_dofs(scene))))
