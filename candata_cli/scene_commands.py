@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli.outputs import tried
+
 if TYPE_CHECKING:
     from candata.repair import Exported, SysidExport
     from candata.scenes import Scene
@@ -52,6 +54,8 @@ def show(
     json: Json = False,
 ) -> None:
     """Print the roles of a scene's parts; with --out, write a picture of it."""
+    if picture is not None:
+        tried(picture, "file")
     from candata.scenes import load_scene
     from candata.scenes.roles import roles
     from candata_cli.console import note, out_json
@@ -80,6 +84,7 @@ def servo(
     ] = None,
 ) -> None:
     """Write a scene for a robot without a model: one servo a joint, each on its own, from names and ranges."""
+    tried(out, "folder")
     from candata.datasets import open_dataset
     from candata.scenes.servo import servo_joints, write_servo_scene
     from candata_cli.console import out as say
@@ -115,6 +120,7 @@ def export(
         raise UnknownNameError("target", to, TARGETS)
     if (dataset is not None) != (to == "mujoco-sysid"):
         raise UsageError("--dataset and --to mujoco-sysid go together", fix="give both, or neither")
+    tried(out, "new")
     given = read_effects(effects)
     world = load_scene(scene or scene_of(given, effects))
     if scene is not None:
