@@ -35,7 +35,8 @@ An example session:
   open out/report/report.html
 
 \b
-Exit codes: 0 fine, 1 a negative finding, 2 usage or data, 3 environment or device, 130 stopped by Ctrl-C.
+Exit codes: 0 fine, 1 a negative finding, 2 usage or data, 3 environment or device, 70 a fault of candata,
+130 stopped by Ctrl-C.
 """
 
 
@@ -79,10 +80,23 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         print(refused, file=sys.stderr)
         code = refused.exit_code
     except SystemExit as error:
+        # typer makes 1 of a reader that has gone (`candata ... | head`), which is no finding.
+        gone = isinstance(error.__context__, BrokenPipeError)
         # typer makes this code of a Ctrl-C that no command has put into words.
-        code = _stopped(Stopped(), words) if error.code == STOPPED else error.code
+        code = _stopped(Stopped(), words) if error.code == STOPPED else 0 if gone else error.code
+    except Exception as error:
+        code = _failed(error, words)
     _flush()
     sys.exit(code)
+
+
+def _failed(error: Exception, words: Sequence[str]) -> int:
+    """Print what candata did not expect and return the exit code."""
+    from candata_cli.failures import UNEXPECTED, expected_as, report
+
+    known = expected_as(error)
+    print(known or report(error, words), file=sys.stderr)
+    return known.exit_code if known else UNEXPECTED
 
 
 def _stopped(stop: Stopped, words: Sequence[str]) -> int:
