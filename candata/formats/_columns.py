@@ -14,6 +14,8 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from candata.errors import CandataError, DataError, UsageError, Where
+from candata.formats._npz import require_arrays
+from candata.lfs import refuse_pointer
 
 Columns = dict[str, NDArray]
 
@@ -50,6 +52,7 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
             where=Where(path=str(path)),
         )
     require_file(path)
+    refuse_pointer(path)
     try:
         columns = reader(path, list(dict.fromkeys(wanted)))
     except CandataError:
@@ -149,6 +152,7 @@ def _csv(path: Path, wanted: list[str]) -> Columns:
 
 def _npz(path: Path, wanted: list[str]) -> Columns:
     """Return the one-dimensional arrays of an npz file."""
+    require_arrays(path, wanted)
     with path.open("rb") as file:
         arrays = np.load(file, allow_pickle=False)
         if not isinstance(arrays, Mapping):

@@ -16,13 +16,9 @@ from candata.formats._assemble import Block, checked, gather
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._mapping import Plan, plans, read_map, time_factor
 from candata.formats._names import element_names, fingertip_names
+from candata.formats._stamps import LATEST_NS, likely_unit, require_rate
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import TableMap
-
-#: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
-_RATE_FACTOR = 300.0
-#: Beyond it a time in ns is no int64.
-_LATEST_NS = float(2**63)
 
 
 def read(source: Path, allow_gaps: bool = False) -> Iterator[Episode]:
@@ -103,7 +99,7 @@ def episodes(
     """
     made = plans(mapping, path)
     check_lengths(columns, path)
-    time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping.time_s, path)
+    time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping, path)
     values = {c: numbers(columns[c], c, path) for plan in made for c in plan.columns}
     table = _Table(mapping, made, time_ns, values, path, allow_gaps)
     for label, rows in _groups(mapping, columns, len(time_ns), path):
@@ -120,6 +116,10 @@ class _Table:
     values: Mapping[str, NDArray[np.float64]]
     path: Path
     allow_gaps: bool
+
+    def say_unit(self, unit: str) -> str:
+        """Return what a map says of stamps in a unit."""
+        return f"units: {{{self.mapping.time_s}: {unit}}}"
 
 
 def _wanted(mapping: TableMap, path: Path) -> list[str]:
@@ -161,8 +161,9 @@ def _groups(
         yield str(int(value) if whole else value), by_label[k]
 
 
-def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray[np.int64]:
+def _time_ns(values: NDArray, factor: float, mapping: TableMap, path: Path) -> NDArray[np.int64]:
     """Return `(T,) int64 [ns]`; whole numbers stay exact."""
+    column = mapping.time_s
     missing: NDArray[np.bool_]
     if values.dtype.kind == "M":
         missing = np.isnat(values)
@@ -170,12 +171,12 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
         time_ns, far = stamps.astype(np.int64), ~missing & (stamps.astype(values.dtype) != values)
     elif values.dtype.kind in "iu":
         missing, whole = np.zeros(len(values), bool), round(factor * 1e9)
-        far = np.abs(values.astype(np.float64)) * whole >= _LATEST_NS
+        far = np.abs(values.astype(np.float64)) * whole >= LATEST_NS
         time_ns = np.where(far, 0, values).astype(np.int64) * whole
     else:
         seconds = numbers(values, column, path) * factor
         missing = ~np.isfinite(seconds)
-        far = ~missing & (np.abs(seconds) >= _LATEST_NS * 1e-9)
+        far = ~missing & (np.abs(seconds) >= LATEST_NS * 1e-9)
         time_ns = np.rint(np.where(missing | far, 0.0, seconds) * 1e9).astype(np.int64)
     if missing.any():
         raise DataError(
@@ -186,12 +187,13 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
             fix="drop the rows that have no time",
         )
     if far.any():
+        unit = likely_unit(values * factor, mapping.rate_hz) if values.dtype.kind in "iuf" else "ns"
         raise DataError(
             "time lies further away than ns can say",
             expected="within 292 years of zero",
             found=str(values[far][0]),
             where=Where(path=str(path), channel="time_ns", index=int(np.argmax(far))),
-            fix=f"give the unit of the time column, such as units: {{{column}: ns}}",
+            fix=f"give the unit of the time column, such as units: {{{column}: {unit}}}",
         )
     return time_ns
 
@@ -206,7 +208,7 @@ def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
     where = Where(path=str(table.path), episode=identity)
     found = gather(table.time_ns[rows], blocks, rows, where, table.allow_gaps)
     episode = checked(_meta(table, identity, found.rule, found.invalid), found.arrays, table.path)
-    _check_rate(episode, table)
+    require_rate(episode["time_ns"] * 1e-9, table.mapping.rate_hz, where, table.say_unit)
     return episode
 
 
@@ -242,25 +244,8 @@ def _names(by_channel: Mapping[str, Plan], *channels: str) -> tuple[str, ...]:
     return element_names(plan.channel, plan.columns)
 
 
-def _check_rate(episode: Episode, table: _Table) -> None:
-    """Raise when the time steps are so far from the nominal rate that their unit must be wrong."""
-    rate_hz, column = table.mapping.rate_hz, table.mapping.time_s
-    if len(episode) < 2:
-        return
-    step_s = float(np.median(np.diff(episode["time_ns"]))) * 1e-9
-    if not 1 / _RATE_FACTOR < step_s * rate_hz < _RATE_FACTOR:
-        raise DataError(
-            "time does not fit the rate",
-            expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
-            found=f"steps of {step_s:g} s",
-            where=Where(path=str(table.path), episode=episode.meta.id, channel="time_ns"),
-            fix=f"give the unit of the time column, such as units: {{{column}: ms}}, or correct rate_hz",
-        )
-
-
 FORMAT = Format(
     name="table",
     summary="Parquet, CSV or npz columns, mapped by a map.yaml",
     read=lambda source, reading: read(source, reading.allow_gaps),
-    digest=lambda source, reading: digest(source),
 )
