@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from candata.errors import DataError, UsageError, Where
 from candata.formats import Reading
@@ -63,7 +66,16 @@ def _ends(buffer: Buffer, arrays: Mapping[str, Any]) -> list[int]:
             found=str(listed.size),
             where=buffer.where,
         )
-    ends = [int(n) for n in read_rows(buffer, _ENDS, listed, 0, listed.shape[0]).reshape(-1)]
+    values = read_rows(buffer, _ENDS, listed, 0, listed.shape[0]).reshape(-1)
+    odd_rows = np.flatnonzero(values.astype(np.int64) != values) if np.isfinite(values).all() else [0]
+    if len(odd_rows):
+        raise DataError(
+            "episode_ends holds what is no whole number",
+            expected="the number of rows up to each episode's end",
+            found=str(values[odd_rows[0]]),
+            where=dataclasses.replace(buffer.where, channel=_ENDS, index=int(odd_rows[0])),
+        )
+    ends = values.astype(np.int64).tolist()
     if not ends or ends[0] <= 0 or any(b <= a for a, b in itertools.pairwise(ends)):
         raise DataError("episode_ends does not rise", found=str(ends[:5]), where=buffer.where)
     odd = [f"{name}: {length}" for name, length in lengths.items() if length != ends[-1]]

@@ -28,8 +28,10 @@ _WHAT = "LeRobot's percent of range (RANGE_M100_100; the gripper RANGE_0_100)"
 _DEGREES_A_PERCENT = "(range_max - range_min) / 200 * 360 / 4095 (gripper: / 100 in place of / 200)"
 
 
-def check_positions(mapping: FeatureMap, made: Sequence[Pick], arrays: Mapping[str, NDArray], entry: Entry) -> float:
-    """Return the largest joint position of an episode as the file has it, 0 where it has none.
+def largest_positions(
+    mapping: FeatureMap, made: Sequence[Pick], arrays: Mapping[str, NDArray], entry: Entry
+) -> NDArray[np.float64]:
+    """Return the largest joint position of an episode `(J,)` by column, as the file has it.
 
     Raises
     ------
@@ -38,32 +40,39 @@ def check_positions(mapping: FeatureMap, made: Sequence[Pick], arrays: Mapping[s
     """
     pick = next((pick for pick in made if pick.channel == "joint_position"), None)
     if pick is None:
-        return 0.0
-    raw = np.concatenate([arrays[name][:, list(columns)] for name, columns in pick.parts], axis=1)
-    raw = np.abs(np.where(np.isfinite(raw), raw, 0.0))
-    largest = (raw * np.abs(pick.factors)).max(axis=0)
-    column = int(np.argmax(largest))
-    if largest[column] > _LARGEST_POSITION and "joint_position" not in mapping.units:
-        percent = raw.max() <= _LARGEST_PERCENT
+        return np.zeros(0)
+    raw = np.concatenate([arrays[name][:, list(columns)] for name, columns in pick.parts], axis=1).astype(np.float64)
+    largest = np.abs(np.where(np.isfinite(raw), raw, 0.0)).max(axis=0)
+    scaled = largest * np.abs(pick.factors)
+    column = int(np.argmax(scaled))
+    if scaled[column] > _LARGEST_POSITION and "joint_position" not in mapping.units:
+        percent = largest.max() <= _LARGEST_PERCENT
         like = f"; none beyond 100, as in {_WHAT}, which is no angle without the robot's calibration"
         raise DataError(
             "the joints' positions are no rad or m",
             expected=f"up to {_LARGEST_POSITION:.1f}",
-            found=f"{largest[column]:g} in {pick.columns[column]}" + like * bool(percent),
+            found=f"{scaled[column]:g} in {pick.columns[column]}" + like * bool(percent),
             where=Where(path=str(entry.file), episode=str(entry.index), channel=pick.channel),
             fix=_percent_fix(len(pick.columns)) if percent else _degrees_fix(),
         )
-    return float(raw.max())
+    return largest
 
 
-def note_percent(mapping: FeatureMap, largest: float, reading: Reading) -> None:
-    """Note that positions which a map calls an angle look like percent of range; `largest` is that of the set."""
+def note_percent(mapping: FeatureMap, made: Sequence[Pick], largest: NDArray[np.float64], reading: Reading) -> None:
+    """Note positions which a map calls angles and that look like percent; `largest` `(J,)` is that of the set."""
     unit = mapping.units.get("joint_position", "")
     angles = {"deg", "rad", "1"}.intersection([unit] if isinstance(unit, str) else unit)
-    if angles and "joint_position" not in mapping.scales and _LARGEST_POSITION < largest <= _LARGEST_PERCENT:
+    if not angles or "joint_position" in mapping.scales:
+        return
+    columns = next(pick.columns for pick in made if pick.channel == "joint_position")
+    like = (largest > _LARGEST_POSITION) & (largest <= _LARGEST_PERCENT)
+    if largest.max() > _LARGEST_PERCENT:  # degrees; a gripper is percent all the same
+        like &= np.array(["gripper" in column for column in columns])
+    if like.any():
         reading.note(
-            f"joint_position is taken in {', '.join(sorted(angles))}, as the map says; but none lies beyond 100, as in "
-            f"{_WHAT}, which is no angle: if the robot recorded that, the joints are wrong without `scales`"
+            f"taken in {', '.join(sorted(angles))}, as the map says: "
+            f"{', '.join(column for column, is_like in zip(columns, like, strict=True) if is_like)}; but never beyond "
+            f"100, as in {_WHAT}, which is no angle: if the robot recorded that, they are wrong without `scales`"
         )
 
 
@@ -82,5 +91,6 @@ def _degrees_fix() -> str:
     """Return what to do about positions in degrees."""
     return (
         f"say the unit with --map FILE: `channels: {{joint_position: {STATE}, action: {ACTION}}}` and "
-        "`units: {joint_position: deg, action: deg}`; `rad` takes them as they are"
+        "`units: {joint_position: deg, action: deg}`; `rad` takes them as they are; leave out a gripper, which LeRobot "
+        "records in percent of its range"
     )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from candata.errors import DataError, UsageError, Where
@@ -24,7 +25,7 @@ from candata.formats._lerobot_layout import (
     read_text,
 )
 from candata.formats._lerobot_names import guess
-from candata.formats._lerobot_percent import check_positions, note_percent
+from candata.formats._lerobot_percent import largest_positions, note_percent
 from candata.formats._lerobot_rows import FRAME, STAMP, episode_arrays
 from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_export, restored
@@ -84,17 +85,23 @@ def _by_map(folder: Folder, reading: Reading) -> Iterator[Episode]:
     made = picks(mapping, folder.features, path)
     _say(folder, made, reading)
     rate_hz = mapping.rate_hz or folder.info.fps
-    off_beat, largest = 0, 0.0
+    off_beat, largest = 0, np.zeros(1)
+    beside = "" if reading.mapping else f", with `channels: {_flow(mapping.channels)}`"
     for entry, arrays in episode_arrays(folder, wanted(made), reading.note):
-        largest = max(largest, check_positions(mapping, made, arrays, entry))
-        on_beat, time_ns = _time_ns(arrays, stamp_s, rate_hz, entry)
+        largest = np.maximum(largest, largest_positions(mapping, made, arrays, entry))
+        on_beat, time_ns = _time_ns(arrays, stamp_s, rate_hz, entry, beside)
         off_beat += not on_beat
         identity = f"{folder.root.resolve().name}-{entry.index}"
         own = {"rate_hz": rate_hz, "task": " / ".join(entry.tasks) or None}
         yield mapped_episode(identity, time_ns, arrays, made, mapping, reading, entry.file, **own)
     if off_beat:
         reading.note(f"{off_beat} episodes have stamps off the beat of fps: their stamps were kept")
-    note_percent(mapping, largest, reading)
+    note_percent(mapping, made, largest, reading)
+
+
+def _flow(value: object) -> str:
+    """Return a value as YAML in one line."""
+    return yaml.safe_dump(value, default_flow_style=True, width=float("inf")).strip()
 
 
 def _stamp_unit(mapping: FeatureMap, path: Path) -> tuple[FeatureMap, float]:
@@ -124,11 +131,12 @@ def _say(folder: Folder, made: Sequence[Pick], reading: Reading) -> None:
 
 
 def _time_ns(
-    arrays: dict[str, NDArray], stamp_s: float, rate_hz: float, entry: Entry
+    arrays: dict[str, NDArray], stamp_s: float, rate_hz: float, entry: Entry, beside: str
 ) -> tuple[bool, NDArray[np.int64]]:
     """Return whether the stamps lie on the beat, and `(T,) int64 [ns]`: the beat itself, else the stamps.
 
-    The beat begins at the first stamp: 0 where LeRobot recorded, unix time in sets of others.
+    The beat begins at the first stamp: 0 where LeRobot recorded, unix time in sets of others. `beside` is what a map
+    needs beside a unit.
     """
     where = Where(path=str(entry.file), episode=str(entry.index), channel="time_ns")
     frames = np.arange(entry.rows)
@@ -142,7 +150,7 @@ def _time_ns(
             fix="LeRobot numbers the frames of an episode 0, 1, 2, ...; get the set again from its source",
         )
     stamps = arrays[STAMP] if stamp_s == 1 else arrays[STAMP].astype(np.float64) * stamp_s
-    kept = times_ns(stamps, rate_hz, where, lambda unit: f"units: {{{STAMP}: {unit}}}` in a `--map FILE")
+    kept = times_ns(stamps, rate_hz, where, lambda unit: f"`units: {{{STAMP}: {unit}}}` in a --map FILE{beside}")
     beat = kept[0] + even_time_ns(entry.rows, rate_hz)
     rounding = np.finfo(arrays[STAMP].dtype).eps if arrays[STAMP].dtype.kind == "f" else 0.0
     on_beat = bool((np.abs(kept - beat) * 1e-9 <= _ON_BEAT_S + rounding * np.abs(kept) * 1e-9).all())

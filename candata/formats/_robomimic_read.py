@@ -105,6 +105,16 @@ def _opened(path: Path) -> Iterator[Any]:
         import h5py
     except ImportError:
         raise MissingExtraError("h5py", "formats") from None
+    if not h5py.is_hdf5(path):
+        with path.open("rb") as start:
+            head = start.read(8)
+        raise DataError(
+            "the HDF5 file cannot be read",
+            expected="an HDF5 file with a group `data` of demonstrations",
+            found=f"a file of another kind, which begins {head!r}" if head else "no bytes",
+            where=Where(path=str(path)),
+            fix="give the HDF5 file, or name the format that this one is",
+        )
     file = _guarded(path, lambda: h5py.File(path, "r", locking=False))
     try:
         yield file
@@ -231,7 +241,27 @@ def _load(dataset: Any, path: Path) -> NDArray:
             where=Where(path=str(path)),
         )
     require_memory(dataset.size * 8, f"the dataset {dataset.name}", Where(path=str(path)))
+    _require_filters(dataset, path)
     return dataset[()]
+
+
+def _require_filters(dataset: Any, path: Path) -> None:
+    """Refuse a dataset that was packed by a filter which is not installed."""
+    import h5py
+
+    made = dataset.id.get_create_plist()
+    filters = [made.get_filter(k) for k in range(made.get_nfilters())]
+    lacking = [
+        f"{code} ({name.decode(errors='replace')})" for code, _, _, name in filters if not h5py.h5z.filter_avail(code)
+    ]
+    if lacking:
+        raise DataError(
+            f"{dataset.name} is packed by a filter that is not installed",
+            expected="filters that HDF5 brings",
+            found=f"filter {', '.join(lacking)}",
+            where=Where(path=str(path)),
+            fix="leave the dataset out of the map, or unpack it where the filter is installed: h5repack -f NONE",
+        )
 
 
 def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:

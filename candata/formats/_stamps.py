@@ -34,7 +34,7 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
     where : Where
         File and episode, for messages.
     say_unit : callable
-        What a user writes to say that the stamps are in a unit, such as `units: {t: ms}`.
+        What a user writes to say that the stamps are in a unit: "`units: {t: ms}`".
 
     Returns
     -------
@@ -63,7 +63,7 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
             expected="within 292 years of zero",
             found=f"{stamps[far[0]]} s",
             where=dataclasses.replace(where, index=int(far[0])),
-            fix=f"give the unit of the stamps, such as `{say_unit(likely_unit(stamps, rate_hz))}`",
+            fix=f"give the unit of the stamps, such as {say_unit(likely_unit(stamps, rate_hz))}",
         )
     return np.rint(seconds * 1e9).astype(np.int64)
 
@@ -98,11 +98,11 @@ def require_rate(
     unit = unit_of(ratio)
     coarse_s = float(np.spacing(np.abs(stamps).max())) if stamps.dtype == np.float32 else 0.0
     if unit is not None:
-        fix = f"the steps fit the rate if the stamps are in {unit}: say `{say_unit(unit)}`"
+        fix = f"the steps fit the rate if the stamps are in {unit}: say {say_unit(unit)}"
     elif coarse_s * rate_hz > 1:
         fix = f"float32 tells such times {coarse_s:g} s apart: write them as float64, or from the start of the episode"
     else:
-        fix = f"give the unit of the stamps, such as `{say_unit('ms')}`, or correct rate_hz"
+        fix = f"give the unit of the stamps, such as {say_unit('ms')}, or correct rate_hz"
     raise DataError(
         "time does not fit the rate",
         expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",

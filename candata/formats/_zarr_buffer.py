@@ -232,12 +232,13 @@ def _zipped(path: Path) -> Buffer:
 
 
 def _require_files(entries: Iterable[Tree]) -> None:
-    """Refuse Git LFS pointers, and what is neither a file nor a folder: a pipe may never end."""
+    """Refuse pointers of Git LFS, files larger than the memory, and what is no file: a pipe may never end."""
     for entry in entries:
         if not (entry.is_file() or entry.is_dir()):
             raise DataError("the buffer holds what is no file", found=entry.name, where=Where(path=str(entry)))
-        if isinstance(entry, Path):
+        if isinstance(entry, Path) and entry.is_file():
             refuse_pointer(entry)
+            require_memory(entry.stat().st_size, entry.name, Where(path=str(entry)))
 
 
 def _sizes(buffer: Buffer, key: str) -> Iterator[int]:
@@ -251,7 +252,7 @@ def _sizes(buffer: Buffer, key: str) -> Iterator[int]:
 
 def _unreadable(buffer: Buffer, key: str, error: Exception) -> DataError:
     """Return the error of an array that cannot be read."""
-    text = (str(error).splitlines() or [""])[0].strip("'\"")
+    text = (str(error).splitlines() or [""])[0]
     no_codec = type(error).__name__ == "UnknownCodecError"  # numcodecs and zarr each have one
     return DataError(
         f"{key} of the buffer cannot be read",

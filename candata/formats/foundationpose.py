@@ -239,7 +239,7 @@ def _timed(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np
                             where=where, fix="correct `stamps` in the map")  # fmt: skip
         time_ns = numbers * factor
         names = Where(path=f"{folder}, file names")
-        require_rate(time_ns * 1e-9, mapping.rate_hz, names, lambda unit: f"stamps: {unit}", _NAMES_FACTOR)
+        require_rate(time_ns * 1e-9, mapping.rate_hz, names, lambda unit: f"`stamps: {unit}`", _NAMES_FACTOR)
         return time_ns, frames.matrices
     count = int(numbers[-1] - numbers[0]) + 1
     if count > MOST_ROWS:

@@ -119,7 +119,7 @@ class _Table:
 
     def say_unit(self, unit: str) -> str:
         """Return what a map says of stamps in a unit."""
-        return f"units: {{{self.mapping.time_s}: {unit}}}"
+        return f"`units: {{{self.mapping.time_s}: {unit}}}`"
 
 
 def _wanted(mapping: TableMap, path: Path) -> list[str]:
