@@ -149,7 +149,7 @@ def _time_ns(
             where=dataclasses.replace(where, index=int(odd[0])),
             fix="LeRobot numbers the frames of an episode 0, 1, 2, ...; get the set again from its source",
         )
-    stamps = arrays[STAMP] if stamp_s == 1 else arrays[STAMP].astype(np.float64) * stamp_s
+    stamps = arrays[STAMP] * stamp_s  # float32 stays float32, whole numbers become float64
     kept = times_ns(stamps, rate_hz, where, lambda unit: f"`units: {{{STAMP}: {unit}}}` in a --map FILE{beside}")
     beat = kept[0] + even_time_ns(entry.rows, rate_hz)
     rounding = np.finfo(arrays[STAMP].dtype).eps if arrays[STAMP].dtype.kind == "f" else 0.0

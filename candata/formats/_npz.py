@@ -12,8 +12,6 @@ import numpy as np
 from candata.errors import DataError, Where
 from candata.formats._memory import require_memory
 
-_ARRAY_MAGIC = np.lib.format.MAGIC_PREFIX
-
 
 def require_arrays(path: Path, wanted: Iterable[str]) -> None:
     """Raise unless a file is an npz whose wanted arrays can be read without unpickling; others are not looked at.
@@ -26,8 +24,7 @@ def require_arrays(path: Path, wanted: Iterable[str]) -> None:
     if not zipfile.is_zipfile(path):
         with path.open("rb") as file:
             start = file.read(8)
-        found = "one array without a name" if start.startswith(_ARRAY_MAGIC) else f"a file that begins {start!r}"
-        raise _unreadable(path, found if start else "no bytes", "save it with numpy.savez, a name an array")
+        raise _unreadable(path, _kind(start), "save it with numpy.savez, a name an array; a cut file must be got again")
     with zipfile.ZipFile(path) as packed:
         known = packed.namelist()
         for name in wanted:
@@ -51,6 +48,15 @@ def _require_array(packed: zipfile.ZipFile, member: str, name: str, path: Path) 
             "save numbers or texts: give numpy.savez arrays whose dtype is not object",
         )
     require_memory(math.prod(shape) * dtype.itemsize, f"the array {name}", Where(path=str(path)))
+
+
+def _kind(start: bytes) -> str:
+    """Return what a file that is no zip file is, by its first bytes."""
+    if start.startswith(np.lib.format.MAGIC_PREFIX):
+        return "one array without a name"
+    if start.startswith(b"PK"):
+        return "a zip file without its end: it was cut"
+    return f"a file that begins {start!r}" if start else "no bytes"
 
 
 def _unreadable(path: Path, found: str, fix: str) -> DataError:

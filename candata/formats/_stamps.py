@@ -43,7 +43,8 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
     Raises
     ------
     DataError
-        When one is missing, their unit must be another, or they lie further away than ns can say; names the row.
+        When one is missing, they are too coarse, their unit must be another, or they lie further away than ns can
+        say; names the row.
     """
     seconds = stamps.astype(np.float64)
     missing = np.flatnonzero(~np.isfinite(seconds))
@@ -55,6 +56,7 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
             where=dataclasses.replace(where, index=int(missing[0])),
             fix="drop the rows that have no time",
         )
+    require_resolution(stamps, rate_hz, where)
     require_rate(stamps, rate_hz, where, say_unit)
     far = np.flatnonzero(np.abs(seconds) >= LATEST_NS * 1e-9)
     if len(far):
@@ -79,6 +81,28 @@ def likely_unit(stamps: NDArray, rate_hz: float) -> str:
     return (unit_of(float(np.median(steps)) * rate_hz) if len(steps) else None) or "ns"
 
 
+def require_resolution(stamps: NDArray, rate_hz: float, where: Where) -> None:
+    """Raise when stamps `(T,)` [s] are float32 and so far from zero that it cannot tell two rows apart.
+
+    Raises
+    ------
+    DataError
+        Says how far apart the times are that it tells.
+    """
+    if stamps.dtype != np.float32 or not len(stamps):
+        return
+    farthest = np.abs(stamps).max()
+    coarse_s = float(np.spacing(farthest))
+    if coarse_s * rate_hz > 1:
+        raise DataError(
+            "time is too coarse",
+            expected=f"steps of {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
+            found=f"float32, which tells times near {farthest:g} s {coarse_s:g} s apart",
+            where=dataclasses.replace(where, channel="time_ns"),
+            fix="write the stamps as float64, or from the start of each episode",
+        )
+
+
 def require_rate(
     stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[str], str], factor: float = RATE_FACTOR
 ) -> None:
@@ -96,13 +120,9 @@ def require_rate(
     if 1 / factor < ratio < factor:
         return
     unit = unit_of(ratio)
-    coarse_s = float(np.spacing(np.abs(stamps).max())) if stamps.dtype == np.float32 else 0.0
+    fix = f"give the unit of the stamps, such as {say_unit('ms')}, or correct rate_hz"
     if unit is not None:
         fix = f"the steps fit the rate if the stamps are in {unit}: say {say_unit(unit)}"
-    elif coarse_s * rate_hz > 1:
-        fix = f"float32 tells such times {coarse_s:g} s apart: write them as float64, or from the start of the episode"
-    else:
-        fix = f"give the unit of the stamps, such as {say_unit('ms')}, or correct rate_hz"
     raise DataError(
         "time does not fit the rate",
         expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",

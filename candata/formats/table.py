@@ -16,7 +16,7 @@ from candata.formats._assemble import Block, checked, gather
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._mapping import Plan, plans, read_map, time_factor
 from candata.formats._names import element_names, fingertip_names
-from candata.formats._stamps import LATEST_NS, likely_unit, require_rate
+from candata.formats._stamps import LATEST_NS, likely_unit, require_rate, require_resolution
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import TableMap
 
@@ -175,6 +175,8 @@ def _time_ns(values: NDArray, factor: float, mapping: TableMap, path: Path) -> N
         time_ns = np.where(far, 0, values).astype(np.int64) * whole
     else:
         seconds = numbers(values, column, path) * factor
+        if values.dtype == np.float32:
+            require_resolution(seconds.astype(np.float32), mapping.rate_hz, Where(path=str(path)))
         missing = ~np.isfinite(seconds)
         far = ~missing & (np.abs(seconds) >= LATEST_NS * 1e-9)
         time_ns = np.rint(np.where(missing | far, 0.0, seconds) * 1e9).astype(np.int64)
