@@ -149,7 +149,10 @@ def _refuse_options(given: Mapping[str, object], why: str) -> None:
 
 def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, options: dict) -> None:
     """Import one source of a format of the folder."""
+    import hashlib
+
     from candata import __version__
+    from candata.datasets.encode import content_hash
     from candata.errors import UnknownNameError, UsageError
     from candata.formats import Reading
     from candata.plugins import load, names
@@ -174,13 +177,22 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
     _try_output(out, append)
     clouds: list[NDArray] = []
     reading = Reading(**options, note=console.note, cloud=clouds.append)
-    lineage = Lineage(
-        operation=f"import {format_name}",
-        config_digest=reader.digest(source, reading),
-        tools={"candata": __version__},
-        details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
-    )
-    _publish(out, append, reader.read(source, reading), lineage.operation, lambda: lineage, clouds=clouds)
+    operation, hashes = f"import {format_name}", []
+
+    def episodes() -> Iterator[Episode]:
+        for episode in reader.read(source, reading):
+            hashes.append(content_hash(episode))
+            yield episode
+
+    def lineage() -> Lineage:
+        return Lineage(
+            operation=operation,
+            config_digest=hashlib.sha256("\n".join(hashes).encode()).hexdigest(),
+            tools={"candata": __version__},
+            details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
+        )
+
+    _publish(out, append, episodes(), operation, lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:

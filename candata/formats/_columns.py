@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import difflib
 import os
-import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +16,10 @@ from numpy.typing import NDArray
 
 from candata.errors import CandataError, DataError, UsageError, Where
 from candata.formats._csv import dialect, read_csv
+from candata.formats._memory import require_memory
 from candata.formats._names import split_entry
+from candata.formats._npz import require_arrays
+from candata.lfs import refuse_pointer
 
 Columns = dict[str, NDArray]
 
@@ -62,6 +63,7 @@ def read_columns(path: Path, names: Iterable[str], entries: Iterable[str] = ()) 
             where=Where(path=str(path)),
         )
     require_file(path)
+    refuse_pointer(path)
     names = list(names)
     try:
         columns = reader(path, names, list(entries))
@@ -166,13 +168,13 @@ def _parquet(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the columns of a Parquet file."""
     with pa.parquet.ParquetFile(path) as file:
         wanted = _resolve(names, entries, file.schema_arrow.names, path)
-        _require_memory(file.metadata.num_rows * len(wanted) * _NUMBER_BYTES, path)
+        require_memory(file.metadata.num_rows * len(wanted) * _NUMBER_BYTES, "the table", Where(path=str(path)))
         return _from_arrow(file.read(columns=wanted), wanted, path)
 
 
 def _csv(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the columns of a text table."""
-    _require_memory(path.stat().st_size, path)
+    require_memory(path.stat().st_size, "the table", Where(path=str(path)))
     layout = dialect(path)
     if not layout.has_header and not {*names, *entries} <= set(layout.names):
         raise DataError(
@@ -188,66 +190,21 @@ def _csv(path: Path, names: list[str], entries: list[str]) -> Columns:
 
 def _npz(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the arrays of an npz file; axes behind the first become one."""
-    with path.open("rb") as file:
-        arrays = np.load(file, allow_pickle=False)
-        if not isinstance(arrays, Mapping):
-            raise ValueError("one array without a name")
+    require_arrays(path, [])
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
         wanted = _resolve(names, entries, list(arrays), path)
-        _require_memory(_unpacked_bytes(file, wanted), path)
-        columns = {name: _npz_array(arrays, name, path) for name in wanted}
+        require_arrays(path, wanted)
+        columns = {name: arrays[name] for name in wanted}
     for name, values in columns.items():
-        if values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
-            raise _not_values(name, str(values.dtype), path)
+        if values.ndim == 0 or values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
+            raise DataError(
+                f"array {name} is no column",
+                expected="numbers, texts, or times with their unit",
+                found=str(values.dtype) if values.ndim else "a single value",
+                where=Where(path=str(path)),
+                fix="save it as an array of one of these",
+            )
     return {name: values if values.ndim < 2 else values.reshape(len(values), -1) for name, values in columns.items()}
-
-
-def _npz_array(arrays: Mapping[str, NDArray], name: str, path: Path) -> NDArray:
-    """Return one array of an npz file; Python objects in it are not unpickled."""
-    try:
-        values = arrays[name]
-    except ValueError as error:
-        if "allow_pickle" not in str(error):
-            raise
-        raise _not_values(name, "Python objects", path) from None
-    if values.ndim == 0:
-        raise DataError(
-            f"array {name} is no column",
-            expected="one value or list in each row",
-            found="a single value",
-            where=Where(path=str(path)),
-        )
-    return values
-
-
-def _not_values(name: str, content: str, path: Path) -> DataError:
-    """Return the error of an array that holds no values of a table."""
-    return DataError(
-        f"array {name} is no column",
-        expected="numbers, texts, or times with their unit",
-        found=content,
-        where=Where(path=str(path)),
-        fix="save it as an array of one of these",
-    )
-
-
-def _unpacked_bytes(file: IO[bytes], names: Iterable[str]) -> int:
-    """Return how many bytes the arrays of an npz file take when unpacked."""
-    wanted = {f"{name}.npy" for name in names} | set(names)
-    with zipfile.ZipFile(file) as packed:
-        return sum(member.file_size for member in packed.infolist() if member.filename in wanted)
-
-
-def _require_memory(size_bytes: int, path: Path) -> None:
-    """Raise when what is read does not fit into this machine's memory."""
-    memory_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    if size_bytes > memory_bytes:
-        raise DataError(
-            "the table is larger than the memory",
-            expected=f"at most {memory_bytes / 1e9:.3g} GB",
-            found=f"{size_bytes / 1e9:.3g} GB",
-            where=Where(path=str(path)),
-            fix="cut it into files of some episodes each and import them one after another, with --append",
-        )
 
 
 def _from_arrow(table: pa.Table, wanted: list[str], path: Path) -> Columns:

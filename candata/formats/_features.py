@@ -76,14 +76,22 @@ def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple
         When two channels disagree about the number of joints or fingertips.
     """
     where = Where(path=str(path))
-    check_channels(dict.fromkeys((*mapping.channels, *mapping.units, *mapping.names)), where)
-    for name in (*mapping.units, *mapping.names):
+    check_channels(dict.fromkeys((*mapping.channels, *mapping.units, *mapping.scales, *mapping.names)), where)
+    for name in (*mapping.units, *mapping.scales, *mapping.names):
         if name not in mapping.channels:
             raise UsageError(f"the map speaks of {name}, but does not say what it is made of", where=where)
     by_name = {feature.name: feature for feature in features}
     made = tuple(_pick(mapping, name, by_name, path) for name in mapping.channels)
     _check_counts(made, path)
     return made
+
+
+def asked(mapping: FeatureMap, names: Iterable[str]) -> tuple[str, ...]:
+    """Return which of the features that are there a map speaks of; the others need not be opened."""
+    entries = [text for entry in mapping.channels.values() for text in ((entry,) if isinstance(entry, str) else entry)]
+    return tuple(
+        name for name in names if any(text == name or text.startswith((f"{name}[", f"{name} [")) for text in entries)
+    )
 
 
 def blocks(made: Iterable[Pick], arrays: Mapping[str, NDArray]) -> list[Block]:
@@ -121,17 +129,17 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     entry = mapping.channels[channel]
     parts = tuple(part(text, by_name, where) for text in ((entry,) if isinstance(entry, str) else entry))
     flat = [(by_name[name], column) for name, columns in parts for column in columns]
+    _check_repeats(channel, flat, where)
     shape = _shape(channel, [_label(feature, column) for feature, column in flat], where)
     if channel in QUATERNION and mapping.quaternion == "xyzw":
         flat = [flat[i] for i in _XYZW]
         parts = tuple((feature.name, (column,)) for feature, column in flat)
     columns = tuple(_label(feature, column) for feature, column in flat)
-    repeated = [column for column, count in Counter(columns).items() if count > 1]
-    if repeated:
-        raise UsageError(f"{channel} names a column twice", found=", ".join(repeated), where=where)
     named = tuple(feature.names[column] if feature.names else "" for feature, column in flat)
     _check_quaternion(channel, named, where)
-    factors = _factors(channel, mapping.units.get(channel), len(flat), where)
+    units = _factors(channel, mapping.units.get(channel), len(flat), where)
+    scales = _scales(channel, mapping.scales.get(channel, 1.0), len(flat), where)
+    factors = tuple(unit * scale for unit, scale in zip(units, scales, strict=True))
     elements = _elements(channel, named, shape, mapping.names.get(channel), where)
     return Pick(channel, parts, shape, factors, columns, elements)
 
@@ -236,6 +244,20 @@ def _factors(channel: str, unit: str | tuple[str, ...] | None, width: int, where
     return tuple(TO_SI[one] for one in unit)
 
 
+def _scales(channel: str, scale: float | tuple[float, ...], width: int, where: Where) -> tuple[float, ...]:
+    """Return what each column is multiplied by before its unit counts; of a pose, one number is for the position."""
+    if not isinstance(scale, tuple):
+        return tuple(1.0 if kind == ("1",) else scale for kind in si_units(channel, width))
+    if len(scale) != width:
+        raise UsageError(
+            f"{channel} has the wrong number of scales",
+            expected=f"one number, or {width}, one a column",
+            found=str(len(scale)),
+            where=where,
+        )
+    return scale
+
+
 def _elements(
     channel: str, named: tuple[str, ...], shape: tuple[int, ...], given: tuple[str, ...] | None, where: Where
 ) -> tuple[str, ...]:
@@ -254,6 +276,13 @@ def _elements(
         return fingertip_names([named[i : i + 3] for i in range(0, len(named), 3)])
     ending = next((end for end in _ENDINGS if all(name.endswith(end) and name != end for name in named)), "")
     return element_names(channel, [name.removesuffix(ending) for name in named])
+
+
+def _check_repeats(channel: str, flat: Sequence[tuple[Feature, int]], where: Where) -> None:
+    """Refuse a channel that takes a column twice."""
+    repeated = [_label(feature, column) for (feature, column), count in Counter(flat).items() if count > 1]
+    if repeated:
+        raise UsageError(f"{channel} names a column twice", found=", ".join(repeated), where=where)
 
 
 def _check_quaternion(channel: str, named: Sequence[str], where: Where) -> None:

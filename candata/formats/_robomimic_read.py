@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import CandataError, DataError, MissingExtraError, UsageError, Where
 from candata.formats import Reading
-from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Feature, Pick, picks, wanted
+from candata.formats._by_map import even_time_ns, mapped_episode
+from candata.formats._features import Feature, Pick, asked, picks, wanted
 from candata.formats._map_file import read_map_file
+from candata.formats._memory import require_memory
 from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
+from candata.lfs import refuse_pointer
 from candata.schema.channels import CHANNELS, DENSE
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
@@ -59,9 +61,8 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     """
     path = find_file(source)
     with _opened(path) as file:
-        _guarded(path, _refuse_outside, file, path)
+        _guarded(path, _refuse_outside, file, "data", path)
         data = _guarded(path, lambda: file["data"])
-        _guarded(path, _refuse_outside, data, path)
         names = _guarded(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
@@ -74,18 +75,6 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
                 yield _restored(demo, keys, path)
             return
         yield from _by_map(data, names, path, reading)
-
-
-def digest(source: Path, reading: Reading) -> str:
-    """Return the sha256 over the file, the map and what the import was told.
-
-    Raises
-    ------
-    DataError
-        When the file is missing.
-    """
-    path = find_file(source)
-    return digest_of(path.parent, [path], reading)
 
 
 def find_file(source: Path) -> Path:
@@ -105,6 +94,7 @@ def find_file(source: Path) -> Path:
             found=", ".join(p.name for p in found) if source.is_dir() and found else "no such file",
             where=Where(path=str(source)),
         )
+    refuse_pointer(found[0])
     return found[0]
 
 
@@ -115,6 +105,16 @@ def _opened(path: Path) -> Iterator[Any]:
         import h5py
     except ImportError:
         raise MissingExtraError("h5py", "formats") from None
+    if not h5py.is_hdf5(path):
+        with path.open("rb") as start:
+            head = start.read(8)
+        raise DataError(
+            "the HDF5 file cannot be read",
+            expected="an HDF5 file with a group `data` of demonstrations",
+            found=f"a file of another kind, which begins {head!r}" if head else "no bytes",
+            where=Where(path=str(path)),
+            fix="give the HDF5 file, or name the format that this one is",
+        )
     file = _guarded(path, lambda: h5py.File(path, "r", locking=False))
     try:
         yield file
@@ -150,58 +150,68 @@ def _export(data: Any, path: Path) -> ExportFile | None:
     return None if value is None else parse_export(value, path)
 
 
-def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _Demo:
-    """Return a demonstration with the datasets that are wanted."""
+def _demo(data: Any, name: str, path: Path, keys: tuple[str, ...]) -> _Demo:
+    """Return a demonstration with the datasets of the keys; its others are not opened."""
+    _refuse_outside(data, name, path)
     group = data[name]
-    shapes = _shapes(group, path)
-    rows = _rows(group, shapes, name, path)
-    value = group.attrs.get(SIDECAR)
-    lacking = [key for key in wanted_names if key not in shapes]
+    datasets = {key: one for key in keys if (one := _dataset(group, key, path)) is not None}
+    lacking = [key for key in keys if key not in datasets]
     if lacking:
         raise DataError(
             f"the demonstration lacks {', '.join(lacking)}",
-            expected=", ".join(wanted_names),
-            found=", ".join(shapes),
+            expected=", ".join(keys),
+            found=", ".join(_listed(group)),
             where=Where(path=str(path), episode=name),
         )
-    arrays = {key: _load(group[key], path).reshape(rows, -1) for key in wanted_names}
+    rows = _rows(group, datasets, name, path)
+    value = group.attrs.get(SIDECAR)
+    arrays = {key: _load(one, path).reshape(rows, -1) for key, one in datasets.items()}
     return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
 
 
-def _refuse_outside(group: Any, path: Path) -> None:
+def _listed(group: Any) -> list[str]:
+    """Return the paths of what lies in a demonstration, two levels deep; no dataset is opened."""
+    import h5py
+
+    names = []
+    for key in group:
+        inside = isinstance(group.get(key, getlink=True), h5py.HardLink)
+        one = group.get(key) if inside and group.get(key, getclass=True) is h5py.Group else None
+        names += [key] if one is None else [f"{key}/{name}" for name in one]
+    return names
+
+
+def _dataset(group: Any, key: str, path: Path) -> Any:
+    """Return a dataset of numbers of a demonstration, None where there is none."""
+    found = group
+    for step in key.split("/"):
+        if not hasattr(found, "items") or step not in found:
+            return None
+        _refuse_outside(found, step, path)
+        found = found.get(step)
+    numeric = hasattr(found, "shape") and found.ndim and found.dtype.kind in "fiub"
+    return found if numeric else None
+
+
+def _refuse_outside(group: Any, key: str, path: Path) -> None:
     """Raise where a link or a dataset of a group takes its values from other files, which may be anyone's."""
     import h5py
 
-    for key in group:
-        outside = isinstance(group.get(key, getlink=True), h5py.ExternalLink)
-        one = None if outside else group.get(key)
-        if outside or (isinstance(one, h5py.Dataset) and (one.external or one.is_virtual)):
-            raise DataError(
-                "the file takes values from other files",
-                expected="datasets that lie in the file itself",
-                found=f"{group.name.rstrip('/')}/{key}",
-                where=Where(path=str(path)),
-                fix="copy the datasets into one file first, with h5repack or h5py",
-            )
+    outside = isinstance(group.get(key, getlink=True), h5py.ExternalLink)
+    one = None if outside else group.get(key)
+    if outside or (isinstance(one, h5py.Dataset) and (one.external or one.is_virtual)):
+        raise DataError(
+            "the file takes values from other files",
+            expected="datasets that lie in the file itself",
+            found=f"{group.name.rstrip('/')}/{key}",
+            where=Where(path=str(path)),
+            fix="copy the datasets into one file first, with h5repack or h5py",
+        )
 
 
-def _shapes(group: Any, path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every dataset of numbers in a demonstration, by its path; two levels deep."""
-    found = {}
-    _refuse_outside(group, path)
-    for key, value in group.items():
-        if hasattr(value, "items"):
-            _refuse_outside(value, path)
-        inner = {f"{key}/{name}": one for name, one in value.items()} if hasattr(value, "items") else {key: value}
-        for name, one in inner.items():
-            if hasattr(one, "shape") and one.ndim and one.dtype.kind in "fiub":
-                found[name] = one.shape
-    return found
-
-
-def _rows(group: Any, shapes: Mapping[str, tuple[int, ...]], name: str, path: Path) -> int:
-    """Return the number of rows of a demonstration, which all its datasets have."""
-    counts = {key: shape[0] for key, shape in shapes.items()}
+def _rows(group: Any, datasets: Mapping[str, Any], name: str, path: Path) -> int:
+    """Return the number of rows of a demonstration, which all datasets that are taken have."""
+    counts = {key: one.shape[0] for key, one in datasets.items()}
     claimed = group.attrs.get("num_samples")
     if claimed is not None:
         counts = {"num_samples": int(claimed)} | counts
@@ -222,7 +232,7 @@ def _rows(group: Any, shapes: Mapping[str, tuple[int, ...]], name: str, path: Pa
 
 
 def _load(dataset: Any, path: Path) -> NDArray:
-    """Return the values of a dataset that can lie in a file of that size."""
+    """Return the values of a dataset that can lie in a file of that size, and fits into memory."""
     if dataset.nbytes > _LARGEST_GAIN * path.stat().st_size + _SLACK_BYTES:
         raise DataError(
             "a dataset claims more than the file can hold",
@@ -230,7 +240,28 @@ def _load(dataset: Any, path: Path) -> NDArray:
             found=f"{dataset.nbytes} bytes in {dataset.name}",
             where=Where(path=str(path)),
         )
+    require_memory(dataset.size * 8, f"the dataset {dataset.name}", Where(path=str(path)))
+    _require_filters(dataset, path)
     return dataset[()]
+
+
+def _require_filters(dataset: Any, path: Path) -> None:
+    """Refuse a dataset that was packed by a filter which is not installed."""
+    import h5py
+
+    made = dataset.id.get_create_plist()
+    filters = [made.get_filter(k) for k in range(made.get_nfilters())]
+    lacking = [
+        f"{code} ({name.decode(errors='replace')})" for code, _, _, name in filters if not h5py.h5z.filter_avail(code)
+    ]
+    if lacking:
+        raise DataError(
+            f"{dataset.name} is packed by a filter that is not installed",
+            expected="filters that HDF5 brings",
+            found=f"filter {', '.join(lacking)}",
+            where=Where(path=str(path)),
+            fix="leave the dataset out of the map, or unpack it where the filter is installed: h5repack -f NONE",
+        )
 
 
 def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
@@ -247,9 +278,9 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    shapes = _guarded(path, lambda: _shapes(data[names[0]], path))
-    features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
-    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(features, path)
+    known = _guarded(path, _first_names, data, names[0], path)
+    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(known, path)
+    features = _guarded(path, _features, data[names[0]], known, asked(mapping, known), path)
     made = picks(mapping, features, reading.mapping or path)
     rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
     if rate_hz is None:
@@ -260,9 +291,9 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
             fix="say it with --map FILE: `rate_hz: 20` beside `channels`",
         )
     used = wanted(made)
-    left = [name for name in shapes if name not in used]
-    if left:
-        reading.note(f"left out: {', '.join(left)}")
+    left_out = [name for name in known if name not in used]
+    if left_out:
+        reading.note(f"left out: {', '.join(left_out)}")
     if reading.mapping is None:
         kinds = ", ".join(f"{pick.channel} from {wanted([pick])[0]}" for pick in made)
         reading.note(f"by their names: {kinds}; units are taken for SI (rad, m, N), as robomimic names none")
@@ -272,6 +303,25 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
         _check_widths(demo, made, Where(path=str(path), episode=identity))
         time_ns = even_time_ns(demo.rows, rate_hz)
         yield mapped_episode(identity, time_ns, demo.arrays, made, mapping, reading, path, rate_hz=rate_hz)
+
+
+def _first_names(data: Any, name: str, path: Path) -> list[str]:
+    """Return what lies in the first demonstration."""
+    _refuse_outside(data, name, path)
+    return _listed(data[name])
+
+
+def _features(group: Any, known: Sequence[str], taken: Sequence[str], path: Path) -> list[Feature]:
+    """Return the features of a demonstration; those that are taken with their columns."""
+    widths = {}
+    for name in taken:
+        one = _dataset(group, name, path)
+        if one is None:
+            raise DataError(
+                f"{name} does not hold rows of numbers", expected="a dataset of numbers", where=Where(path=str(path))
+            )
+        widths[name] = math.prod(one.shape[1:])
+    return [Feature(name, widths.get(name, 0)) for name in known]
 
 
 def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
@@ -287,9 +337,8 @@ def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
                 )
 
 
-def _guess(features: list[Feature], path: Path) -> FeatureMap:
+def _guess(known: Sequence[str], path: Path) -> FeatureMap:
     """Return the map that the datasets' names imply."""
-    known = {feature.name for feature in features}
     channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE}
     for channel, name in _ROBOSUITE.items():
         if name in known:

@@ -16,15 +16,12 @@ from candata.formats._assemble import checked, gather
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
 from candata.formats._features import Pick, blocks, names_of, wanted
 from candata.formats._mapping import check_channels, read_map, time_factor
+from candata.formats._stamps import LATEST_NS, likely_unit, require_rate, require_resolution
 from candata.formats._table_map import flat_entries, table_picks
 from candata.schema.channels import CHANNELS
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import TableMap
 
-#: A median time step further than this factor from 1 / rate_hz is taken for a mistaken unit of time.
-_RATE_FACTOR = 300.0
-#: Beyond it a time in ns is no int64.
-_LATEST_NS = float(2**63)
 #: Fields that maps did not always have: left out of a digest where not given, so that a source keeps its own.
 _LATER_FIELDS = ("quaternion", "joint_names", "actuator_names", "fingertip_names")
 
@@ -129,7 +126,7 @@ def episodes(
     """
     made = table_picks(mapping, columns, map_path or path)
     check_lengths(columns, path)
-    time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping.time_s, path)
+    time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping, path)
     flags = {name for pick in made if CHANNELS[pick.channel].dtype == "bool" for name, _ in pick.parts}
     values = {c: numbers(columns[c], c, path, c in flags).reshape(len(time_ns), -1) for c in wanted(made)}
     table = _Table(mapping, made, time_ns, values, path, allow_gaps)
@@ -147,6 +144,10 @@ class _Table:
     values: Mapping[str, NDArray[np.float64]]
     path: Path
     allow_gaps: bool
+
+    def say_unit(self, unit: str) -> str:
+        """Return what a map says of stamps in a unit."""
+        return f"`units: {{{self.mapping.time_s}: {unit}}}`"
 
 
 def _check_map(mapping: TableMap, path: Path) -> None:
@@ -195,8 +196,9 @@ def _groups(
         yield str(int(value) if whole else value), by_label[k]
 
 
-def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray[np.int64]:
+def _time_ns(values: NDArray, factor: float, mapping: TableMap, path: Path) -> NDArray[np.int64]:
     """Return `(T,) int64 [ns]`; whole numbers stay exact."""
+    column = mapping.time_s
     missing: NDArray[np.bool_]
     if values.dtype.kind == "M":
         missing = np.isnat(values)
@@ -204,12 +206,14 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
         time_ns, far = stamps.astype(np.int64), ~missing & (stamps.astype(values.dtype) != values)
     elif values.dtype.kind in "iu":
         missing, whole = np.zeros(len(values), bool), round(factor * 1e9)
-        far = np.abs(values.astype(np.float64)) * whole >= _LATEST_NS
+        far = np.abs(values.astype(np.float64)) * whole >= LATEST_NS
         time_ns = np.where(far, 0, values).astype(np.int64) * whole
     else:
         seconds = numbers(values, column, path) * factor
+        if values.dtype == np.float32:
+            require_resolution(seconds.astype(np.float32), mapping.rate_hz, Where(path=str(path)))
         missing = ~np.isfinite(seconds)
-        far = ~missing & (np.abs(seconds) >= _LATEST_NS * 1e-9)
+        far = ~missing & (np.abs(seconds) >= LATEST_NS * 1e-9)
         time_ns = np.rint(np.where(missing | far, 0.0, seconds) * 1e9).astype(np.int64)
     if missing.any():
         raise DataError(
@@ -220,12 +224,13 @@ def _time_ns(values: NDArray, factor: float, column: str, path: Path) -> NDArray
             fix="drop the rows that have no time",
         )
     if far.any():
+        unit = likely_unit(values * factor, mapping.rate_hz) if values.dtype.kind in "iuf" else "ns"
         raise DataError(
             "time lies further away than ns can say",
             expected="within 292 years of zero",
             found=str(values[far][0]),
             where=Where(path=str(path), channel="time_ns", index=int(np.argmax(far))),
-            fix=f"give the unit of the time column, such as units: {{{column}: ns}}",
+            fix=f"give the unit of the time column, such as units: {{{column}: {unit}}}",
         )
     return time_ns
 
@@ -236,7 +241,7 @@ def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
     made = blocks(table.picks, {name: values[rows] for name, values in table.values.items()})
     found = gather(table.time_ns[rows], made, rows, where, table.allow_gaps)
     episode = checked(_meta(table, identity, found.rule, found.invalid), found.arrays, table.path)
-    _check_rate(episode, table)
+    require_rate(episode["time_ns"] * 1e-9, table.mapping.rate_hz, where, table.say_unit)
     return episode
 
 
@@ -260,25 +265,8 @@ def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[
     )
 
 
-def _check_rate(episode: Episode, table: _Table) -> None:
-    """Raise when the time steps are so far from the nominal rate that their unit must be wrong."""
-    rate_hz, column = table.mapping.rate_hz, table.mapping.time_s
-    if len(episode) < 2:
-        return
-    step_s = float(np.median(np.diff(episode["time_ns"]))) * 1e-9
-    if not 1 / _RATE_FACTOR < step_s * rate_hz < _RATE_FACTOR:
-        raise DataError(
-            "time does not fit the rate",
-            expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
-            found=f"steps of {step_s:g} s",
-            where=Where(path=str(table.path), episode=episode.meta.id, channel="time_ns"),
-            fix=f"give the unit of the time column, such as units: {{{column}: ms}}, or correct rate_hz",
-        )
-
-
 FORMAT = Format(
     name="table",
     summary="Parquet, CSV or npz columns, mapped by a map.yaml",
     read=lambda source, reading: read(source, reading.allow_gaps),
-    digest=lambda source, reading: digest(source),
 )

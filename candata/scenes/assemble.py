@@ -15,9 +15,11 @@ import yaml
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
+from candata.lfs import refuse_pointer
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
+from candata.scenes.model_files import refuse_pointers
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 
@@ -209,6 +211,8 @@ def load_scene(name: str | Path) -> Scene:
         When the model does not compile or lacks a name that the scene uses.
     UsageError
         When the file is missing or not valid.
+    DataError
+        When it, the model or a file that the model names is a Git LFS pointer.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
@@ -223,6 +227,7 @@ def _from_file(path: Path) -> Scene:
     """Return the scene of a `scene.yaml`."""
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
+    refuse_pointer(path)
     try:
         raw = parse_yaml(path.read_text())
     except yaml.YAMLError as error:
@@ -233,6 +238,7 @@ def _from_file(path: Path) -> Scene:
     source = _source(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
+    refuse_pointers(source)
     try:
         spec = mujoco.MjSpec.from_file(str(source))
     except ValueError as error:
