@@ -40,6 +40,19 @@ def test_an_episode_is_taken_from_the_one_file_that_holds_it(tmp_path):
     ]
 
 
+def test_an_index_that_names_a_file_which_is_not_there_is_stale_too(tmp_path):
+    def off_by_one(lines):
+        lines[1]["data/file_index"] = 1
+
+    root = write_lerobot(tmp_path / "set", edit=off_by_one)
+    notes: list[str] = []
+    assert [len(episode) for episode in read(root, note=notes.append)] == [4, 3]
+    assert notes[1:] == ["episode 1: the index names file-001.parquet, its rows are in file-000.parquet: taken there"]
+    pq.write_table(pq.read_table(root / FIRST).slice(0, 4), root / FIRST)
+    with pytest.raises(DataError, match=r"file-001\.parquet is missing"):
+        read(root)
+
+
 def test_an_index_that_is_right_is_followed_whatever_other_files_hold(tmp_path):
     notes: list[str] = []
     assert len(read(split(write_lerobot(tmp_path / "set"), keep=True), note=notes.append)) == 2
