@@ -21,18 +21,26 @@ def refuse_pointer(path: Path) -> None:
     DataError
         Says what the file is, and how to get the one that it stands for.
     """
+    error = pointer_error(path)
+    if error is not None:
+        raise error
+
+
+def pointer_error(path: Path) -> DataError | None:
+    """Return the error of a file that is a Git LFS pointer, None where it is anything else or cannot be read."""
     try:
         if not path.is_file() or path.stat().st_size >= _LARGEST_BYTES:
-            return
+            return None
         text = path.read_bytes()
     except (OSError, ValueError):
-        return
-    if text.startswith(_BEGINNINGS):
-        size = re.search(rb"^size (\d{1,18})\s*$", text, re.MULTILINE)
-        raise DataError(
-            f"{path.name} is a Git LFS pointer, which stands in place of the file",
-            expected=f"the file itself, of {int(size.group(1)):,} bytes" if size else "the file itself",
-            found=f"{len(text)} bytes that name it",
-            where=Where(path=str(path)),
-            fix="run `git lfs pull` in that clone, or download the file itself",
-        )
+        return None
+    if not text.startswith(_BEGINNINGS):
+        return None
+    size = re.search(rb"^size (\d{1,18})\s*$", text, re.MULTILINE)
+    return DataError(
+        f"{path.name} is a Git LFS pointer, which stands in place of the file",
+        expected=f"the file itself, of {int(size.group(1)):,} bytes" if size else "the file itself",
+        found=f"{len(text)} bytes that name it",
+        where=Where(path=str(path)),
+        fix="run `git lfs pull` in that clone, or download the file itself",
+    )

@@ -150,6 +150,7 @@ def _refuse_options(given: Mapping[str, object], why: str) -> None:
 def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, options: dict) -> None:
     """Import one source of a format of the folder."""
     import hashlib
+    import itertools
 
     from candata import __version__
     from candata.datasets.encode import content_hash
@@ -192,7 +193,10 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
             details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
         )
 
-    _publish(out, append, episodes(), operation, lineage, clouds=clouds)
+    # One is read before anything is made: a source that is refused leaves not even the folder around the dataset.
+    taken = episodes()
+    begun = itertools.chain(list(itertools.islice(taken, 1)), taken)
+    _publish(out, append, begun, operation, lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:

@@ -125,6 +125,15 @@ def test_pointers_in_place_of_pictures_that_are_not_asked_for_do_not_matter(tmp_
     assert run("import", *arguments, "--out", tmp_path / "out").code == 0
 
 
+@pytest.mark.parametrize("name", ["dataset.json", "versions/*.json", "parts/*/part.json", "parts/*/*.parquet"])
+def test_a_dataset_of_ours_tells_a_pointer(tmp_path, name):
+    arguments, _ = buffer(tmp_path, "data/img/0.0.0.0")
+    assert run("import", *arguments, "--out", tmp_path / "out").code == 0
+    path = pointer(next((tmp_path / "out").glob(name)))
+    found = run("inspect", tmp_path / "out")
+    assert (found.code, found.err) == (2, told(path))
+
+
 @pytest.fixture
 def scene(tmp_path):
     """Files of a scene by name, some of them pointers; returns the scene.yaml."""

@@ -280,8 +280,8 @@ def _elements(
 
 def _check_repeats(channel: str, flat: Sequence[tuple[Feature, int]], where: Where) -> None:
     """Refuse a channel that takes a column twice."""
-    repeated = [_label(feature, column) for (feature, column), count in Counter(flat).items() if count > 1]
-    if repeated:
+    if len(set(flat)) < len(flat):
+        repeated = [_label(feature, column) for (feature, column), count in Counter(flat).items() if count > 1]
         raise UsageError(f"{channel} names a column twice", found=", ".join(repeated), where=where)
 
 

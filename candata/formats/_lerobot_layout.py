@@ -77,7 +77,7 @@ class Folder:
     info : Info
         What `meta/info.json` says.
     entries : tuple of Entry
-        Its episodes by number; every file is there.
+        Its episodes by number; whether each one's file is there is seen when it is read.
     """
 
     root: Path
@@ -272,7 +272,7 @@ def _file(root: Path, template: str, places: dict[str, int]) -> Path:
 
 
 def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
-    """Raise unless the episodes are numbered 0, 1, ..., add up, and their files are there."""
+    """Raise unless the episodes are numbered 0, 1, ..., add up, and any of their files is there."""
     if [entry.index for entry in entries] != list(range(len(entries))):
         raise _ragged("the episodes are not numbered 0, 1, 2, ...", root / "meta", found=_odd_number(entries))
     if not entries:
@@ -285,9 +285,8 @@ def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
             raise _ragged(
                 f"{what} does not agree with the list of episodes", root / INFO, f"{found} as listed", str(claimed)
             )
-    for file in dict.fromkeys(entry.file for entry in entries):
-        if not os.path.isfile(file):  # unlike Path.is_file, also where the name is too long
-            raise missing(file)
+    if not any(os.path.isfile(file) for file in {entry.file for entry in entries}):  # also where the name is too long
+        raise missing(entries[0].file)
 
 
 def _odd_number(entries: Sequence[Entry]) -> str:

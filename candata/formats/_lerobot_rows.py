@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
-from candata.formats._lerobot_layout import Entry, Folder, read_table
+from candata.formats._lerobot_layout import Entry, Folder, missing, read_table
 
 #: Columns that are read of every set beside the features that are asked for.
 STAMP, FRAME, EPISODE = "timestamp", "frame_index", "episode_index"
@@ -36,25 +38,39 @@ def episode_arrays(
     columns = tuple(dict.fromkeys([*names, STAMP, FRAME, EPISODE]))
     widths = {feature.name: feature.width for feature in folder.features}
     holders: Holders | None = None
-    held: Path | None = None
+    held: _Held | None = None
     for entry in folder.entries:
         file = _file_of(entry, holders)
-        if file != held:
-            table, held = read_table(file, columns), file
-            whose = _whole_numbers(table, EPISODE, file)
-        if holders is None and not (whose == entry.index).any():
+        if held is None or held.file != file:
+            held = _read(file, columns)
+        if holders is None and not (held.whose == entry.index).any():
             holders = _holders(folder)
-            if _file_of(entry, holders) != held:
-                held = file = _file_of(entry, holders)
-                table = read_table(file, columns)
-                whose = _whole_numbers(table, EPISODE, file)
+            file = _file_of(entry, holders)
+            held = held if held.file == file else _read(file, columns)
         if file != entry.file:
             note(f"episode {entry.index}: the index names {entry.file.name}, its rows are in {file.name}: taken there")
-        rows = np.flatnonzero(whose == entry.index)
+        rows = np.flatnonzero(held.whose == entry.index)
         _check_rows(entry, rows, holders)
-        part, first = table.slice(int(rows[0]), len(rows)), int(rows[0])
+        part, first = held.table.slice(int(rows[0]), len(rows)), int(rows[0])
         arrays = {name: _column(part, name, widths[name], file, first) for name in names}
         yield entry, arrays | {name: _column(part, name, 1, file, first)[:, 0] for name in (STAMP, FRAME)}
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A file at hand: its columns, and whose its rows are; of one that is not there, no row."""
+
+    file: Path
+    table: pa.Table
+    whose: NDArray
+
+
+def _read(file: Path, columns: Sequence[str]) -> _Held:
+    """Return the columns of a file."""
+    if not os.path.isfile(file):  # unlike Path.is_file, also where the name is too long
+        return _Held(file, pa.table({}), np.zeros(0))
+    table = read_table(file, columns)
+    return _Held(file, table, _whole_numbers(table, EPISODE, file))
 
 
 def _file_of(entry: Entry, holders: Holders | None) -> Path:
@@ -81,6 +97,8 @@ def _check_rows(entry: Entry, rows: NDArray, holders: Holders | None) -> None:
     """Raise unless the rows of an episode are as many as it claims, one after the other."""
     where = Where(path=str(entry.file), episode=str(entry.index))
     if len(rows) != entry.rows or not len(rows):
+        if not os.path.isfile(entry.file):
+            raise missing(entry.file)
         others = {} if holders is None else holders.get(entry.index, {})
         named = ", ".join(f"{count} in {path.parent.name}/{path.name}" for path, count in others.items())
         raise DataError(

@@ -35,7 +35,7 @@ def read_map_file(kind: type[R], path: Path) -> R:
     except OSError as error:
         raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
     except yaml.YAMLError as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
+        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:400], where=where) from None
     return kind.parse(value, path)
 
 

@@ -18,8 +18,8 @@ from candata.errors import CandataError, DataError, MissingExtraError, UsageErro
 from candata.formats import Reading
 from candata.formats._by_map import even_time_ns, mapped_episode
 from candata.formats._features import Feature, Pick, asked, picks, wanted
+from candata.formats._hdf5_datasets import load, names_in, open_dataset, open_group
 from candata.formats._map_file import read_map_file
-from candata.formats._memory import require_memory
 from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
 from candata.lfs import refuse_pointer
 from candata.schema.channels import CHANNELS, DENSE
@@ -32,9 +32,6 @@ T = TypeVar("T")
 SIDECAR = "candata"
 #: What robosuite calls the joints of its first robot.
 _ROBOSUITE = {"joint_position": "obs/robot0_joint_pos", "joint_velocity": "obs/robot0_joint_vel"}
-#: What compression can gain at most; a dataset that claims more is damaged. Source: deflate, at most 1032 to 1.
-_LARGEST_GAIN = 1100
-_SLACK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -61,8 +58,7 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     """
     path = find_file(source)
     with _opened(path) as file:
-        _guarded(path, _refuse_outside, file, "data", path)
-        data = _guarded(path, lambda: file["data"])
+        data = _guarded(path, open_group, file, "data", path)
         names = _guarded(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
@@ -152,61 +148,20 @@ def _export(data: Any, path: Path) -> ExportFile | None:
 
 def _demo(data: Any, name: str, path: Path, keys: tuple[str, ...]) -> _Demo:
     """Return a demonstration with the datasets of the keys; its others are not opened."""
-    _refuse_outside(data, name, path)
-    group = data[name]
-    datasets = {key: one for key in keys if (one := _dataset(group, key, path)) is not None}
+    group = open_group(data, name, path)
+    datasets = {key: one for key in keys if (one := open_dataset(group, key, path)) is not None}
     lacking = [key for key in keys if key not in datasets]
     if lacking:
         raise DataError(
             f"the demonstration lacks {', '.join(lacking)}",
             expected=", ".join(keys),
-            found=", ".join(_listed(group)),
+            found=", ".join(names_in(group)),
             where=Where(path=str(path), episode=name),
         )
     rows = _rows(group, datasets, name, path)
-    value = group.attrs.get(SIDECAR)
-    arrays = {key: _load(one, path).reshape(rows, -1) for key, one in datasets.items()}
+    value = group.attrs.get(SIDECAR) if SIDECAR in data.attrs else None
+    arrays = {key: load(one, path).reshape(rows, -1) for key, one in datasets.items()}
     return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
-
-
-def _listed(group: Any) -> list[str]:
-    """Return the paths of what lies in a demonstration, two levels deep; no dataset is opened."""
-    import h5py
-
-    names = []
-    for key in group:
-        inside = isinstance(group.get(key, getlink=True), h5py.HardLink)
-        one = group.get(key) if inside and group.get(key, getclass=True) is h5py.Group else None
-        names += [key] if one is None else [f"{key}/{name}" for name in one]
-    return names
-
-
-def _dataset(group: Any, key: str, path: Path) -> Any:
-    """Return a dataset of numbers of a demonstration, None where there is none."""
-    found = group
-    for step in key.split("/"):
-        if not hasattr(found, "items") or step not in found:
-            return None
-        _refuse_outside(found, step, path)
-        found = found.get(step)
-    numeric = hasattr(found, "shape") and found.ndim and found.dtype.kind in "fiub"
-    return found if numeric else None
-
-
-def _refuse_outside(group: Any, key: str, path: Path) -> None:
-    """Raise where a link or a dataset of a group takes its values from other files, which may be anyone's."""
-    import h5py
-
-    outside = isinstance(group.get(key, getlink=True), h5py.ExternalLink)
-    one = None if outside else group.get(key)
-    if outside or (isinstance(one, h5py.Dataset) and (one.external or one.is_virtual)):
-        raise DataError(
-            "the file takes values from other files",
-            expected="datasets that lie in the file itself",
-            found=f"{group.name.rstrip('/')}/{key}",
-            where=Where(path=str(path)),
-            fix="copy the datasets into one file first, with h5repack or h5py",
-        )
 
 
 def _rows(group: Any, datasets: Mapping[str, Any], name: str, path: Path) -> int:
@@ -231,39 +186,6 @@ def _rows(group: Any, datasets: Mapping[str, Any], name: str, path: Path) -> int
     return known
 
 
-def _load(dataset: Any, path: Path) -> NDArray:
-    """Return the values of a dataset that can lie in a file of that size, and fits into memory."""
-    if dataset.nbytes > _LARGEST_GAIN * path.stat().st_size + _SLACK_BYTES:
-        raise DataError(
-            "a dataset claims more than the file can hold",
-            expected=f"a file of {path.stat().st_size} bytes",
-            found=f"{dataset.nbytes} bytes in {dataset.name}",
-            where=Where(path=str(path)),
-        )
-    require_memory(dataset.size * 8, f"the dataset {dataset.name}", Where(path=str(path)))
-    _require_filters(dataset, path)
-    return dataset[()]
-
-
-def _require_filters(dataset: Any, path: Path) -> None:
-    """Refuse a dataset that was packed by a filter which is not installed."""
-    import h5py
-
-    made = dataset.id.get_create_plist()
-    filters = [made.get_filter(k) for k in range(made.get_nfilters())]
-    lacking = [
-        f"{code} ({name.decode(errors='replace')})" for code, _, _, name in filters if not h5py.h5z.filter_avail(code)
-    ]
-    if lacking:
-        raise DataError(
-            f"{dataset.name} is packed by a filter that is not installed",
-            expected="filters that HDF5 brings",
-            found=f"filter {', '.join(lacking)}",
-            where=Where(path=str(path)),
-            fix="leave the dataset out of the map, or unpack it where the filter is installed: h5repack -f NONE",
-        )
-
-
 def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
     """Return an episode that candata exported."""
     if demo.sidecar is None:
@@ -278,9 +200,10 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    known = _guarded(path, _first_names, data, names[0], path)
+    first = _guarded(path, open_group, data, names[0], path)
+    known = _guarded(path, names_in, first)
     mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(known, path)
-    features = _guarded(path, _features, data[names[0]], known, asked(mapping, known), path)
+    features = _guarded(path, _features, first, known, asked(mapping, known), path)
     made = picks(mapping, features, reading.mapping or path)
     rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
     if rate_hz is None:
@@ -305,17 +228,11 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
         yield mapped_episode(identity, time_ns, demo.arrays, made, mapping, reading, path, rate_hz=rate_hz)
 
 
-def _first_names(data: Any, name: str, path: Path) -> list[str]:
-    """Return what lies in the first demonstration."""
-    _refuse_outside(data, name, path)
-    return _listed(data[name])
-
-
 def _features(group: Any, known: Sequence[str], taken: Sequence[str], path: Path) -> list[Feature]:
     """Return the features of a demonstration; those that are taken with their columns."""
     widths = {}
     for name in taken:
-        one = _dataset(group, name, path)
+        one = open_dataset(group, name, path)
         if one is None:
             raise DataError(
                 f"{name} does not hold rows of numbers", expected="a dataset of numbers", where=Where(path=str(path))

@@ -19,7 +19,7 @@ from candata.lfs import refuse_pointer
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
-from candata.scenes.model_files import refuse_pointers
+from candata.scenes.pointers import refuse_pointers
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 

@@ -11,19 +11,7 @@ _MOST_FIELDS = 10_000
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, without keys given twice, merges that unfold to more than a file says, halves of characters."""
-
-    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
-        """Return a mapping as it is written; of a key given twice pyyaml would take the last in silence."""
-        node: yaml.MappingNode = super().compose_mapping_node(anchor)  # type: ignore[assignment]
-        first: dict[tuple[str, str], yaml.Mark] = {}
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            before, mark = first.setdefault((key.tag, key.value), key.start_mark), key.start_mark
-            if before is not mark:
-                place = f"line {mark.line + 1}, column {mark.column + 1}"
-                problem = f"{key.value} is given twice, in line {before.line + 1} and in {place}"
-                raise yaml.composer.ComposerError(None, None, problem)
-        return node
+    """The safe loader, without merges that unfold to more than any file says, and without halves of characters."""
 
     def flatten_mapping(self, node: yaml.MappingNode) -> None:
         """Merge what a mapping refers to into it."""
@@ -47,7 +35,7 @@ def parse_yaml(text: str) -> Any:
     Raises
     ------
     yaml.YAMLError
-        Whatever is wrong with it: its form, a key given twice, a number too long, a date that is none.
+        Whatever is wrong with it: its form, a number too long, a date that is none.
     """
     try:
         return yaml.load(text, _Loader)

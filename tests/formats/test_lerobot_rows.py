@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -12,7 +10,6 @@ import pytest
 from candata.errors import DataError, UsageError
 from candata.formats import Reading
 from candata.formats.lerobot import FORMAT
-from tests.cli.command import run
 from tests.formats.made_sets import POINTER, feature, write_lerobot, write_map
 
 FIRST, SECOND = "data/chunk-000/file-000.parquet", "data/chunk-000/file-001.parquet"
@@ -41,6 +38,19 @@ def test_an_episode_is_taken_from_the_one_file_that_holds_it(tmp_path):
     assert notes[1:] == [
         f"episode {k}: the index names file-000.parquet, its rows are in file-001.parquet: taken there" for k in (1, 2)
     ]
+
+
+def test_an_index_that_names_a_file_which_is_not_there_is_stale_too(tmp_path):
+    def off_by_one(lines):
+        lines[1]["data/file_index"] = 1
+
+    root = write_lerobot(tmp_path / "set", edit=off_by_one)
+    notes: list[str] = []
+    assert [len(episode) for episode in read(root, note=notes.append)] == [4, 3]
+    assert notes[1:] == ["episode 1: the index names file-001.parquet, its rows are in file-000.parquet: taken there"]
+    pq.write_table(pq.read_table(root / FIRST).slice(0, 4), root / FIRST)
+    with pytest.raises(DataError, match=r"file-001\.parquet is missing"):
+        read(root)
 
 
 def test_an_index_that_is_right_is_followed_whatever_other_files_hold(tmp_path):
@@ -179,15 +189,3 @@ def test_a_column_that_is_taken_twice_is_refused(tmp_path):
     with pytest.raises(UsageError, match="joint_position names a column twice") as caught:
         read(write_lerobot(tmp_path / "set"), mapping=write_map(tmp_path / "map.yaml", **fields))
     assert caught.value.found == "observation.state[thumb]"
-
-
-def test_a_channel_that_is_mapped_twice_is_told_with_line_and_column(tmp_path):
-    path = tmp_path / "map.yaml"
-    path.write_text("channels:\n  joint_position: action\n  action: action\n  joint_position: observation.state\n")
-    found = run("import", "lerobot", write_lerobot(tmp_path / "set"), "--map", path, "--out", tmp_path / "out")
-    assert (found.code, found.err) == (
-        2,
-        "the map is no YAML\n  found: joint_position is given twice, in line 2 and in line 4, column 3\n"
-        f"  where: {path}\n",
-    )
-    assert json.loads((tmp_path / "set/meta/info.json").read_text())["fps"] == 50

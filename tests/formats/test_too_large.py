@@ -45,8 +45,7 @@ def claim(file, early: bool) -> None:
 
 def test_a_sparse_hdf5_file(tmp_path):
     text = refused(tmp_path, "robomimic", write_demos(tmp_path / "d.hdf5", lambda file: claim(file, True)))
-    assert "the dataset /data/demo_0/" in text
-    assert " does not fit into memory" in text
+    assert "a dataset of d.hdf5 does not fit into memory" in text
     assert "found: 5,000 GB" in text
 
 

@@ -36,16 +36,3 @@ def test_what_is_sound_is_read_as_ever():
 def test_whatever_is_wrong_is_one_kind_of_error(text):
     with pytest.raises(yaml.YAMLError):
         parse_yaml(text)
-
-
-def test_a_key_that_is_given_twice_is_told_with_its_place():
-    with pytest.raises(yaml.YAMLError, match="b is given twice, in line 3 and in line 4, column 3"):
-        parse_yaml("a:\n  c: 1\n  b: 1\n  b: 2\n")
-    with pytest.raises(yaml.YAMLError, match="1 is given twice"):
-        parse_yaml("{1: a, 1: b}")
-    assert parse_yaml("x: &x {a: 1}\ny: {<<: *x, a: 2}\nz: {<<: *x, b: 3}") == {
-        "x": {"a": 1},
-        "y": {"a": 2},
-        "z": {"a": 1, "b": 3},
-    }
-    assert parse_yaml("{1: a, '1': b}") == {1: "a", "1": "b"}

@@ -1,4 +1,4 @@
-"""The files that a model is made of: itself, what it includes, and the meshes and pictures that it names."""
+"""Git LFS pointers among the files of a scene: the model, what it includes, the meshes and pictures that it names."""
 
 from __future__ import annotations
 
