@@ -154,7 +154,10 @@ def test_an_effects_file_that_is_wrong_names_the_field(tmp_path, capsys):
     path = tmp_path / "effects.yaml"
     path.write_text("effects: [{nam: object_mass}]\n")
     assert exit_code("generate-sim", "--episodes", 1, "--effects", path, "--out", tmp_path / "set") == 2
-    assert capsys.readouterr().err.startswith("effects.yaml is not valid: effects.0.name: Field required\n")
+    said = (
+        "effects.yaml is not valid: effects.0: unknown key `nam`, did you mean `name`, which is required and missing\n"
+    )
+    assert capsys.readouterr().err.startswith(said)
 
 
 def test_scene_list(capsys):

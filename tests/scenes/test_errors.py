@@ -128,8 +128,8 @@ def test_a_scene_file_that_is_missing(tmp_path):
 @pytest.mark.parametrize(
     ("roles", "text"),
     [
-        ("model: scene.xml\n", "scene.yaml is not valid: rate_hz: Field required"),
-        (f"{ROLES}objct: box\n", "scene.yaml is not valid: objct: Extra inputs are not permitted"),
+        ("model: scene.xml\n", "scene.yaml is not valid: required key `rate_hz` is missing"),
+        (f"{ROLES}objct: box\n", "scene.yaml is not valid: unknown key `objct`, did you mean `object`"),
         (
             "model: scene.xml\nrate_hz: -1\n",
             "scene.yaml is not valid: rate_hz: Input should be greater than 0",
