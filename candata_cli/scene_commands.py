@@ -184,18 +184,23 @@ def _print(found: Roles) -> None:
     out(f"policies  {', '.join(found.policies) or 'all that can act'}")
     if found.joints:
         out("")
-        header = ("joint", "type", "unit", "range", "actuator", "kp", "kv", "limit", "group")
+        header = ("joint", "type", "unit", "range", "actuator", "drive", "kp", "kv", "limit", "group")
         out_table(header, [_joint(joint) for joint in found.joints])
     if found.fingertips:
         out("")
         out_table(("fingertip", "body", "force frame"), [(f.name, f.body, f.frame) for f in found.fingertips])
+    if found.notes:
+        out("")
+    for line in found.notes:
+        out(f"note: {line}")
 
 
 def _joint(joint: JointRole) -> tuple[str, ...]:
     """Return the cells of one joint."""
     span = "-" if joint.low is None or joint.high is None else f"{joint.low:.3g} .. {joint.high:.3g}"
-    numbers = ("-" if v is None else f"{v:.4g}" for v in (joint.kp, joint.kv, joint.limit))
-    return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", *numbers, joint.group)
+    measured = (joint.kp, joint.kp_unit), (joint.kv, joint.kv_unit), (joint.limit, joint.limit_unit)
+    numbers = ("-" if value is None else f"{value:.4g} {unit}" for value, unit in measured)
+    return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", joint.drive or "-", *numbers, joint.group)
 
 
 def _noise(found: Roles) -> str:
