@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -18,7 +17,7 @@ from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
-from candata.scenes.model_file import compiled, read_model
+from candata.scenes.model_file import compiled, model_path, read_model
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
@@ -234,31 +233,10 @@ def _from_file(path: Path) -> Scene:
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
-    source = _source(path, file.model)
+    source = model_path(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
     return assemble(str(path), file, read_model(source))
-
-
-def _source(path: Path, model: str) -> Path:
-    """Return where a model lies: beside the scene file, or in an installed package as `PACKAGE:FILE`.
-
-    Raises
-    ------
-    SceneError
-        When the package is not installed.
-    """
-    package, colon, inside = model.partition(":")
-    if not colon or not package.isidentifier() or (path.parent / model).exists():
-        return path.parent / model
-    found = find_spec(package)
-    folders = list(found.submodule_search_locations or ()) if found else []
-    if not folders:
-        raise SceneError(
-            f"the model lies in the package {package}, which is not installed",
-            expected=model, where=Where(path=str(path)), fix=f"pip install {package.replace('_', '-')}",
-        )  # fmt: skip
-    return Path(folders[0]) / inside
 
 
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:

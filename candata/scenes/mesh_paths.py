@@ -44,7 +44,6 @@ def _found(uri: str, urdf: Path) -> Path:
     for file, root in there:
         if file.resolve().is_relative_to(root.resolve()):
             return file
-    inside = uri.partition("://")[2].partition("/")[2] or uri
     places = [str(file) for file, _ in tried]
     more = f" and {len(places) - _MOST_PLACES} more places" if len(places) > _MOST_PLACES else ""
     raise SceneError(
@@ -52,9 +51,16 @@ def _found(uri: str, urdf: Path) -> Path:
         expected=f"a file at {', '.join(places[:_MOST_PLACES])}{more}",
         found=f"{there[0][0]}, which a link or `..` leads out of {there[0][1]}" if there else "nothing there",
         where=Where(path=str(urdf)),
-        fix=f"copy it to {urdf.parent / PurePosixPath(inside).name}, or the whole package to where {urdf.name} lies, "
-        "and correct the path in the URDF if it still is not found",
+        fix=f"copy the file to {_home(uri, urdf)}, or put {urdf.name} into its package",
     )
+
+
+def _home(uri: str, urdf: Path) -> Path:
+    """Return where a mesh would be found."""
+    scheme, _, rest = uri.partition("://")
+    inside = PurePosixPath(rest) if scheme == "file" else PurePosixPath(rest.partition("/")[2])
+    plain = not inside.is_absolute() and ".." not in inside.parts
+    return urdf.parent / (inside if plain else inside.name)
 
 
 def _candidates(uri: str, urdf: Path) -> Iterator[Candidate]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -14,6 +15,29 @@ from candata.scenes.model_text import check_text
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 #: Kinds of elements whose names a scene may read.
 _NAMED = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
+
+
+def model_path(path: Path, model: str) -> Path:
+    """Return where the model of a scene file at `path` lies: beside it, or in an installed package as `PACKAGE:FILE`.
+
+    Raises
+    ------
+    SceneError
+        When the package is not installed.
+    """
+    package, colon, inside = model.partition(":")
+    if not colon or not package.isidentifier() or (path.parent / model).exists():
+        return path.parent / model
+    found = find_spec(package)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    if not folders:
+        raise SceneError(
+            f"the model lies in the package {package}, which is not installed",
+            expected=model,
+            where=Where(path=str(path)),
+            fix=f"pip install {package.replace('_', '-')}",
+        )
+    return Path(folders[0]) / inside
 
 
 def read_model(path: Path) -> mujoco.MjSpec:
@@ -32,9 +56,11 @@ def read_model(path: Path) -> mujoco.MjSpec:
             [element.name for element in getattr(spec, kind)]
     except UnicodeDecodeError as error:
         raise SceneError(
-            f"model {path.name} has a name that is not UTF-8", found=repr(error.object), where=Where(path=str(path)),
+            f"model {path.name} has a name that is not UTF-8",
+            found=repr(error.object),
+            where=Where(path=str(path)),
             fix="save the file as UTF-8, or rename the element",
-        ) from None  # fmt: skip
+        ) from None
     except MODEL_ERRORS as error:
         text = " ".join(str(error).split())
         raise SceneError(

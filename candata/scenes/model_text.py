@@ -30,8 +30,10 @@ def check_text(path: Path) -> None:
     if path.suffix.lower() == ".mjb":
         raise SceneError(
             f"model {path.name} is compiled, and a compiled model cannot be added to",
-            expected="the MJCF or URDF that it was made from", found="a .mjb file", where=Where(path=str(path)),
-        )  # fmt: skip
+            expected="the MJCF or URDF that it was made from",
+            found="a .mjb file",
+            where=Where(path=str(path)),
+        )
     _check_file(path, path.parent, (), 1)
 
 
@@ -90,9 +92,10 @@ def _root(path: Path) -> ElementTree.Element | None:
         return None
     if any(str(node.tag).startswith(_XACRO) for node in root.iter()):
         raise SceneError(
-            f"model {path.name} is xacro, of which a URDF is made", where=Where(path=str(path)),
+            f"model {path.name} is xacro, of which a URDF is made",
+            where=Where(path=str(path)),
             fix=f"xacro {path.name} > {path.name.split('.')[0]}.urdf",
-        )  # fmt: skip
+        )
     return root
 
 

@@ -36,8 +36,10 @@ def check_roles(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     if isinstance(noise, tuple) and len(noise) != len(file.joints):
         raise SceneError(
             f"scene {scene}: noise.joint_position is not one number a joint",
-            expected=f"one number, or {len(file.joints)}", found=f"{len(noise)} numbers", where=Where(path=scene),
-        )  # fmt: skip
+            expected=f"one number, or {len(file.joints)}",
+            found=f"{len(noise)} numbers",
+            where=Where(path=scene),
+        )
 
 
 def _free_instead(body: mujoco.MjsBody, free: Sequence[str]) -> str:
@@ -144,8 +146,10 @@ def _check_actuators(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
             raise SceneError(
                 f"actuator {name} of scene {scene} would be a servo of {_kind(spec.joint(name))}",
                 expected=f"gains of hinge and slide joints: {_listed(joints)}",
-                found=_kind(spec.joint(name)), where=Where(path=scene), fix=f"leave {name} out of `actuators`",
-            )  # fmt: skip
+                found=_kind(spec.joint(name)),
+                where=Where(path=scene),
+                fix=f"leave {name} out of `actuators`",
+            )
         if name not in joints:
             meant = f"gains are given to joints: {_listed(joints)}"
             _refuse_other_kind(scene, "actuator", name, spec, meant)
@@ -183,9 +187,12 @@ def _check_fingertips(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
         if why:
             found = f"body {name}" if name in bodies else f"geom {name} of body {body.name or 'without a name'}"
             raise SceneError(
-                f"fingertip {name} of scene {scene} {why}", expected="a body or a geom of the hand that collides",
-                found=found, where=Where(path=scene), fix=fix,
-            )  # fmt: skip
+                f"fingertip {name} of scene {scene} {why}",
+                expected="a body or a geom of the hand that collides",
+                found=found,
+                where=Where(path=scene),
+                fix=fix,
+            )
     _refuse_twice(scene, "fingertip", file.fingertips)
     sites = _names(spec.sites)
     for name in file.fingertip_frames or ():
@@ -215,9 +222,10 @@ def _check_support(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
         why = f"is a part of the object {file.object}" if mine else "does not collide: nothing can rest on it"
         raise SceneError(
             f"support {file.support} of scene {scene} {why}",
-            expected="the geom that the object rests on", where=Where(path=scene),
+            expected="the geom that the object rests on",
+            where=Where(path=scene),
             fix="name the geom of the table or the floor that collides, or leave `support` out",
-        )  # fmt: skip
+        )
 
 
 def _check_groups(scene: str, file: SceneFile) -> None:
@@ -236,9 +244,11 @@ def _check_groups(scene: str, file: SceneFile) -> None:
             )
         if not members:
             raise SceneError(
-                f"scene {scene}: group {group} is empty", expected="joints of `joints`", where=Where(path=scene),
+                f"scene {scene}: group {group} is empty",
+                expected="joints of `joints`",
+                where=Where(path=scene),
                 fix="list its joints, or remove it",
-            )  # fmt: skip
+            )
         _refuse_twice(scene, "joint", members, f"group {group} of ")
 
 
@@ -250,8 +260,10 @@ def _refuse_twice(scene: str, role: str, names: Sequence[str], group: str = "") 
             raise SceneError(
                 f"{role} {name} of {group}scene {scene} is named {'twice' if count == 2 else f'{count} times'}",
                 expected="each one once: its place says which column it is",
-                found=f"at places {places}", where=Where(path=scene), fix="remove all but one of them",
-            )  # fmt: skip
+                found=f"at places {places}",
+                where=Where(path=scene),
+                fix="remove all but one of them",
+            )
 
 
 def _refuse_other_kind(scene: str, role: str, name: str, spec: mujoco.MjSpec, expected: str) -> None:
