@@ -1,4 +1,4 @@
-"""Commands on scenes: scene list, scene show, scene servo, scene export."""
+"""Commands on scenes: scene list, scene show, scene init, scene servo, scene export."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 TARGETS = ("mjcf", "mujoco-sysid")
 _EXPORT = "Example: candata scene export --effects out/report/effects.yaml --out out/repaired"
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+_INIT_EXAMPLE = """\b
+Example:
+  candata scene init hand/hand.xml          then edit hand/scene.yaml
+  candata scene show hand/scene.yaml
+"""
 _SERVO_EXAMPLE = """\b
 Example:
   candata scene servo --dataset out/g1_pick --out out/g1_scene
@@ -27,6 +32,7 @@ def register(app: typer.Typer) -> None:
     group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
     group.command("list", epilog="Example: candata scene list")(list_)
     group.command("show", epilog="Example: candata scene show cube_toss")(show)
+    group.command("init", epilog=_INIT_EXAMPLE)(init)
     group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
     group.command("export", epilog=_EXPORT)(export)
     app.add_typer(group, name="scene")
@@ -67,6 +73,31 @@ def show(
         picture.parent.mkdir(parents=True, exist_ok=True)
         by_library = render_png(scene.model, None, picture)
         note(f"{picture}{'' if by_library else ' (no GL library found: a drawn projection)'}")
+
+
+def init(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF (.xml) or URDF (.urdf).")],
+    scene: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Scene file to write [scene.yaml beside the model].")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a scene file that stands there.")] = False,
+) -> None:
+    """Write a scene.yaml for a model, to edit: joints, actuators, fingertips, fingers, object and support as they seem.
+
+    Every key has a comment that says what it means, in which unit, and what else there is to choose from.
+    """
+    from candata.scenes.draft import write_draft
+    from candata_cli.console import note
+    from candata_cli.console import out as say
+
+    path = scene or model.parent / "scene.yaml"
+    found, proposal = write_draft(model, path, overwrite=force)
+    roles = found.file
+    counts = f"joints {len(roles.joints)}, actuators {len(roles.actuator_names)}, fingertips {len(roles.fingertips)}"
+    say(f"{path}: {counts}, object {roles.object or 'none'}, {roles.rate_hz:g} Hz")
+    for line in proposal.open_questions:
+        note(f"check: {line}")
+    note(f"edit it, then: candata scene show {path}")
 
 
 def servo(

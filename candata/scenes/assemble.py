@@ -23,6 +23,8 @@ from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 
 LIBRARY = "candata.scenes.library"
+#: Endings of files that are models.
+_MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
 #: The physics step that a model has which says nothing of it [s] (MuJoCo XML reference, option/timestep).
 USUAL_STEP_S = 0.002
 
@@ -217,9 +219,28 @@ def load_scene(name: str | Path) -> Scene:
     if path.suffix in (".yaml", ".yml"):
         return _from_file(path)
     if str(name) not in names(LIBRARY):
+        if path.suffix.lower() in _MODELS or path.exists():
+            raise _no_scene(path)
         raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
     builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
     return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
+
+
+def _no_scene(path: Path) -> UsageError:
+    """Return the error of a path that leads to a model, a folder or anything else but a scene file."""
+    beside = (path if path.is_dir() else path.parent) / "scene.yaml"
+    give = f"give {beside}" if beside.is_file() else ""
+    if path.is_file():
+        draft = f"candata scene init {path}, then give the scene file that it writes"
+        what, fix = (
+            "is a model, which does not say which part plays which role",
+            f"{give}, or: {draft}" if give else draft,
+        )
+    else:
+        what, fix = "is a folder" if path.is_dir() else "does not exist", give
+    return UsageError(
+        f"{path} {what}", expected="a scene.yaml, or the name of a built-in scene", where=Where(path=str(path)), fix=fix
+    )
 
 
 def _from_file(path: Path) -> Scene:
