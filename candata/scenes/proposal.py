@@ -72,6 +72,11 @@ class Proposal:
     notes: tuple[str, ...] = ()
 
     @property
+    def free_bodies(self) -> tuple[str, ...]:
+        """All bodies that may be the object, the likeliest first."""
+        return ((self.object,) if self.object else ()) + self.other_objects
+
+    @property
     def open_questions(self) -> tuple[str, ...]:
         """What a user has to look at first, a line each."""
         lines = list(self.notes)
@@ -80,7 +85,7 @@ class Proposal:
         elif not self.actuators:
             lines.append("no actuator is listed: nothing is commanded")
         if self.other_objects:
-            lines.append(f"several bodies are free: the object is {self.object}, or {', '.join(self.other_objects)}")
+            lines.append(f"several bodies are free, {', '.join(self.free_bodies)}: the object is taken to be the first")
         if self.floating and self.floating == self.object:
             lines.append(f"{self.floating} is the robot's own floating base: its pose has to be recorded")
         elif self.floating:
@@ -232,12 +237,13 @@ def _rates(step_s: float) -> tuple[float, tuple[float, ...]]:
 def _nameless(model: mujoco.MjModel, joints: Sequence[int]) -> tuple[str, ...]:
     """Return what has no name and so cannot be listed, in words."""
     counts = {
-        "joint": sum(not model.joint(j).name for j in joints),
-        "actuator": sum(not model.actuator(a).name for a in range(model.nactuator)),
-        "free body": sum(_is_free(model, b) and not model.body(b).name for b in range(model.nbody)),
+        ("joint", "joints"): sum(not model.joint(j).name for j in joints),
+        ("actuator", "actuators"): sum(not model.actuator(a).name for a in range(model.nactuator)),
+        ("free body", "free bodies"): sum(_is_free(model, b) and not model.body(b).name for b in range(model.nbody)),
     }
     return tuple(
-        f"{count} {kind}{'' if count == 1 else 's'} of the model without a name cannot be listed: name them there"
-        for kind, count in counts.items()
+        f"{count} {kinds if count > 1 else kind} of the model without a name cannot be listed: name "
+        f"{'them' if count > 1 else 'it'} there"
+        for (kind, kinds), count in counts.items()
         if count
     )

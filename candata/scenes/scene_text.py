@@ -132,7 +132,7 @@ def _object(proposal: Proposal) -> str:
     about = ["Body with a free joint whose pose is tracked: `object_pose`, position [m] and quaternion w x y z."]
     about += [note for note in proposal.notes if "free bod" in note]
     if proposal.other_objects:
-        about.append(f"Several bodies are free: is it this one, or one of {_listed(proposal.other_objects)}?")
+        about.append(f"Several bodies are free: this one seems the likeliest of {_listed(proposal.free_bodies)}.")
     if proposal.floating and proposal.object == proposal.floating:
         about.append(
             "It is the floating base of the robot: record its pose, or hold it in the model and leave this out."
@@ -147,7 +147,8 @@ def _object(proposal: Proposal) -> str:
 
 def _support(proposal: Proposal) -> str:
     """Return the part on the support."""
-    nothing = "" if proposal.support or not proposal.object else " Nothing that has a name lies below the object."
+    alone = proposal.object in (None, proposal.floating)
+    nothing = "" if proposal.support or alone else " Nothing that has a name lies below the object."
     key = f"support: {quoted(proposal.support)}" if proposal.support else "# support: GEOM"
     return f"{_comment(f'Geom that the object rests on, such as a table.{nothing}')}\n{key}"
 
