@@ -55,7 +55,7 @@ def driven_trees(model: mujoco.MjModel) -> set[int]:
     """Return the ids of the top bodies whose trees an actuator moves, in whatever way."""
     bodies = [int(model.jnt_bodyid[joint]) for joint in driven(model)]
     for actuator in range(model.nactuator):
-        kind, first = model.actuator_trntype[actuator], int(model.actuator_trnid[actuator, 0])
+        kind, first = mujoco.mjtTrn(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
         if kind == mujoco.mjtTrn.mjTRN_BODY:
             bodies.append(first)
         elif kind in (mujoco.mjtTrn.mjTRN_SITE, mujoco.mjtTrn.mjTRN_SLIDERCRANK):

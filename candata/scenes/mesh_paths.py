@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
@@ -30,11 +29,9 @@ def resolve_meshes(spec: mujoco.MjSpec, urdf: Path) -> None:
     SceneError
         When a file is not found, or found only outside the folder that its path begins in.
     """
-    # Relative, as a compiled model holds the paths: its digest is the same wherever the package lies.
-    base = (urdf.parent / spec.meshdir).resolve()
     for mesh in spec.meshes:
         if mesh.file.partition("://")[0] in _SCHEMES:
-            mesh.file = os.path.relpath(_found(mesh.file, urdf).resolve(), base)
+            mesh.file = str(_found(mesh.file, urdf).absolute())
 
 
 def _found(uri: str, urdf: Path) -> Path:

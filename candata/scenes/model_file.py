@@ -89,6 +89,6 @@ def _remedy(text: str) -> str:
     """Return what to do against what MuJoCo says."""
     if "opening file" in text:
         return "put the file there, or correct its path in the model"
-    if "find decoder" in text:
+    if "decoder" in text:
         return "MuJoCo tells models by their names: call the file .xml (MJCF) or .urdf, meshes .stl, .obj or .msh"
     return "run the model in MuJoCo alone first"

@@ -105,7 +105,7 @@ def propose(model: mujoco.MjModel) -> Proposal:
     tips, others = chains.fingertips(chains.chain_ends(model, trees))
     following = _following(model)
     servos = {} if model.nactuator else _guessed(model, [j for j in own if j not in following], trees)
-    moved = chains.driven(model) or {j: 0 for j in own if model.joint(j).name in servos}
+    moved = set(chains.driven(model)) or {j for j in own if model.joint(j).name in servos} or set(own)
     free, floating = _free_bodies(model, trees, tips)
     chosen = free[0] if free else floating or None
     rate_hz, rates_hz = _rates(float(model.opt.timestep))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import mujoco
+import numpy as np
 
 from candata.plugins import load, names
 from candata.scenes.assemble import LIBRARY, Scene, subtree
@@ -193,9 +194,7 @@ def _floats(model: mujoco.MjModel, body: int) -> bool:
     joint = int(model.body_jntadr[body])
     if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
         return False
-    carried, held = subtree(model, body), (mujoco.mjtEq.mjEQ_WELD, mujoco.mjtEq.mjEQ_CONNECT)
-    pairs = zip(model.eq_type, model.eq_objtype, model.eq_obj1id, model.eq_obj2id, strict=True)
-    return not any(
-        kind in held and (of != mujoco.mjtObj.mjOBJ_BODY or len(carried & {int(a), int(b)}) == 1)
-        for kind, of, a, b in pairs
-    )
+    carried = subtree(model, body)
+    holding = np.isin(model.eq_type, [int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)])
+    pairs = zip(model.eq_objtype[holding], model.eq_obj1id[holding], model.eq_obj2id[holding], strict=True)
+    return not any(of != mujoco.mjtObj.mjOBJ_BODY or len(carried & {int(a), int(b)}) == 1 for of, a, b in pairs)

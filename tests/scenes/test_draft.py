@@ -71,6 +71,16 @@ def test_tendons_a_wrist_and_tips_that_sites_mark(tmp_path):
     assert "# fingertip_frames: [rh:fftip, rh:mftip, rh:rftip, rh:thtip]\n" in text
 
 
+def test_tendons_over_sites_move_a_hand_too(tmp_path):
+    text = models.TIP_BODIES.replace("</body></worldbody>", '<site name="motor" pos=".1 0 0"/></body></worldbody>')
+    text = text.replace('<joint name="ffj3"', '<site name="pulley" pos="0 .01 .01"/><joint name="ffj3"')
+    before, after = text.split("<actuator>")[0], "</mujoco>"
+    spatial = '<tendon><spatial name="cord"><site site="motor"/><site site="pulley"/></spatial></tendon>'
+    drive = '<actuator><motor name="winch" tendon="cord" gear="10"/></actuator>'
+    found = drafted(tmp_path, before + spatial + drive + after)
+    assert (found.joints, found.actuators, found.groups) == (tuple(models.joints()), ("winch",), FF)
+
+
 def test_a_hand_on_an_arm_and_two_free_bodies(tmp_path):
     found = drafted(tmp_path, models.ON_ARM)
     assert (found.object, found.support, found.fingertips) == ("can", "top", TIPS)
