@@ -10,6 +10,7 @@ from itertools import takewhile
 import mujoco
 import numpy as np
 
+from candata.scenes.assemble import subtree
 from candata.scenes.transmission import levers
 
 #: How parts are called that touch, the surest first; letters after it that make other words of it are left out.
@@ -84,6 +85,17 @@ def colliding(model: mujoco.MjModel, geom: int) -> bool:
     return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
 
 
+def floats(model: mujoco.MjModel, body: int) -> bool:
+    """Tell whether a body moves freely, and no weld or connection holds any of what it carries."""
+    joint = int(model.body_jntadr[body])
+    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
+        return False
+    carried = subtree(model, body)
+    holding = np.isin(model.eq_type, [int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)])
+    pairs = zip(model.eq_objtype[holding], model.eq_obj1id[holding], model.eq_obj2id[holding], strict=True)
+    return not any(of != mujoco.mjtObj.mjOBJ_BODY or len(carried & {int(a), int(b)}) == 1 for of, a, b in pairs)
+
+
 def chain_ends(model: mujoco.MjModel, trees: Iterable[int]) -> list[Tip]:
     """Return the last links with colliding geoms of all chains in some trees, in the order of the model.
 
@@ -122,17 +134,25 @@ def _tip(model: mujoco.MjModel, link: int) -> Tip | None:
     """
     geoms = _touching(model, link)
     carriers = sorted({int(model.geom_bodyid[geom]) for geom in geoms}, reverse=True)
-    bodies = [name for body in carriers if (name := model.body(body).name)]
-    named = [name for geom in geoms if (name := model.geom(geom).name)]
+    named = {name: int(model.geom_bodyid[geom]) for geom in geoms if (name := model.geom(geom).name)}
+    # A scene takes a name that a body bears for that body.
+    usable = [model.body(body).name for body in carriers] + [
+        n for n, on in named.items() if _body(model, n) in (-1, on)
+    ]
+    whole = model.body(link).name or next(filter(None, usable), "")
     sites = [model.site(int(s)).name for s in np.flatnonzero(model.body_weldid[model.site_bodyid] == link)]
     frames = [model.body(int(b)).name for b in np.flatnonzero(model.body_weldid == link)]
-    whole = model.body(link).name or next(iter((*bodies, *named)), "")
     for rank, word in enumerate(_TOUCHING):
-        marked = [site for site in sites if word.search(site)]
-        own = [name for name in (*bodies, *named) if word.search(name)]
-        if own or (whole and (marked or any(word.search(name) for name in frames))):
+        own = [name for name in usable if word.search(name)]
+        if own or (whole and any(word.search(name) for name in (*named, *sites, *frames))):
+            marked = [site for site in sites if word.search(site)]
             return Tip(own[0] if own else whole, link, rank, marked[0] if len(marked) == 1 else "")
     return Tip(whole, link, len(_TOUCHING)) if whole else None
+
+
+def _body(model: mujoco.MjModel, name: str) -> int:
+    """Return the id of the body of a name, -1 where none has it."""
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name))
 
 
 def fingertips(ends: Sequence[Tip]) -> tuple[list[Tip], list[Tip]]:
@@ -155,7 +175,7 @@ def groups(model: mujoco.MjModel, tips: Sequence[Tip], joints: Sequence[int]) ->
     """
     carried = {joint: [t for t in tips if int(model.jnt_bodyid[joint]) in above(model, t.link)] for joint in joints}
     found: dict[str, tuple[str, ...]] = {}
-    taken = {model.joint(joint).name for joint in joints} | {tip.name for tip in tips}
+    taken = {model.joint(joint).name for joint in joints} | {tip.name for tip in tips} | {"fingertips"}
     shared = _beginning([model.joint(joint).name for joint in joints])
     roots = sorted({int(model.body_rootid[tip.link]) for tip in tips})
     for number, root in enumerate(roots, 1):

@@ -66,7 +66,9 @@ def _candidates(uri: str, urdf: Path) -> Iterator[Candidate]:
     folders = list(_package_folders(urdf))
     if scheme != "file":
         name, _, inside = rest.partition("/")
-        yield from ((above / inside, above) for start in _starts(urdf) for above in start.parents if above.name == name)
+        if name not in ("", ".", ".."):
+            named = (above for start in _starts(urdf) for above in start.parents if above.name == name)
+            yield from ((above / inside, above) for above in named)
         yield from ((folder / name / inside, folder) for folder in folders)
         yield from ((folder / inside, folder) for folder in folders)
     elif rest.startswith("/"):

@@ -49,7 +49,7 @@ class Proposal:
     timestep_s : float
         Physics step.
     floating : str
-        Free body that carries driven joints; empty where there is none.
+        Free body that carries driven joints and that nothing holds; empty where there is none.
     notes : tuple of str
         What could not be listed, and why.
     """
@@ -108,6 +108,8 @@ def propose(model: mujoco.MjModel) -> Proposal:
     moved = set(chains.driven(model)) or {j for j in own if model.joint(j).name in servos} or set(own)
     free, floating = _free_bodies(model, trees, tips)
     chosen = free[0] if free else floating or None
+    if chosen == floating and not _names(model, own):
+        tips = []  # an object that carries no joint is no hand
     rate_hz, rates_hz = _rates(float(model.opt.timestep))
     frames = tuple(tip.site for tip in tips)
     return Proposal(
@@ -194,7 +196,7 @@ def _free_bodies(model: mujoco.MjModel, trees: set[int], tips: Sequence[chains.T
         return not _collides(model, body), shown, not called, float(np.linalg.norm(data.xpos[body] - hand))
 
     found = [model.body(b).name for b in sorted(free, key=order) if b not in trees and _collides(model, b)]
-    return found, next((model.body(b).name for b in free if b in trees), "")
+    return found, next((model.body(b).name for b in free if b in trees and chains.floats(model, b)), "")
 
 
 def _collides(model: mujoco.MjModel, body: int) -> bool:

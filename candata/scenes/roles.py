@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import mujoco
-import numpy as np
 
 from candata.plugins import load, names
-from candata.scenes.assemble import LIBRARY, Scene, subtree
+from candata.scenes import chains
+from candata.scenes.assemble import LIBRARY, Scene
 from candata.scenes.drives import drive_of, pulled_by
 from candata.schema.record import Record
 from candata.schema.scene import Noise, SceneFile
@@ -184,17 +184,6 @@ def _notes(scene: Scene) -> Iterator[str]:
     if idle:
         yield f"actuators that `actuators` does not list get the command 0: {', '.join(idle)}"
     for body in sorted({int(model.body_rootid[model.jnt_bodyid[j]]) for j in joints}):
-        if body != scene.object_id and _floats(model, body):
+        if body != scene.object_id and chains.floats(model, body):
             name = model.body(body).name or f"number {body}"
             yield f"body {name}, which carries joints, floats free and is not the object: its place is not recorded"
-
-
-def _floats(model: mujoco.MjModel, body: int) -> bool:
-    """Tell whether a body moves freely, and no weld or connection holds any of what it carries."""
-    joint = int(model.body_jntadr[body])
-    if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_FREE:
-        return False
-    carried = subtree(model, body)
-    holding = np.isin(model.eq_type, [int(mujoco.mjtEq.mjEQ_WELD), int(mujoco.mjtEq.mjEQ_CONNECT)])
-    pairs = zip(model.eq_objtype[holding], model.eq_obj1id[holding], model.eq_obj2id[holding], strict=True)
-    return not any(of != mujoco.mjtObj.mjOBJ_BODY or len(carried & {int(a), int(b)}) == 1 for of, a, b in pairs)

@@ -96,6 +96,18 @@ def test_a_hand_that_floats_is_tracked_itself_where_nothing_else_is_free(tmp_pat
     assert drafted(tmp_path / "..", with_cube).object == "cube"
 
 
+def test_a_hand_that_is_held_by_a_weld_does_not_float(tmp_path):
+    held = '<equality><weld body1="mocap" body2="palm"/></equality></mujoco>'
+    text = models.FLOATING.replace("<worldbody>", '<worldbody><body name="mocap" mocap="true" pos="0 0 .3"/>')
+    found = drafted(tmp_path, text.replace("</mujoco>", held))
+    assert (found.object, found.fingertips) == (None, TIPS)
+
+
+def test_a_tip_whose_name_another_body_bears_is_named_by_its_body(tmp_path):
+    text = models.TIP_GEOMS.replace("</worldbody>", '<body name="ff_tip" pos="1 0 0"/></worldbody>')
+    assert drafted(tmp_path, text).fingertips == ("ff_3", "mf_tip", "rf_tip", "th_tip")
+
+
 def test_jaws_on_rails_that_one_tendon_pulls(tmp_path):
     found = drafted(tmp_path, JAWS)
     assert (found.joints, found.actuators) == (("lift", "left", "right"), ("jaws", "lift"))

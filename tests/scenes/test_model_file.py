@@ -215,7 +215,15 @@ def test_a_mesh_that_is_not_found_says_where_it_was_looked_for(tmp_path):
     assert scene_of(model).model.nmesh == 1
 
 
-@pytest.mark.parametrize("uri", ["package://pkg/../secret/m.obj", "package://pkg/link/m.obj", "file://../secret/m.obj"])
+@pytest.mark.parametrize(
+    "uri",
+    [
+        "package://pkg/../secret/m.obj",
+        "package://pkg/link/m.obj",
+        "file://../secret/m.obj",
+        "package://../secret/m.obj",
+    ],
+)
 def test_a_link_or_dots_do_not_lead_out_of_the_package(tmp_path, uri):
     put(tmp_path / "secret/m.obj", MESH)
     model = put(tmp_path / "pkg/arm.urdf", urdf(uri))
