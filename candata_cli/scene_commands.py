@@ -1,4 +1,4 @@
-"""Commands on scenes: scene list, scene show, scene servo, scene export."""
+"""Commands on scenes: scene list, scene show, scene init, scene servo, scene export."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 TARGETS = ("mjcf", "mujoco-sysid")
 _EXPORT = "Example: candata scene export --effects out/report/effects.yaml --out out/repaired"
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
+_INIT_EXAMPLE = """\b
+Example:
+  candata scene init hand/hand.xml          then edit hand/scene.yaml
+  candata scene show hand/scene.yaml
+"""
 _SERVO_EXAMPLE = """\b
 Example:
   candata scene servo --dataset out/g1_pick --out out/g1_scene
@@ -29,6 +34,7 @@ def register(app: typer.Typer) -> None:
     group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
     group.command("list", epilog="Example: candata scene list")(list_)
     group.command("show", epilog="Example: candata scene show cube_toss")(show)
+    group.command("init", epilog=_INIT_EXAMPLE)(init)
     group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
     group.command("export", epilog=_EXPORT)(export)
     app.add_typer(group, name="scene")
@@ -71,6 +77,31 @@ def show(
         picture.parent.mkdir(parents=True, exist_ok=True)
         by_library = render_png(scene.model, None, picture)
         note(f"{picture}{'' if by_library else ' (no GL library found: a drawn projection)'}")
+
+
+def init(
+    model: Annotated[Path, typer.Argument(metavar="MODEL", help="MJCF (.xml) or URDF (.urdf).")],
+    scene: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Scene file to write [scene.yaml beside the model].")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite a scene file that stands there.")] = False,
+) -> None:
+    """Write a scene.yaml for a model, to edit: joints, actuators, fingertips, fingers, object and support as they seem.
+
+    Every key has a comment that says what it means, in which unit, and what else there is to choose from.
+    """
+    from candata.scenes.draft import write_draft
+    from candata_cli.console import note
+    from candata_cli.console import out as say
+
+    path = scene or model.parent / "scene.yaml"
+    found, proposal = write_draft(model, path, overwrite=force)
+    roles = found.file
+    counts = f"joints {len(roles.joints)}, actuators {len(roles.actuator_names)}, fingertips {len(roles.fingertips)}"
+    say(f"{path}: {counts}, object {roles.object or 'none'}, {roles.rate_hz:g} Hz")
+    for line in proposal.open_questions:
+        note(f"check: {line}")
+    note(f"edit it, then: candata scene show {path}")
 
 
 def servo(
@@ -190,18 +221,23 @@ def _print(found: Roles) -> None:
     out(f"policies  {', '.join(found.policies) or 'all that can act'}")
     if found.joints:
         out("")
-        header = ("joint", "type", "unit", "range", "actuator", "kp", "kv", "limit", "group")
+        header = ("joint", "type", "unit", "range", "actuator", "drive", "kp", "kv", "limit", "group")
         out_table(header, [_joint(joint) for joint in found.joints])
     if found.fingertips:
         out("")
         out_table(("fingertip", "body", "force frame"), [(f.name, f.body, f.frame) for f in found.fingertips])
+    if found.notes:
+        out("")
+    for line in found.notes:
+        out(f"note: {line}")
 
 
 def _joint(joint: JointRole) -> tuple[str, ...]:
     """Return the cells of one joint."""
     span = "-" if joint.low is None or joint.high is None else f"{joint.low:.3g} .. {joint.high:.3g}"
-    numbers = ("-" if v is None else f"{v:.4g}" for v in (joint.kp, joint.kv, joint.limit))
-    return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", *numbers, joint.group)
+    measured = (joint.kp, joint.kp_unit), (joint.kv, joint.kv_unit), (joint.limit, joint.limit_unit)
+    numbers = ("-" if value is None else f"{value:.4g} {unit}" for value, unit in measured)
+    return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", joint.drive or "-", *numbers, joint.group)
 
 
 def _noise(found: Roles) -> str:

@@ -247,6 +247,7 @@ def _white(windows: Array) -> float:
     """
     free = WINDOW - DEGREE - 1
     left = (windows**2).sum(2) - (np.einsum("tk,entd->ekdn", _BASIS, windows) ** 2).sum(1).swapaxes(1, 2)
+    left = np.maximum(left, 0.0)  # of what lies on a parabola exactly, rounding leaves less than nothing
     columns = left.reshape(-1, windows.shape[-1]).T
     quiet = [np.quantile(c[np.isfinite(c)], QUIET) for c in columns if np.isfinite(c).any()]
     if not quiet:

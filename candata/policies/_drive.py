@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.policies._contract import Array
 from candata.scenes import Scene
+from candata.scenes.drives import position_servos
 
 Ids = NDArray[np.int64]
 #: Share of its range that a motor without a position servo is driven by: its command is a force, and a scripted
@@ -42,15 +43,8 @@ class Rails(NamedTuple):
 
 
 def servos(scene: Scene) -> NDArray[np.bool_]:
-    """Return `(A,)`: which actuators are position servos, force = gain u + b0 + b1 length + ... with b1 < 0.
-
-    Source: MuJoCo manual, "Actuation model"; an integrating one takes a velocity.
-    """
-    model, ids = scene.model, scene.actuator_ids
-    affine = model.actuator_biastype[ids] == mujoco.mjtBias.mjBIAS_AFFINE
-    direct = model.actuator_dyntype[ids] != mujoco.mjtDyn.mjDYN_INTEGRATOR
-    pulls = (model.actuator_biasprm[ids, 1] < 0) & (model.actuator_gainprm[ids, 0] != 0)
-    return np.asarray(affine & direct & pulls)
+    """Return `(A,)`: which actuators are position servos."""
+    return position_servos(scene.model, scene.actuator_ids)
 
 
 def holding(scene: Scene, length: Array) -> Array:

@@ -11,10 +11,10 @@ from typing import Literal
 import mujoco
 import yaml
 
-from candata.errors import SceneError, Where
 from candata.plugins import load
 from candata.scenes import Scene
 from candata.scenes.assemble import LIBRARY, assemble
+from candata.scenes.model_file import model_path, read_model
 from candata.schema.scene import SceneFile
 
 Way = Literal["patch", "whole"]
@@ -43,7 +43,7 @@ def ways(scene: Scene) -> tuple[Way, ...]:
 
 def _source(scene: Scene) -> Path:
     """Return the model file of a user's scene."""
-    return _absolute(Path(scene.name)).parent / scene.file.model
+    return model_path(_absolute(scene.name), scene.file.model)
 
 
 def _absolute(path: str | Path) -> Path:
@@ -70,6 +70,8 @@ def copied(scene: Scene, way: Way, folder: Path) -> Copy:
 def _saved(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
     """Return a copy whose model is one file as MuJoCo saves it, servos of a URDF included."""
     spec = _spec(scene)
+    if is_file(scene) and _source(scene).suffix.lower() == ".urdf":
+        _with_meshes(spec, _source(scene), model.parent)
     assemble(scene.name, scene.file, spec)
     for sensor in list(spec.sensors):
         if sensor.name.startswith(_OWN):
@@ -93,7 +95,18 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
     if not is_file(scene):
         spec: mujoco.MjSpec = load(LIBRARY, "SCENE", scene.name).build()
         return spec
-    try:
-        return mujoco.MjSpec.from_file(str(_source(scene)))
-    except ValueError as error:
-        raise SceneError(f"model {scene.file.model} cannot be read: {error}", where=Where(path=scene.name)) from None
+    return read_model(_source(scene))
+
+
+def _with_meshes(spec: mujoco.MjSpec, source: Path, folder: Path) -> None:
+    """Copy the meshes of a URDF beside a model in `folder`, and let the spec name them there.
+
+    MuJoCo lists what an MJCF depends on, of a URDF nothing.
+    """
+    for mesh in spec.meshes:
+        at = source.parent / spec.meshdir / mesh.file
+        if mesh.file and at.is_file():
+            mesh.file = f"meshes/{mesh.name}{at.suffix}"
+            (folder / "meshes").mkdir(exist_ok=True)
+            shutil.copyfile(at, folder / mesh.file)
+    spec.modelfiledir, spec.meshdir = str(folder), ""

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
@@ -19,11 +18,17 @@ from candata.lfs import refuse_pointer
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
+from candata.scenes.model_file import compiled, model_path, read_model
 from candata.scenes.pointers import refuse_pointers
+from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
 
 LIBRARY = "candata.scenes.library"
+#: Endings of files that are models.
+_MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
+#: The physics step that a model has which says nothing of it [s] (MuJoCo XML reference, option/timestep).
+USUAL_STEP_S = 0.002
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,9 +223,28 @@ def load_scene(name: str | Path) -> Scene:
     if path.suffix in (".yaml", ".yml"):
         return _from_file(path)
     if str(name) not in names(LIBRARY):
+        if path.suffix.lower() in _MODELS or path.exists():
+            raise _no_scene(path)
         raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
     builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
     return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
+
+
+def _no_scene(path: Path) -> UsageError:
+    """Return the error of a path that leads to a model, a folder or anything else but a scene file."""
+    beside = (path if path.is_dir() else path.parent) / "scene.yaml"
+    give = f"give {beside}" if beside.is_file() else ""
+    if path.is_file():
+        draft = f"candata scene init {path}, then give the scene file that it writes"
+        what, fix = (
+            "is a model, which does not say which part plays which role",
+            f"{give}, or: {draft}" if give else draft,
+        )
+    else:
+        what, fix = "is a folder" if path.is_dir() else "does not exist", give
+    return UsageError(
+        f"{path} {what}", expected="a scene.yaml, or the name of a built-in scene", where=Where(path=str(path)), fix=fix
+    )
 
 
 def _from_file(path: Path) -> Scene:
@@ -229,42 +253,17 @@ def _from_file(path: Path) -> Scene:
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     refuse_pointer(path)
     try:
-        raw = parse_yaml(path.read_text())
-    except yaml.YAMLError as error:
+        raw = parse_yaml(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
         raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
     file = SceneFile.parse(raw, path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
-    source = _source(path, file.model)
+    source = model_path(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
     refuse_pointers(source)
-    try:
-        spec = mujoco.MjSpec.from_file(str(source))
-    except ValueError as error:
-        raise SceneError(f"model {file.model} cannot be read: {error}", where=Where(path=str(source))) from None
-    return assemble(str(path), file, spec)
-
-
-def _source(path: Path, model: str) -> Path:
-    """Return where a model lies: beside the scene file, or in an installed package as `PACKAGE:FILE`.
-
-    Raises
-    ------
-    SceneError
-        When the package is not installed.
-    """
-    package, colon, inside = model.partition(":")
-    if not colon or not package.isidentifier() or (path.parent / model).exists():
-        return path.parent / model
-    found = find_spec(package)
-    folders = list(found.submodule_search_locations or ()) if found else []
-    if not folders:
-        raise SceneError(
-            f"the model lies in the package {package}, which is not installed",
-            expected=model, where=Where(path=str(path)), fix=f"pip install {package.replace('_', '-')}",
-        )  # fmt: skip
-    return Path(folders[0]) / inside
+    return assemble(str(path), file, read_model(source))
 
 
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:
@@ -279,79 +278,31 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         When a role names what the model lacks, or the model does not compile.
     """
     spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    _check_names(name, file, spec)
+    check_roles(name, file, spec)
     if isinstance(file.actuators, dict):
         for joint, servo in file.actuators.items():
             _add_servo(spec, joint, servo)
     if file.object is not None:
-        body = spec.body(file.object)
-        _check_free(name, file.object, body)
-        body.simple = mujoco.mjtLimited.mjLIMITED_FALSE
+        spec.body(file.object).simple = mujoco.mjtLimited.mjLIMITED_FALSE
         sensors.add_touch(spec, file)
     for index, tip in enumerate(file.fingertips):
         sensors.add_force(spec, file, index, tip)
-    try:
-        model = spec.compile()
-    except ValueError as error:
-        raise SceneError(f"scene {name} does not compile: {error}", fix="run the model in MuJoCo alone first") from None
+    model = compiled(spec, name)
+    check_recorded(name, file, spec)
     _check_rate(name, file, model)
+    _check_commands(name, model)
     return Scene(name, file, model, policies)
-
-
-def _check_names(name: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
-    """Refuse roles that the model has not."""
-    bodies, geoms = _named(spec.bodies), _named(spec.geoms)
-    joints = _named(spec.joints)
-    needs: list[tuple[str, tuple[str, ...], set[str]]] = [
-        ("object", (file.object,) if file.object else (), bodies),
-        ("joint", file.joints, joints),
-        (
-            "actuator",
-            file.actuator_names,
-            joints if isinstance(file.actuators, dict) else _named(spec.actuators),
-        ),
-        ("fingertip", file.fingertips, bodies | geoms),
-        ("fingertip frame", file.fingertip_frames or (), _named(spec.sites)),
-        ("support", (file.support,) if file.support else (), geoms),
-    ]
-    needs += [(f"member of group {g}", m, set(file.joints)) for g, m in file.groups.items()]
-    for group in file.groups:
-        if group in (*file.joints, *file.fingertips):
-            raise SceneError(
-                f"scene {name}: group {group} bears the name of a joint or fingertip",
-                expected="a name of its own: reports tell one from the other by it",
-                found=group,
-            )
-    for role, wanted, known in needs:
-        for item in wanted:
-            if item not in known:
-                raise UnknownNameError(f"{role} of scene {name}:", item, known, Where(path=name))
-    if file.fingertip_frames is not None and len(file.fingertip_frames) != len(file.fingertips):
-        raise SceneError(
-            f"scene {name} needs one frame a fingertip",
-            expected=f"{len(file.fingertips)} fingertip_frames",
-            found=str(len(file.fingertip_frames)),
-        )
-
-
-def _named(elements: list) -> set[str]:
-    """Return the names of spec elements that have one."""
-    return {e.name for e in elements if e.name}
-
-
-def _check_free(name: str, object_name: str, body: mujoco.MjsBody) -> None:
-    """Refuse an object that is not free."""
-    if len(body.joints) != 1 or body.joints[0].type != mujoco.mjtJoint.mjJNT_FREE:
-        raise SceneError(
-            f"object {object_name} of scene {name} is not free",
-            expected="a body with one free joint",
-            found=f"{len(body.joints)} joints",
-            fix="add <freejoint/> to the body",
-        )
 
 
 def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
     """Refuse a physics step that does not fit into the control step."""
+    if not 0 < model.opt.timestep < np.inf:
+        raise SceneError(
+            f"scene {name}: the physics step is no time",
+            expected="<option timestep> above 0 s",
+            found=f"{model.opt.timestep:g} s",
+            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(1 / file.rate_hz / USUAL_STEP_S)):.9g}"/>',
+        )
     steps = 1 / file.rate_hz / model.opt.timestep
     if steps < 0.99 or abs(steps - round(steps)) > 0.02:
         raise SceneError(
@@ -359,6 +310,18 @@ def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
             expected=f"timestep = 1 / ({file.rate_hz:g} x n) s",
             found=f"{model.opt.timestep:g} s ({steps:.2f} a step)",
             fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(steps)):.9g}"/>',
+        )
+
+
+def _check_commands(name: str, model: mujoco.MjModel) -> None:
+    """Refuse an actuator that takes more than one number a step: a column of `action` is one number."""
+    several = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] != 1]
+    if several:
+        raise SceneError(
+            f"scene {name}: actuator {model.actuator(several[0]).name} takes several numbers at once",
+            expected="actuators of one command each",
+            found=f"{model.actuator_ctrlnum[several[0]]} numbers",
+            fix="use <position>, <velocity>, <motor> or <general> on each joint in its place",
         )
 
 

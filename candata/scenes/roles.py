@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import mujoco
 
 from candata.plugins import load, names
+from candata.scenes import chains
 from candata.scenes.assemble import LIBRARY, Scene
+from candata.scenes.drives import drive_of, pulled_by
 from candata.schema.record import Record
 from candata.schema.scene import Noise, SceneFile
 
@@ -13,7 +17,11 @@ _UNITS = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
 
 
 class JointRole(Record):
-    """One joint: range in its unit (null: unlimited), and its servo (null: none) with gains and limit."""
+    """One joint: range in its unit (null: unlimited), and the actuator that pulls it (null: none).
+
+    `drive` is its kind, such as `position servo` or `torque motor`; `kp`, `kv` and `limit` are null where it has none,
+    in `kp_unit`, `kv_unit` and `limit_unit`.
+    """
 
     name: str
     type: str
@@ -22,9 +30,13 @@ class JointRole(Record):
     high: float | None = None
     group: str
     actuator: str | None = None
+    drive: str | None = None
     kp: float | None = None
+    kp_unit: str | None = None
     kv: float | None = None
+    kv_unit: str | None = None
     limit: float | None = None
+    limit_unit: str | None = None
 
 
 class FingertipRole(Record):
@@ -53,6 +65,7 @@ class Roles(Record):
     fingertips: tuple[FingertipRole, ...]
     noise: Noise | None
     policies: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
 
 class SceneEntry(Record):
@@ -107,6 +120,7 @@ def roles(scene: Scene) -> Roles:
         fingertips=tuple(_fingertip(scene, i) for i in range(len(file.fingertips))),
         noise=file.noise,
         policies=scene.policies,
+        notes=tuple(_notes(scene)),
     )
 
 
@@ -128,21 +142,25 @@ def _joint(scene: Scene, name: str) -> JointRole:
         low=low,
         high=high,
         group=scene.group(name),
-        **_servo(scene, joint),
+        **_drive(scene, joint),
     )
 
 
-def _servo(scene: Scene, joint: int) -> dict:
-    """Return actuator, gains and limit of a joint; nothing for one that no actuator pulls."""
+def _drive(scene: Scene, joint: int) -> dict:
+    """Return actuator, kind, gains and limit of a joint's drive; nothing for one that no actuator pulls."""
     model = scene.model
     for name, actuator in zip(scene.file.actuator_names, scene.actuator_ids.tolist(), strict=True):
         if joint in scene.levers.get(actuator, ()):
-            limited = model.actuator_forcelimited[actuator]
+            drive, limited = drive_of(model, actuator), model.actuator_forcelimited[actuator]
             return {
                 "actuator": name,
-                "kp": float(scene.stiffness([actuator])[0]),
-                "kv": float(0.0 - model.actuator_biasprm[actuator, 2]),
+                "drive": drive.kind,
+                "kp": drive.kp,
+                "kp_unit": drive.units.kp,
+                "kv": drive.kv,
+                "kv_unit": drive.units.kv,
                 "limit": float(model.actuator_forcerange[actuator, 1]) if limited else None,
+                "limit_unit": drive.units.effort,
             }
     return {}
 
@@ -153,3 +171,19 @@ def _fingertip(scene: Scene, index: int) -> FingertipRole:
     frames = scene.file.fingertip_frames
     frame = f"site {frames[index]}" if frames else f"body {body}"
     return FingertipRole(name=scene.file.fingertips[index], body=body, frame=frame)
+
+
+def _notes(scene: Scene) -> Iterator[str]:
+    """Yield what a user may not have meant: what is commanded or moves, and is neither recorded nor compared."""
+    model, joints = scene.model, set(scene.joint_ids.tolist())
+    for actuator in scene.actuator_ids.tolist():
+        if not joints.intersection(scene.levers.get(actuator, {})):
+            kind, what = drive_of(model, actuator).kind, pulled_by(model, actuator)
+            yield f"actuator {model.actuator(actuator).name}, a {kind}, pulls {what}, which is not recorded"
+    idle = [model.actuator(a).name or f"number {a}" for a in range(model.nactuator) if a not in scene.actuator_ids]
+    if idle:
+        yield f"actuators that `actuators` does not list get the command 0: {', '.join(idle)}"
+    for body in sorted({int(model.body_rootid[model.jnt_bodyid[j]]) for j in joints}):
+        if body != scene.object_id and chains.floats(model, body):
+            name = model.body(body).name or f"number {body}"
+            yield f"body {name}, which carries joints, floats free and is not the object: its place is not recorded"

@@ -55,6 +55,14 @@ def test_without_declared_noise_the_floor_is_assumed(plain_recordings, declared)
     assert sensor_noise(declared, recs, still(recs))[:3] == ("assumed", SMALLEST, ())
 
 
+def test_positions_that_lie_on_a_parabola_exactly_have_no_noise(plain_recordings):
+    """What a fit leaves of simulated readings is rounding, which may be less than nothing."""
+    t = np.arange(320) / 100
+    joints = np.stack([1.276 + 0.31 * t + 0.0173 * t**2, 0.861 - 0.13 * t], axis=1)
+    recs = plain_recordings(joint_position=np.repeat(joints[None], 3, axis=0))
+    assert sensor_noise(None, recs, recs.readings)[:3] == ("assumed", SMALLEST, ())
+
+
 @pytest.mark.parametrize("size", [0.002, 0.02])
 @pytest.mark.parametrize("moving", [False, True])
 def test_white_noise_of_known_size_is_recovered(plain_recordings, rng, size, moving):

@@ -186,6 +186,36 @@ def test_a_urdf_is_saved_as_mjcf_with_its_servos(tmp_path):
     assert written.file.actuator_names == ("hinge",)
 
 
+def test_the_meshes_of_a_urdf_go_along(tmp_path):
+    package = tmp_path / "arm_description"
+    for folder in ("urdf", "meshes/left", "meshes/right"):
+        (package / folder).mkdir(parents=True)
+    for side, corner in (("left", "0 0 .1"), ("right", "0 0 .2")):
+        (package / f"meshes/{side}/link.obj").write_text(
+            f"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv {corner}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+        )
+    shapes = "".join(
+        f'<collision><geometry><mesh filename="package://arm_description/meshes/{side}/link.obj"/></geometry></collision>'
+        for side in ("left", "right")
+    )
+    (package / "urdf/arm.urdf").write_text(
+        f'<robot name="arm"><link name="base"/><link name="link">{shapes}<inertial><mass value="1"/>'
+        '<inertia ixx=".01" iyy=".01" izz=".01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="hinge" type="continuous"><parent link="base"/><child link="link"/><axis xyz="0 1 0"/></joint>'
+        "</robot>"
+    )
+    roles = "model: urdf/arm.urdf\nrate_hz: 100\njoints: [hinge]\nactuators: {hinge: {kp: 3, kv: 0.1}}\n"
+    (package / "scene.yaml").write_text(roles)
+    scene = load_scene(package / "scene.yaml")
+    effects = [drawn("servo_gain", scene)]
+    _, written = export(scene, effects, tmp_path / "out")
+    shutil.rmtree(package)
+    assert load_scene(tmp_path / "out" / "scene.yaml").digest == written.digest
+    assert written.model.nmesh == 2
+    target, names = touched(scene, effects)
+    assert agree(written.model, target, names, SIX)
+
+
 def test_what_the_model_cannot_hold_is_listed_and_still_runs_in_candata(gripper, tmp_path):
     outside = [drawn(n, gripper) for n in ("actuation_delay", "pose_latency", "tactile_gain", "clock_drift")]
     effects = [drawn("servo_gain", gripper), *outside]

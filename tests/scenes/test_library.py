@@ -75,7 +75,8 @@ def test_roles_are_read_from_the_model(hand):
     assert found.object_mass_kg == pytest.approx(0.25)
     thumb = next(joint for joint in found.joints if joint.name == "thumb_bend")
     assert (thumb.type, thumb.unit, thumb.group, thumb.actuator) == ("hinge", "rad", "thumb", "thumb_bend")
-    assert (thumb.kp, thumb.limit) == (3.0, 1.1)
+    assert (thumb.drive, thumb.kp, thumb.kp_unit, thumb.kv_unit) == ("position servo", 3.0, "N m/rad", "N m s/rad")
+    assert (thumb.limit, thumb.limit_unit) == (1.1, "N m")
     assert found.fingertips[1].frame == "site index2_frame"
 
 
@@ -151,7 +152,8 @@ def test_a_cloud_covers_all_geoms_by_their_area(tmp_path):
 
 
 def test_a_scene_without_an_object_has_no_cloud(tmp_path):
-    (tmp_path / "scene.xml").write_text("<mujoco><worldbody/></mujoco>")
-    (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\n")
+    arm = '<mujoco><worldbody><body><joint name="bend"/><geom size=".1"/></body></worldbody></mujoco>'
+    (tmp_path / "scene.xml").write_text(arm)
+    (tmp_path / "scene.yaml").write_text("model: scene.xml\nrate_hz: 100\njoints: [bend]\n")
     with pytest.raises(SceneError, match="has no object"):
         surface_cloud(load_scene(tmp_path / "scene.yaml"))

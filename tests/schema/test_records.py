@@ -8,9 +8,11 @@ from candata.schema.channels import CHANNELS, canonical_order
 from candata.schema.effect import EffectsFile
 from candata.schema.report import Estimate
 from candata.schema.scene import SceneFile, TableMap
+from candata.schema.topics import TopicMap
 from candata.units import TO_SI
 
 MAP = {"file": "t.csv", "time_s": "t", "rate_hz": 80, "channels": {"object_pose": list("abcdefg")}}
+SCENE = {"model": "s.xml", "rate_hz": 80}
 
 
 def refusal(record, value) -> str:
@@ -27,13 +29,98 @@ def test_a_record_is_frozen():
 
 def test_a_missing_field():
     text = refusal(TableMap, {k: v for k, v in MAP.items() if k != "time_s"})
-    assert text.splitlines()[0] == "map.yaml is not valid: time_s: Field required"
-    assert text.splitlines()[-2:] == ["  where: folder/map.yaml", "  do: correct the field time_s"]
+    assert text.splitlines()[0] == "map.yaml is not valid: required key `time_s` is missing"
+    assert text.splitlines()[-2:] == ["  where: folder/map.yaml", "  do: add `time_s`"]
 
 
-def test_an_unknown_field():
-    text = refusal(TableMap, MAP | {"unit": {}})
-    assert text.splitlines()[0] == "map.yaml is not valid: unit: Extra inputs are not permitted"
+def test_an_unknown_key_names_the_known_and_the_nearest():
+    assert refusal(SceneFile, SCENE | {"suport": "table"}) == (
+        "map.yaml is not valid: unknown key `suport`, did you mean `support`\n"
+        "  expected: keys model, rate_hz, object, joints, actuators, fingertips, fingertip_frames, support, groups, "
+        "noise\n"
+        "  found: 'table'\n"
+        "  where: folder/map.yaml\n"
+        "  do: rename or remove what is unknown"
+    )
+    assert refusal(SceneFile, SCENE | {"xyz": 1}).startswith("map.yaml is not valid: unknown key `xyz`\n")
+
+
+def test_an_unknown_key_beside_a_missing_one_is_one_error():
+    text = refusal(SceneFile, {"model": "s.xml", "rate": 80, "suport": "table"})
+    assert text.splitlines()[0] == (
+        "map.yaml is not valid: unknown key `rate`, did you mean `rate_hz`, which is required and missing; "
+        "unknown key `suport`, did you mean `support`"
+    )
+    text = refusal(SceneFile, {"rate_hz": 80, "suport": "table"})
+    assert text.splitlines()[0] == (
+        "map.yaml is not valid: unknown key `suport`, did you mean `support`; required key `model` is missing"
+    )
+    assert text.endswith("\n  do: rename or remove what is unknown, and add `model`")
+
+
+def test_a_file_of_another_kind_names_some_of_its_keys():
+    first = refusal(SceneFile, MAP | {"episode": "e", "units": {}}).splitlines()[0]
+    assert first.count("unknown key") == 5
+    assert first.endswith("required key `model` is missing")
+    assert "; 3 more unknown" in refusal(SceneFile, SCENE | {k: 1 for k in "abcdefgh"})
+
+
+@pytest.mark.parametrize(
+    ("record", "value", "said"),
+    [
+        (
+            SceneFile,
+            {"noise": {"joint_positon": 1}},
+            "noise: unknown key `joint_positon`, did you mean `joint_position`",
+        ),
+        (SceneFile, {"actuators": {"a": {"kp": 3, "vk": 0}}}, "actuators.a: unknown key `vk`"),
+        (
+            SceneFile,
+            {"actuators": {"a": {"kpp": 3}}},
+            "actuators.a: unknown key `kpp`, did you mean `kp`, which is required and missing",
+        ),
+        (
+            TopicMap,
+            {"channels": {"object_pose": [{"topic": "a", "feilds": ["x"]}]}},
+            "channels.object_pose.0: unknown key `feilds`, did you mean `fields`",
+        ),
+        (
+            EffectsFile,
+            {"effects": [{"name": "armature"}, {"name": "armature", "parameter": {}}]},
+            "effects.1: unknown key `parameter`, did you mean `parameters`",
+        ),
+    ],
+)
+def test_an_unknown_key_inside_is_named_with_its_path(record, value, said):
+    base = {SceneFile: SCENE, TopicMap: {"rate_hz": 10}, EffectsFile: {}}[record]
+    assert refusal(record, base | value).splitlines()[0] == f"map.yaml is not valid: {said}"
+
+
+@pytest.mark.parametrize(
+    ("joints", "said", "do"),
+    [
+        (["a", 1], "joints.1: a name is text, and this is read as a number", 'put the name in quotes, as "1"'),
+        ([1.5], "joints.0: a name is text, and this is read as a number", "put the name in quotes"),
+        ([True], "joints.0: a name is text, and this is read as true or false", 'put the name in quotes, as "true"'),
+        ([None], "joints.0: a name is text, and this is read as nothing", "put the name in quotes"),
+        ("index1", "joints: a list is expected", "write it in brackets: [index1]"),
+    ],
+)
+def test_a_name_that_is_read_as_something_else(joints, said, do):
+    lines = refusal(SceneFile, SCENE | {"joints": joints}).splitlines()
+    assert (lines[0], lines[-1]) == (f"map.yaml is not valid: {said}", f"  do: {do}")
+
+
+def test_a_number_for_a_key():
+    lines = refusal(SceneFile, SCENE | {"actuators": {1: {"kp": 3}}}).splitlines()
+    assert lines[0] == "map.yaml is not valid: actuators.1: a name is text, and this is read as a number"
+
+
+def test_of_a_field_with_two_forms_the_one_that_fits_is_told():
+    text = refusal(SceneFile, SCENE | {"actuators": {"a": 3}})
+    assert text.startswith("map.yaml is not valid: actuators.a: keys with values are expected\n  expected: keys kp, kv")
+    text = refusal(SceneFile, SCENE | {"noise": {"joint_position": [0.1, -1]}})
+    assert text.startswith("map.yaml is not valid: noise.joint_position.1: Input should be greater than or equal to 0")
 
 
 @pytest.mark.parametrize(
@@ -54,11 +141,14 @@ def test_a_wrong_value_names_its_field(changed, field):
 
 
 def test_a_file_that_is_no_mapping():
-    assert refusal(TableMap, None).startswith("map.yaml is not valid: (whole file): ")
+    text = refusal(TableMap, None)
+    assert text.startswith(
+        "map.yaml is not valid: (whole file): keys with values are expected\n  expected: keys file, "
+    )
 
 
 def test_a_nested_field_is_named_in_full():
-    text = refusal(SceneFile, {"model": "s.xml", "rate_hz": 80, "noise": {"joint_position": -1}})
+    text = refusal(SceneFile, SCENE | {"noise": {"joint_position": -1}})
     assert "do: correct the field noise.joint_position" in text
 
 
@@ -85,7 +175,7 @@ def test_a_small_file_that_unfolds_without_end_is_refused_at_once():
     value = ["x"]
     for _ in range(60):  # what YAML's aliases make of 60 short lines: 9 ** 60 texts
         value = [value] * 9
-    assert "file: Field required" in refusal(TableMap, {"a": value})
+    assert "unknown key `a`; required key `file` is missing" in refusal(TableMap, {"a": value})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,63 @@
+"""A first scene file of a model: proposed, checked, and written where none stands."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from candata.errors import SceneError, UsageError, Where
+from candata.scenes.assemble import Scene, assemble
+from candata.scenes.model_file import compiled, read_model
+from candata.scenes.proposal import Proposal, propose
+from candata.scenes.scene_text import scene_text
+from candata.schema.scene import SceneFile
+from candata.schema.yaml_text import parse_yaml
+
+
+def write_draft(model: Path, out: Path, overwrite: bool = False) -> tuple[Scene, Proposal]:
+    """Return the scene that a drafted scene file at `out` describes, and the proposal that it is made of.
+
+    The file is written last, once it has been read as any scene is.
+
+    Raises
+    ------
+    UsageError
+        When the model does not exist, or `out` is a folder, no YAML file, or exists and is not to be overwritten.
+    SceneError
+        When the model cannot be read or does not compile, or holds nothing that a scene can be made of.
+    """
+    if not model.is_file():
+        raise UsageError(f"model {model} does not exist", expected="an MJCF or a URDF", where=Where(path=str(model)))
+    _check_out(out, overwrite)
+    spec = read_model(model)
+    # Links that are fixed to others are told apart: a fingertip is often one.
+    spec.compiler.fusestatic = False
+    proposal = propose(compiled(spec, str(model)))
+    if not proposal.joints and proposal.object is None:
+        raise SceneError(
+            f"model {model.name} holds nothing that is recorded",
+            expected="hinge or slide joints with names, or a body with a free joint and a name",
+            found="; ".join(proposal.notes) or "no such joint and no free body",
+            where=Where(path=str(model)),
+        )
+    text = scene_text(proposal, _from(out, model))
+    scene = assemble(str(out), SceneFile.parse(parse_yaml(text), out), read_model(model))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(text, encoding="utf-8")
+    return scene, proposal
+
+
+def _check_out(out: Path, overwrite: bool) -> None:
+    """Refuse a place where no scene file can be, or where one stands."""
+    where = Where(path=str(out))
+    if out.is_dir():
+        raise UsageError(f"--out {out} is a folder", expected="a file", where=where, fix=f"--out {out / 'scene.yaml'}")
+    if out.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"--out {out} is no scene file", expected="a name that ends in .yaml", where=where)
+    if out.exists() and not overwrite:
+        raise UsageError(f"{out} exists", where=where, fix="name another --out, or overwrite it with --force")
+
+
+def _from(out: Path, model: Path) -> str:
+    """Return the path of a model as it is named from a scene file."""
+    return os.path.relpath(model.parent.resolve() / model.name, out.parent.resolve())

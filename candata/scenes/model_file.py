@@ -1,0 +1,94 @@
+"""The model file of a scene, MJCF or URDF, as a spec: the one place where models are read."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+
+from candata.errors import SceneError, Where
+from candata.scenes.mesh_paths import resolve_meshes
+from candata.scenes.model_text import check_text
+
+#: What MuJoCo raises of a model that it cannot read or compile; too little memory is a RuntimeError.
+MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
+#: Kinds of elements whose names a scene may read.
+_NAMED = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
+
+
+def model_path(path: Path, model: str) -> Path:
+    """Return where the model of a scene file at `path` lies: beside it, or in an installed package as `PACKAGE:FILE`.
+
+    Raises
+    ------
+    SceneError
+        When the package is not installed.
+    """
+    package, colon, inside = model.partition(":")
+    if not colon or not package.isidentifier() or (path.parent / model).exists():
+        return path.parent / model
+    found = find_spec(package)
+    folders = list(found.submodule_search_locations or ()) if found else []
+    if not folders:
+        raise SceneError(
+            f"the model lies in the package {package}, which is not installed",
+            expected=model,
+            where=Where(path=str(path)),
+            fix=f"pip install {package.replace('_', '-')}",
+        )
+    return Path(folders[0]) / inside
+
+
+def read_model(path: Path) -> mujoco.MjSpec:
+    """Return the spec of an MJCF or URDF file, the mesh paths of its packages found.
+
+    Raises
+    ------
+    SceneError
+        When the file is no model, cannot be read, holds names that are no UTF-8, or names meshes that are not there.
+    """
+    check_text(path)
+    try:
+        spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
+        for kind in _NAMED:
+            # A name is decoded when it is read.
+            [element.name for element in getattr(spec, kind)]
+    except UnicodeDecodeError as error:
+        raise SceneError(
+            f"model {path.name} has a name that is not UTF-8",
+            found=repr(error.object),
+            where=Where(path=str(path)),
+            fix="save the file as UTF-8, or rename the element",
+        ) from None
+    except MODEL_ERRORS as error:
+        text = " ".join(str(error).split())
+        raise SceneError(
+            f"model {path.name} cannot be read: {text}", where=Where(path=str(path)), fix=_remedy(text)
+        ) from None
+    resolve_meshes(spec, path)
+    return spec
+
+
+def compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+    """Return the model of a spec.
+
+    Raises
+    ------
+    SceneError
+        When it does not compile; `name` says whose it is.
+    """
+    try:
+        return spec.compile()
+    except MODEL_ERRORS as error:
+        text = " ".join(str(error).split())
+        raise SceneError(f"scene {name} does not compile: {text}", fix=_remedy(text)) from None
+
+
+def _remedy(text: str) -> str:
+    """Return what to do against what MuJoCo says."""
+    if "opening file" in text:
+        return "put the file there, or correct its path in the model"
+    if "decoder" in text:
+        return "MuJoCo tells models by their names: call the file .xml (MJCF) or .urdf, meshes .stl, .obj or .msh"
+    return "run the model in MuJoCo alone first"
