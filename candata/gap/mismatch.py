@@ -16,6 +16,7 @@ from candata.gap.mismatch_commands import (
     following_findings,
     late,
     paired,
+    slope_findings,
     still_findings,
     unit_findings,
     unstable_findings,
@@ -133,10 +134,14 @@ def _by_replay(look: _Look) -> list[Finding]:
     """Return the findings that need the scene's own motion."""
     scene, played = look.replayer.scene, look.played(look.recs)
     nominal = played.readings
+    if look.pairs is not None and "joint_position" in nominal:
+        found = slope_findings(look.pairs, nominal["joint_position"][..., look.pairs.drive.joints])
+        if found:
+            return found
     shaky = unstable_findings(scene, look.recs, played.failed, MANY)
     if any(f.definite for f in shaky):
         return shaky
-    found: list[Finding] = []
+    found = []
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
         found += _swapped(look, look.pairs, own)

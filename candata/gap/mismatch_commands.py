@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -26,6 +26,8 @@ UNITS = {"degrees": 180 / np.pi, "thousandths (mm, mrad)": 1e3, "hundredths (cm,
 MAPPED = {"degrees": "deg", "thousandths (mm, mrad)": "mrad, or mm of slides", "hundredths (cm, per cent)": "cm"}
 #: A slope this many times off the nearest unit's factor still counts as that unit: servos sag, fingers are stopped.
 UNIT_WITHIN = 1.7
+#: Times its command by which a joint moves in no scene, whatever its servo, unless the scene says so. Chosen.
+MULTIPLE = 3.0
 #: Rows below which stillness says nothing: motions begin at rest.
 TOLD_ROWS = 16
 #: A joint that moves by less than this share of what the scene's own moves is dead.
@@ -63,6 +65,10 @@ class Paired:
         best = np.abs(self.found.r2()).argmax(0)
         return np.diag(at_best(values, best))
 
+    def moved_as(self, joint: Array) -> Paired:
+        """Return the same commands beside other joints `(E, T, S)`."""
+        return replace(self, joint=joint, found=lagged(joint, self.target, self.found.lags))
+
     @property
     def quiet(self) -> Array:
         """`(S,)` spread of each joint's readings from row to row, by second differences (white noise: its sd)."""
@@ -85,7 +91,7 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
 
 
 def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
-    """Return joints that follow their command at the factor of another unit, or against its sign."""
+    """Return joints that follow their command at the factor of another unit."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
     follows = (r2 > FOLLOWS) & _moves(p)
     commanded, out = within(p.target) > 1e-3, []
@@ -96,10 +102,27 @@ def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
         near = follows & (ratio.argmin(1) == k) & (ratio[:, k] < np.log(UNIT_WITHIN))
         if near.any() and (2 * near.sum() >= commanded.sum() or _beyond(scene, p, near, channel)):
             out.append(_unit(p, near, unit, channel, slope))
-    if not out:
-        out += [_factor(p, f, slope) for f in [follows & (np.abs(slope) > 3)] if f.any()]
-        out += [_reversed(p, f, slope) for f in [follows & (slope < -1 / 3) & (slope > -3)] if f.any()]
     return out
+
+
+def slope_findings(p: Paired, nominal: Array) -> list[Finding]:
+    """Return joints that follow their command by a multiple of it, or against its sign, where the scene's do not.
+
+    A weak joint that contact or its neighbours carry along may run against its command in the scene as well.
+
+    Parameters
+    ----------
+    nominal : (E, T, S) float64
+        Joints of the servos in a nominal replay.
+    """
+    follows = (np.abs(p.own(p.found.r2())) > FOLLOWS) & _moves(p)
+    slope, scene = p.own(p.found.slope()), p.moved_as(nominal)
+    scene_slope = scene.own(scene.found.slope())
+    most = np.maximum(np.abs(slope), np.abs(scene_slope))
+    follows &= (slope * scene_slope <= 0) | (most > MULTIPLE * np.minimum(np.abs(slope), np.abs(scene_slope)))
+    large = follows & (np.abs(slope) > MULTIPLE)
+    against = follows & (slope < -1 / MULTIPLE) & ~large
+    return [finding(p, some, slope) for finding, some in ((_factor, large), (_reversed, against)) if some.any()]
 
 
 def _moves(p: Paired) -> NDArray[np.bool_]:

@@ -18,7 +18,9 @@ from candata.gap.mismatch_sensors import tips
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.scenes import Scene, load_scene
-from candata.schema.episode import Episode
+from candata.schema.episode import Episode, EpisodeMeta
+from candata.simulate import at_rest, rollout
+from candata.simulate.episodes import add_noise
 from candata.simulate.seal import draw_parameter
 
 Change = Callable[[Scene, Episode], dict[str, np.ndarray]]
@@ -391,3 +393,35 @@ def test_motors_tell_nothing_of_a_joints_place(tmp_path, gripped):
     scene = load_scene(tmp_path / "scene.yaml")
     swapped = changed(scene, gripped, GRIPPER_FAULTS["swapped"][0])
     assert "swapped_commands" not in [kind for kind, _ in found(scene, swapped)]
+
+
+#: A bar that a weak servo hardly turns keeps its direction while the arm that carries it swings.
+CARRIED = """<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
+  <body pos="0 0 .5"><joint name="arm" axis="0 0 1" damping=".05"/>
+    <geom type="capsule" fromto="0 0 0 .3 0 0" size=".03" mass=".6"/>
+    <body pos=".3 0 0"><joint name="bar" axis="0 0 1"/>
+      <geom type="capsule" fromto="-.1 0 0 .1 0 0" size=".01" mass=".3"/></body></body></worldbody>
+  <actuator><position name="arm" joint="arm" kp="60" kv="3"/><position name="bar" joint="bar" kp=".0005"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.parametrize("times", [1.0, 0.1])
+def test_a_joint_that_runs_against_its_command_in_the_scene_too_is_not_reversed(tmp_path, times):
+    (tmp_path / "carried.xml").write_text(CARRIED)
+    (tmp_path / "scene.yaml").write_text(
+        "model: carried.xml\nrate_hz: 100\njoints: [arm, bar]\nactuators: [arm, bar]\nnoise: {joint_position: 0.001}\n"
+    )
+    scene, rng = load_scene(tmp_path / "scene.yaml"), np.random.default_rng(3)
+    swing = 0.4 * np.sin(np.arange(200) / 14 * rng.uniform(0.7, 1.3, (8, 1)))
+    commands = np.stack([swing, times * swing], axis=2)
+    played = rollout(scene, commands, *at_rest(scene, 8), [()] * 8)
+    joints = add_noise(played.readings, scene.file.noise, rng)["joint_position"]
+    assert np.corrcoef(joints[..., 1].ravel(), commands[..., 1].ravel())[0, 1] < -0.8
+    episodes = [
+        Episode(
+            EpisodeMeta(id=f"e{i}", source="real", rate_hz=100.0),
+            {"time_ns": np.arange(200) * 10_000_000, "action": commands[i], "joint_position": joints[i]},
+        )
+        for i in range(8)
+    ]
+    assert found(scene, episodes) == []
