@@ -7,12 +7,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
+
+#: Exit code of a command that Ctrl-C ended: 128 + SIGINT, as shells have it.
+STOPPED = 130
 
 #: Seconds between lines of progress where stderr is no terminal.
 EVERY_S = 30.0
@@ -50,6 +54,45 @@ def number(text: str | None) -> int | str | None:
 def words(text: str) -> tuple[str, ...]:
     """Return the words of a comma-separated list."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+class Stopped(Exception):
+    """Ctrl-C ended a command; says what is kept, and what to type next.
+
+    That is the same command, which goes on from there or begins again, or the words of another one.
+    """
+
+    def __init__(self, kept: str = "", goes_on: bool = False, other: Sequence[str] = ()) -> None:
+        """Keep all three."""
+        super().__init__(kept)
+        self.kept, self.goes_on, self.other = kept, goes_on, other
+
+
+@contextmanager
+def stoppable(kept: str | Callable[[], str] = "nothing was written", goes_on: bool = False) -> Iterator[None]:
+    """Turn Ctrl-C in the block, or the function so decorated, into words on what is kept.
+
+    Parameters
+    ----------
+    kept : str or callable
+        What is kept, as a clause; asked when it happens.
+    goes_on : bool
+        Whether the same command goes on from there; else it begins again.
+
+    Raises
+    ------
+    Stopped
+        When Ctrl-C was pressed; `candata_cli.main` prints it.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Stopped(kept if isinstance(kept, str) else kept(), goes_on) from None
+
+
+def written(path: Path) -> str:
+    """Return whether an output that appears whole or not at all is there, as a clause for `stoppable`."""
+    return f"{path} is written, whole" if path.exists() else "nothing was written"
 
 
 def out(text: str) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from candata_cli.outputs import tried
+
 if TYPE_CHECKING:
     from candata.schema.effect import EffectSetting
     from candata.schema.report import Estimate, Report
@@ -32,6 +34,7 @@ def demo(
     The salt of the seal follows from the seed here, so that a run can be repeated; `generate-sim --withhold`
     draws a secret one. The diagnosis reads the dataset and the nominal scene only.
     """
+    tried(out, "folder")
     from candata.datasets import open_dataset
     from candata.gap import diagnose
     from candata.reports import write_diagnosis

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.record.emulate import Sent
@@ -99,6 +100,9 @@ def emulate(
     from candata.record.emulate_faults import parse_faults
     from candata.record.emulate_script import encoder_of, write_script
 
+    for option, path in {"--with-table": with_table, "--truth": truth}.items():
+        if path:
+            tried(path, "new", option)
     model, wrong = device(device_name), parse_faults(faults)
     encoder_of(device_name)
     _check(loop, seed, wrong, link)

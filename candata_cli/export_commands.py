@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
@@ -40,7 +41,7 @@ def export(
     from candata.datasets import get_cloud
     from candata.datasets.drafts import draft_beside, place
     from candata.datasets.durable import sync_tree
-    from candata.errors import UnknownNameError, UsageError, Where
+    from candata.errors import UnknownNameError, UsageError
     from candata.formats import Writing
     from candata.plugins import load, names
 
@@ -50,13 +51,12 @@ def export(
         raise UnknownNameError("format to export to", format_name, able)
     if v21 and "v21" not in known[format_name].variants:
         raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
-    if out.exists():
-        raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
+    tried(out, "new")
     data = console.opened(dataset, version)
     writing = Writing(
         data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, data.path)
     )
-    with draft_beside(out) as folder:
+    with console.stoppable(lambda: console.written(out)), draft_beside(out) as folder:
         staged = folder / "export"
         staged.mkdir()
         known[format_name].write(_Counted(data), staged, writing)

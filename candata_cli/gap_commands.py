@@ -15,6 +15,7 @@ import typer
 
 from candata_cli import console
 from candata_cli.bench_cases import KINDS, SCENE, asked_for, known, make
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.gap.blind.crew import Crew
@@ -114,12 +115,13 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
+    tried(out, "folder")
     from candata.gap.blind.cases import CASES, LABELS
     from candata.gap.blind.cluster import crew_of
 
     asked = asked_for(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
     beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with crew_of(jobs, ray, out) as crew:
+    with console.stoppable(lambda: _kept(out), goes_on=True), crew_of(jobs, ray, out) as crew:
         make(out, asked, crew)
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
@@ -141,10 +143,11 @@ def score(
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
+    tried(out, "folder")
     from candata.gap.blind.cluster import crew_of
 
     beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with crew_of(jobs, ray, out) as crew:
+    with console.stoppable(lambda: _kept(out), goes_on=True), crew_of(jobs, ray, out) as crew:
         _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases, until), json)
 
 
@@ -245,6 +248,16 @@ def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[Be
         theirs = [replace(o, result=r) for o, r in zip(some, results, strict=True)]
         scores.append(score_run(theirs, scene=places[0].scene, cases=count, method=method))
     return tuple(scores)
+
+
+def _kept(out: Path) -> str:
+    """Return what stands of a run, as a clause."""
+    from candata.gap.blind.cases import CASE, CASES
+    from candata.gap.blind.running import known as standing_results
+
+    made = len(list((out / CASES).glob(f"[!.]*/{CASE}")))
+    cases = f"{made} cases and " if made else ""
+    return f"{cases}{len(standing_results(out))} results are kept in {out}"
 
 
 def _until(minutes: float | None) -> float:

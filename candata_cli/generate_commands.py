@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli.outputs import tried
+
 if TYPE_CHECKING:
     from candata.schema.effect import EffectsFile
 
@@ -52,21 +54,33 @@ def generate_sim(
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
     file holds all three.
     """
+    sealed = seal or out.with_name(f"{out.name}.seal.json")
+    tried(out, "dataset")
+    if withhold is not None:
+        tried(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
     from candata.effects import read_effects
     from candata.simulate.generate import Withheld, generate
-    from candata_cli.console import note, progress
+    from candata_cli.console import note, progress, stoppable
     from candata_cli.console import out as say
 
     given = read_effects(effects) if effects else None
-    hidden = None
-    if withhold is not None:
-        hidden = Withheld(withhold, seal or out.with_name(f"{out.name}.seal.json"), salt)
-    with progress("episodes", episodes) as advance:
+    hidden = None if withhold is None else Withheld(withhold, sealed, salt)
+    made = 0
+
+    def told(count: int) -> None:
+        nonlocal made
+        made += count
+        advance(count)
+
+    def kept() -> str:
+        return f"{made} of {episodes} episodes are kept in {out}" if made else "no episode was made yet"
+
+    with stoppable(kept, goes_on=True), progress("episodes", episodes) as advance:
         version = generate(
             out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
             policies=tuple(policies.split(",")) if policies else (), policy_file=policy_file,
-            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance,
+            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=told,
         )  # fmt: skip
     if hidden:
         note(f"withheld effect sealed in {hidden.seal}")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -89,6 +90,7 @@ def register(app: typer.Typer) -> None:
     app.command("fetch", epilog="Example: candata fetch cube-tosses --out tosses")(fetch)
 
 
+@console.stoppable("nothing was imported")
 def import_(
     format_name: FormatName,
     sources: Sources,
@@ -147,7 +149,11 @@ def _refuse_options(given: Mapping[str, object], why: str) -> None:
 
 def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, options: dict) -> None:
     """Import one source of a format of the folder."""
+    import hashlib
+    import itertools
+
     from candata import __version__
+    from candata.datasets.encode import content_hash
     from candata.errors import UnknownNameError, UsageError
     from candata.formats import Reading
     from candata.plugins import load, names
@@ -169,16 +175,28 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
         raise UsageError(f"{format_name} can be exported, not imported")
     if options["mapping"] is not None and not reader.takes_map:
         raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
-    _refuse_standing(out, append)
+    _try_output(out, append)
     clouds: list[NDArray] = []
     reading = Reading(**options, note=console.note, cloud=clouds.append)
-    lineage = Lineage(
-        operation=f"import {format_name}",
-        config_digest=reader.digest(source, reading),
-        tools={"candata": __version__},
-        details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
-    )
-    _publish(out, append, reader.read(source, reading), lineage.operation, lambda: lineage, clouds=clouds)
+    operation, hashes = f"import {format_name}", []
+
+    def episodes() -> Iterator[Episode]:
+        for episode in reader.read(source, reading):
+            hashes.append(content_hash(episode))
+            yield episode
+
+    def lineage() -> Lineage:
+        return Lineage(
+            operation=operation,
+            config_digest=hashlib.sha256("\n".join(hashes).encode()).hexdigest(),
+            tools={"candata": __version__},
+            details={"source": source.resolve().name, "allow_gaps": reading.allow_gaps} | _map_text(reading.mapping),
+        )
+
+    # One is read before anything is made: a source that is refused leaves not even the folder around the dataset.
+    taken = episodes()
+    begun = itertools.chain(list(itertools.islice(taken, 1)), taken)
+    _publish(out, append, begun, operation, lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:
@@ -196,7 +214,7 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
 
     if "episode" in settings and len(logs) > 1:
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
-    _refuse_standing(out, append)
+    _try_output(out, append)
     recipe = _recipe(settings)
     made: list[tuple[str, dict]] = []
 
@@ -260,10 +278,13 @@ def fetch(
     from candata.plugins import load
     from candata.schema.manifest import Lineage
 
-    source = load("candata.fetch", "SOURCE", name.replace("-", "_"))
-    _refuse_standing(out, append)
+    source, downloads = load("candata.fetch", "SOURCE", name.replace("-", "_")), cache or user_cache()
+    _try_output(out, append)
+    if folder is None:
+        tried(downloads, "folder", "--cache")
     console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
-    fetched = source.from_folder(folder) if folder is not None else source.download(cache or user_cache(), console.note)
+    with console.stoppable(f"files that were fetched whole are kept in {downloads}", goes_on=True):
+        fetched = source.from_folder(folder) if folder is not None else source.download(downloads, console.note)
     lineage = Lineage(
         operation=f"fetch {name}",
         config_digest=fetched.digest,
@@ -273,16 +294,13 @@ def fetch(
     _publish(out, append, fetched.episodes, lineage.operation, lambda: lineage)
 
 
-def _refuse_standing(out: Path, append: bool) -> None:
-    """Refuse an `--out` that stands, unless it is to be appended to."""
-    from candata.errors import UsageError, Where
+def _try_output(out: Path, append: bool) -> None:
+    """Refuse an `--out` that cannot be written, or that stands unless it is to be appended to."""
+    from candata.datasets.versions import read_dataset_file
 
-    if out.exists() and not append:
-        raise UsageError(
-            "the output exists already",
-            where=Where(path=str(out)),
-            fix="choose another --out, or add to it with --append",
-        )
+    tried(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
+    if out.exists():
+        read_dataset_file(out)
 
 
 def _publish(
@@ -314,13 +332,14 @@ def _publish(
 
     adds = append and out.exists()
     standing = newest(out) if adds else None
-    if adds:
-        version = add(out)
-    else:
-        with draft_beside(out) as folder:
-            staged = create_dataset(folder / "dataset", name=out.resolve().name)
-            version = add(staged)
-            place(staged, out)
+    with console.stoppable(lambda: f"{out} is as it was" if adds else console.written(out)):
+        if adds:
+            version = add(out)
+        else:
+            with draft_beside(out) as folder:
+                staged = create_dataset(folder / "dataset", name=out.resolve().name)
+                version = add(staged)
+                place(staged, out)
     total = len(members_of(out, version))
     added = total - (len(members_of(out, standing)) if standing else 0)
     _tell_left_out(out, read.intersection(version.exclusions))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
@@ -50,6 +51,8 @@ def inspect(
     """
     from candata.errors import UsageError
 
+    if html is not None:
+        tried(html, "file", "--html")
     data = console.opened(dataset, version)
     if against is None:
         _inspect_one(data, episode, html, json)

@@ -10,6 +10,8 @@ import importlib
 import inspect
 import os
 import pkgutil
+import shlex
+import signal
 import sys
 from collections.abc import Sequence
 from typing import Annotated, NoReturn
@@ -19,6 +21,7 @@ from typer.main import get_command_name
 
 import candata_cli
 from candata.errors import CandataError, SetupError, Where
+from candata_cli.console import STOPPED, Stopped
 
 _HELP = """Say where a recording and its simulation differ, why, and how far that can be mended."""
 
@@ -32,7 +35,8 @@ An example session:
   open out/report/report.html
 
 \b
-Exit codes: 0 fine, 1 a negative finding, 2 usage or data, 3 environment or device.
+Exit codes: 0 fine, 1 a negative finding, 2 usage or data, 3 environment or device, 70 a fault of candata,
+130 stopped by Ctrl-C.
 """
 
 
@@ -57,12 +61,17 @@ def build() -> typer.Typer:
 
 def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit with its code; `arguments` default to the process's own."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
     _draw_in_children()
     try:
         app = build()
-        _leave_unread(app, sys.argv[1:] if arguments is None else arguments)
-        app(args=arguments, prog_name="candata")
+        _leave_unread(app, words)
+        app(args=words, prog_name="candata")
         code: int | str | None = 0
+    except Stopped as stop:
+        code = _stopped(stop, words)
+    except KeyboardInterrupt:
+        code = _stopped(Stopped(), words)
     except CandataError as error:
         print(error, file=sys.stderr)
         code = error.exit_code
@@ -71,9 +80,32 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         print(refused, file=sys.stderr)
         code = refused.exit_code
     except SystemExit as error:
-        code = error.code
+        # typer makes 1 of a reader that has gone (`candata ... | head`), which is no finding.
+        gone = isinstance(error.__context__, BrokenPipeError)
+        # typer makes this code of a Ctrl-C that no command has put into words.
+        code = _stopped(Stopped(), words) if error.code == STOPPED else 0 if gone else error.code
+    except Exception as error:
+        code = _failed(error, words)
     _flush()
     sys.exit(code)
+
+
+def _failed(error: Exception, words: Sequence[str]) -> int:
+    """Print what candata did not expect and return the exit code."""
+    from candata_cli.failures import UNEXPECTED, expected_as, report
+
+    known = expected_as(error)
+    print(known or report(error, words), file=sys.stderr)
+    return known.exit_code if known else UNEXPECTED
+
+
+def _stopped(stop: Stopped, words: Sequence[str]) -> int:
+    """Print what is kept and which command to type, and return the exit code; from now on Ctrl-C is not heard."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    print(f"stopped: {stop.kept}" if stop.kept else "stopped", file=sys.stderr)
+    how = "go on" if stop.goes_on or stop.other else "begin again"
+    print(f"  to {how}: {shlex.join(['candata', *(stop.other or words)])}", file=sys.stderr)
+    return STOPPED
 
 
 def _draw_in_children() -> None:

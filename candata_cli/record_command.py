@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.record.recorder_values import View
@@ -65,6 +68,7 @@ def record_real(
     from candata.record.recorder import record
     from candata.record.recorder_values import Settings
 
+    tried(out, "new")
     if duration is not None:
         _positive("duration", duration)
     given = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
@@ -76,7 +80,11 @@ def record_real(
         reserve_bytes=reserve_mb * 1_000_000,
     )
     chosen = device_named(device)
-    with _until_signal() as stop, _shown(f"candata record-real {port}", plain, as_json) as (show, say):
+    with (
+        console.stoppable(partial(_kept, out)),
+        _until_signal() as stop,
+        _shown(f"candata record-real {port}", plain, as_json) as (show, say),
+    ):
         report = record(
             chosen, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
         )
@@ -86,6 +94,11 @@ def record_real(
         _print_report(report.facts)
     if report.failure is not None:
         raise report.failure
+    following = ("import", "log", str(out), "--out", "DATASET")
+    if duration is not None and report.facts["ended"] == "stopped":
+        states = f"{report.facts['rows']} states in {report.facts['duration_s']:.1f} s are kept in {out}, whole"
+        raise console.Stopped(states, other=following)
+    console.note(f"next: {shlex.join(['candata', *following])}")
 
 
 def recover(
@@ -98,6 +111,8 @@ def recover(
     """Write what can be read of a torn log as a whole new file; the original is left as it is."""
     from candata.record.recover import recover as salvage
 
+    if out is not None:
+        tried(out, "new")
     saved = salvage(log, out)
     if as_json:
         console.out_json(vars(saved))
@@ -107,6 +122,11 @@ def recover(
     console.out(f"{saved.log} is {state}: {saved.read_bytes} of {saved.total_bytes} bytes read{damaged}")
     console.out(f"{saved.out}: {sum(saved.messages.values())} messages over {saved.duration_s:.2f} s")
     console.out_table(("topic", "messages"), sorted(saved.messages.items()))
+
+
+def _kept(out: Path) -> str:
+    """Return what a recorder leaves that was not allowed to end its log, as a clause."""
+    return f"{out} holds what was flushed; candata recover makes it whole" if out.exists() else "nothing was recorded"
 
 
 def _positive(name: str, value: float) -> float:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.schema.manifest import VersionFile
@@ -247,6 +248,8 @@ def filter_episodes(
     from candata.datasets.filtering import filter_dataset, matching
     from candata.loaders import carry_splits
 
+    if out is not None:
+        tried(out, "new")
     data = console.opened(dataset)
     if out is not None:
         _made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
@@ -279,12 +282,13 @@ def merge(
 
     if append and prefix:
         raise UsageError("--prefix does not go with --append", fix="merge with --prefix to a new folder first")
-    data = [console.opened(text) for text in datasets]
-    if not append:
-        _made(out, join(data, out, prefix, carry_splits(data, console.note, prefix)), json)
-        return
-    _made(out, merge_into(data, out), json)
-    _tell_uncovered(out)
+    tried(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
+    with console.stoppable(lambda: f"{out} is as it was" if append else console.written(out)):
+        data = [console.opened(text) for text in datasets]
+        made = merge_into(data, out) if append else join(data, out, prefix, carry_splits(data, console.note, prefix))
+    _made(out, made, json)
+    if append:
+        _tell_uncovered(out)
 
 
 def _tell_uncovered(out: Path) -> None:
@@ -318,8 +322,11 @@ def relabel(
         if not equals:
             raise UsageError("--set takes LABEL=VALUE", found=text)
         labels[name] = value or None
+    tried(out, "new")
     data = console.opened(dataset)
-    _made(out, write(data, labels, where, out, carry_splits([data], console.note)), json)
+    with console.stoppable(lambda: console.written(out)):
+        made = write(data, labels, where, out, carry_splits([data], console.note))
+    _made(out, made, json)
 
 
 def _made(out: Path, version: VersionFile, json: bool) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 from candata_cli.registry_commands import ABOUT, Json
 
 if TYPE_CHECKING:
@@ -62,7 +63,8 @@ def push(
         raise UsageError("push sends all versions", found=dataset, fix="leave out what follows the @")
     called = name or read_dataset_file(path).name
     store = open_remote(find_remote(remote))
-    done = send(path, store, called, _bar("sending"), move_tags)
+    with console.stoppable(f"what was sent whole is kept on {remote}, where nobody sees it yet", goes_on=True):
+        done = send(path, store, called, _bar("sending"), move_tags)
     if done.newest.exclusions:
         left_out = len(done.newest.exclusions)
         console.note(f"{left_out} episodes that the version leaves out travelled along in its parts")
@@ -88,9 +90,11 @@ def pull(
     from candata.datasets.registry import find_remote
     from candata.datasets.remotes import open_remote
 
+    tried(out, "dataset")
     called, _, version = name.partition("@")
-    store = open_remote(find_remote(remote))
-    done = fetch(store, called, out, console.number(version or None), _bar("fetching"))
+    with console.stoppable(f"what was fetched whole is kept in {out}", goes_on=True):
+        store = open_remote(find_remote(remote))
+        done = fetch(store, called, out, console.number(version or None), _bar("fetching"))
     for line in done.notes:
         console.note(line)
     if json:

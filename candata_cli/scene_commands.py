@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli.outputs import tried
+
 if TYPE_CHECKING:
     from candata.repair import Exported, SysidExport
     from candata.scenes import Scene
@@ -58,6 +60,8 @@ def show(
     json: Json = False,
 ) -> None:
     """Print the roles of a scene's parts; with --out, write a picture of it."""
+    if picture is not None:
+        tried(picture, "file")
     from candata.scenes import load_scene
     from candata.scenes.roles import roles
     from candata_cli.console import note, out_json
@@ -91,7 +95,8 @@ def init(
     from candata_cli.console import out as say
 
     path = scene or model.parent / "scene.yaml"
-    found, proposal = write_draft(model, path, overwrite=force)
+    tried(path, "file" if force else "new", fix="name another --out, or overwrite it with --force")
+    found, proposal = write_draft(model, path)
     roles = found.file
     counts = f"joints {len(roles.joints)}, actuators {len(roles.actuator_names)}, fingertips {len(roles.fingertips)}"
     say(f"{path}: {counts}, object {roles.object or 'none'}, {roles.rate_hz:g} Hz")
@@ -111,6 +116,7 @@ def servo(
     ] = None,
 ) -> None:
     """Write a scene for a robot without a model: one servo a joint, each on its own, from names and ranges."""
+    tried(out, "folder")
     from candata.datasets import open_dataset
     from candata.scenes.servo import servo_joints, write_servo_scene
     from candata_cli.console import out as say
@@ -146,6 +152,7 @@ def export(
         raise UnknownNameError("target", to, TARGETS)
     if (dataset is not None) != (to == "mujoco-sysid"):
         raise UsageError("--dataset and --to mujoco-sysid go together", fix="give both, or neither")
+    tried(out, "new")
     given = read_effects(effects)
     world = load_scene(scene or scene_of(given, effects))
     if scene is not None:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 _EXAMPLE = """\b
 Examples:
@@ -53,9 +54,11 @@ def signatures(
     from candata.gap.blind.filling import keep_signature, planned, source
 
     folder = cache_dir or user_cache()
+    tried(folder, "folder", "--cache-dir")
     data = console.opened(dataset, version)
     some = source(data.path, scene, folder, seed, data.digest)._replace(only=console.words(only))
-    with crew_of(jobs, ray, folder) as crew:
+    kept = f"signatures that were simulated whole are kept in {folder}"
+    with console.stoppable(kept, goes_on=True), crew_of(jobs, ray, folder) as crew:
         console.note("replaying the nominal scene, measuring the floor")
         plan = planned(some)
         with console.progress("simulating effects", len(plan.tasks)) as advance:

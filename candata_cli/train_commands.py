@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
@@ -77,6 +78,10 @@ def train(
     Joints, actions, contact and object poses of the dataset's `train` episodes become windows at 10 Hz; the model
     learns to forecast the object's motion. Ctrl-C saves.
     """
+    from candata.training.runs import refuse_foreign
+
+    tried(out, "folder")
+    refuse_foreign(out)
     _need_torch()
     from candata.training import Ask, prepare
     from candata.training import train as run
@@ -87,7 +92,7 @@ def train(
     mixture, paths = _sources(data, version)
     method: Any = normaliser
     ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
-    with console.stages() as stage:
+    with console.stoppable(lambda: _saved(out), goes_on=True), console.stages() as stage:
         stage("reading the dataset")
         opened = {name: console.opened(path, version) for name, path in paths.items()}
         job = prepare(opened if mixture else opened[""], ask, settings, device)
@@ -99,8 +104,7 @@ def train(
         with _stop_on_interrupt() as stopped:
             progress = run(job, out, _teller(stage), stopped)
     if settings.share(progress.step, progress.elapsed_s) < 1:
-        console.note(f"stopped and saved at step {progress.step}; the same command goes on from there")
-        raise typer.Exit(1)
+        raise console.Stopped(f"saved at step {progress.step} in {out}", goes_on=True)
     _print_trained(job, progress, out, list(paths.values())[-1], json)
 
 
@@ -125,16 +129,14 @@ def evaluate(
     Forecasts from each window, and closed loops over whole episodes in which the model sees its own poses; joints
     and actions are replayed. Writes evaluation.json and evaluation.html.
     """
+    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
+    tried(folder, "folder")
     _need_torch()
-    from candata.errors import UsageError
     from candata.reports.evaluation import summary, write_evaluation
     from candata.training import Manner
     from candata.training import evaluate as judge
 
     _set_threads(threads)
-    folder = out or (run if run.is_dir() else run.parent) / "evaluation"
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
     with console.stages() as stage:
         manner = Manner(split, samples, steps, execute, seed, device)
         found, tracks = judge(run, console.opened(data, version), manner, stage)
@@ -142,6 +144,13 @@ def evaluate(
         page = write_evaluation(found, tracks, folder)
     console.out(found.model_dump_json(indent=2) if json else summary(found))
     console.note(f"page: {page}")
+
+
+def _saved(out: Path) -> str:
+    """Return what a run that was stopped outside of its loop has saved, as a clause."""
+    from candata.training.checkpoint import LAST
+
+    return f"the last checkpoint stands in {out}" if (out / LAST).is_file() else "nothing was trained yet"
 
 
 def _need_torch() -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
     from candata.checks import Finding, Group
@@ -42,6 +43,7 @@ def register(app: typer.Typer) -> None:
     app.command("validate", epilog=EXAMPLE)(validate)
 
 
+@console.stoppable("nothing was checked to its end")
 def validate(
     dataset: DatasetName,
     version: Version = None,
@@ -61,6 +63,8 @@ def validate(
 
     if fail_on not in FAILS:
         raise UnknownNameError("level for --fail-on", fail_on, FAILS)
+    if html is not None:
+        tried(html, "file", "--html")
     data = console.opened(dataset, version, partial=True)
     world = None
     if scene is not None:

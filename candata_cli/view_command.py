@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from candata_cli.outputs import tried
+
 _EXAMPLE = """\b
 Examples:
   candata view sim --episode xhand_tabletop-s1-000000
@@ -37,6 +39,8 @@ def view(
 
     Needs the extra `view`. Without --out the viewer opens; it asks its own question about usage data.
     """
+    if out is not None:
+        tried(out, "file")
     from candata.reports.rerun_view import view as show
     from candata_cli import console
 

@@ -18,6 +18,7 @@ from typing import TypeVar
 from pydantic import ValidationError
 
 from candata.errors import DataError, SetupError, UsageError, Where
+from candata.lfs import pointer_error
 from candata.schema.record import Record
 
 STAGING = "staging"
@@ -212,7 +213,7 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
 
 def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:
     """Return the error for a file of the dataset that is missing or no longer what was written."""
-    return DataError(
+    return pointer_error(path) or DataError(
         f"damaged dataset: {path.name}",
         expected=expected,
         found=found,

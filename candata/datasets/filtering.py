@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
-import threading
-from collections.abc import Callable
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
+from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
@@ -37,19 +35,24 @@ _CLOSED: dict[str, str | bool | int | float | list[str]] = {
     "memory_limit": "1GB",
     "temp_directory": "",  # what does not fit is refused, not spilled into the folder the user stands in
 }
-#: Longest that an expression may take [s]: 100,000 episodes take less than 0.1 s.
-LIMIT_S = 10.0
-#: Time to end for what was interrupted [s].
-_GRACE_S = 1.0
 #: Longest expression [characters], and how many brackets may be open in it: deep nesting keeps the parser busy
 #: for minutes, where nothing can stop it.
 LIMIT_LENGTH, LIMIT_OPEN = 10_000, 50
-#: Words that tell another thing each time and that the catalog of functions does not list as doing so.
-_FLEETING = frozenset(
-    ("age", "current_catalog", "current_date", "current_localtime", "current_localtimestamp", "current_role",
-     "current_time", "current_timestamp", "current_user", "localtime", "localtimestamp", "sample", "session_user",
-     "tablesample", "user", "version")
-)  # fmt: skip
+#: Kinds of nodes that an expression may hold, as DuckDB's parse tree calls them: no subquery, window, lambda or star.
+_KINDS = frozenset(
+    ("BETWEEN", "CASE", "CAST", "COLUMN_REF", "COMPARISON", "CONJUNCTION", "CONSTANT", "FUNCTION", "OPERATOR", "TYPE")
+)
+#: Functions and operators that an expression may call: each tells the same of the same values always, reads nothing
+#: else, takes a time that grows with its text, and holds no SQL of its own.
+FUNCTIONS = (
+    *("+", "-", "*", "/", "//", "%", "abs", "ceil", "floor", "round", "sign", "sqrt", "trunc"),
+    *("~~", "!~~", "~~*", "!~~*", "~~~", "like_escape", "not_like_escape", "ilike_escape", "not_ilike_escape"),
+    *("||", "concat", "contains", "ends_with", "left", "length", "lower", "ltrim", "prefix", "right", "rtrim"),
+    *("starts_with", "strlen", "substr", "substring", "suffix", "trim", "upper"),
+    *("regexp_extract", "regexp_full_match", "regexp_matches"),
+    *("->", "->>", "json_array_length", "json_contains", "json_extract", "json_extract_string", "json_type"),
+    *("array_extract", "len", "list_contains", "list_value"),
+)
 
 
 def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
@@ -67,8 +70,8 @@ def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
     UnknownNameError
         When it names no column; lists them and the nearest.
     UsageError
-        When it is no single expression that is true or false of an episode, takes longer than `LIMIT_S`, or tells
-        another thing another time, as `random()` and `now()` do.
+        When it is no single expression that is true or false of an episode, or calls what is not in `FUNCTIONS`: the
+        same expression over the same version gives the same episodes always.
     MissingExtraError
         When duckdb is not installed.
     DataError
@@ -96,18 +99,14 @@ def select(catalog: pa.Table, where: str) -> tuple[str, ...]:
     except ImportError:
         raise MissingExtraError("duckdb", "query") from None
     _require_short(where)
-    database = duckdb.connect(":memory:", config=_CLOSED)
-
-    def ask() -> list[tuple[str]]:
-        with database:
-            return database.from_arrow(catalog).filter(duckdb.SQLExpression(where)).project("id").fetchall()
-
     try:
         where.encode()  # bytes of the command line that are no text come as lone surrogates
-        _require_lasting(database, where)
-        return tuple(row[0] for row in _in_time(ask, database.interrupt, where))
+        with duckdb.connect(":memory:", config=_CLOSED) as database:
+            _require_expression(database, where)
+            chosen = database.from_arrow(catalog).filter(duckdb.SQLExpression(where)).project("id").fetchall()
     except (duckdb.Error, UnicodeError) as error:
         raise _wrong(where, str(error)) from None
+    return tuple(row[0] for row in chosen)
 
 
 def _require_short(where: str) -> None:
@@ -116,68 +115,72 @@ def _require_short(where: str) -> None:
         raise UsageError("the filter is too long", expected=f"at most {LIMIT_LENGTH} characters", found=str(len(where)))
     deepest = max(accumulate((char == "(") - (char == ")") for char in where), default=0)
     if deepest > LIMIT_OPEN:
-        raise UsageError(
-            "the filter is nested too deep", expected=f"at most {LIMIT_OPEN} open brackets", found=str(deepest)
-        )
+        raise _too_deep(str(deepest))
 
 
-def _require_lasting(database: DuckDBPyConnection, where: str) -> None:
-    """Refuse what tells something else tomorrow: the same filter of the same version gives the same episodes."""
-    import duckdb
-
-    data, tokens = where.encode(), duckdb.tokenize(where)
-    ends = [*(at for at, _ in tokens[1:]), len(data)]
-    names = (duckdb.token_type.identifier, duckdb.token_type.keyword)
-    found = [data[at:end].decode() for (at, kind), end in zip(tokens, ends, strict=False) if kind in names]
-    words = {text.strip(' \t\n"').lower() for text in found}
-    words -= {*COLUMNS}
-    fleeting = words & _FLEETING
-    if words - fleeting:  # asking costs 15 ms
-        asked = "select function_name from duckdb_functions() where stability <> 'CONSISTENT' and function_name in ?"
-        fleeting |= {name for (name,) in database.execute(asked, [sorted(words)]).fetchall()}
-    if fleeting:
-        raise UsageError(
-            f"{', '.join(sorted(fleeting))}: the filter would give other episodes another time",
-            expected="columns compared with values", where=Where(path=f"filter {where}"),
-            fix="a part drawn by chance, the same each time: candata registry split DATASET NAME --seed 3",
-        )  # fmt: skip
-
-
-def _in_time(ask: Callable[[], list[tuple[str]]], interrupt: Callable[[], None], where: str) -> list[tuple[str]]:
-    """Return what `ask` returns, or refuse an expression that takes too long: some stop only long after they are told.
-
-    Asked in a thread that does not keep the process alive.
-    """
-    answer: Future[list[tuple[str]]] = Future()
-
-    def work() -> None:
-        try:
-            answer.set_result(ask())
-        except BaseException as error:  # handed on to whoever waits
-            answer.set_exception(error)
-
-    worker = threading.Thread(target=work, daemon=True)
-    worker.start()
+def _require_expression(database: DuckDBPyConnection, where: str) -> None:
+    """Refuse all but one condition over the columns, by what the database's own parser makes of it."""
     try:
-        return answer.result(LIMIT_S)
-    except FutureTimeoutError:
-        interrupt()
-        worker.join(_GRACE_S)
-        raise UsageError(
-            "the filter takes too long", expected=f"at most {LIMIT_S:g} s", where=Where(path=f"filter {where[:200]}"),
-            fix="compare columns with values; a subselect over a large range has no place here",
-        ) from None  # fmt: skip
+        parsed = _parse(database, f"select id from catalog where {where}")
+    except RecursionError:
+        raise _too_deep() from None
+    if parsed["error"]:
+        raise _wrong(where, f"Parser Error: {parsed['error_message']}")
+    trees = [statement["node"] for statement in parsed["statements"]]
+    bare = _parse(database, "select id from catalog where true")["statements"][0]["node"]
+    condition = trees[0].pop("where_clause", None)
+    if len(trees) != 1 or condition is None or trees[0] != {n: v for n, v in bare.items() if n != "where_clause"}:
+        raise _wrong(where, "more than a condition")
+    for node in _nodes(condition):
+        kind, name = node["class"], str(node.get("function_name", "")).lower()
+        if kind == "COLUMN_REF":
+            _require_column(node["column_names"], where)
+        if kind not in _KINDS or (kind == "FUNCTION" and name not in FUNCTIONS):
+            raise UsageError(
+                f"{name or kind.lower()} has no place in a filter",
+                expected="columns compared with values, so that the same episodes are chosen each time",
+                found=name or kind.lower(),
+                where=Where(path=f"filter {where[:200]}"),
+                fix=f"functions: {', '.join(n for n in FUNCTIONS if n.isidentifier())}; for a part drawn by chance, "
+                "the same each time: candata registry split DATASET NAME --seed 3",
+            )
+
+
+def _parse(database: DuckDBPyConnection, statement: str) -> dict[str, Any]:
+    """Return the database's parse tree of a statement, or what its parser says against it."""
+    ((text,),) = database.execute("select json_serialize_sql(?)", [statement]).fetchall()
+    parsed: dict[str, Any] = json.loads(text)
+    return parsed
+
+
+def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
+    """Yield the nodes of a parse tree that have a class."""
+    pending = [tree]
+    while pending:
+        part = pending.pop()
+        if isinstance(part, dict) and "class" in part:
+            yield part
+        if isinstance(part, dict | list):
+            pending.extend(part.values() if isinstance(part, dict) else part)
+
+
+def _require_column(names: Sequence[str], where: str) -> None:
+    """Refuse a name that is no column of the catalog."""
+    name = ".".join(names)
+    if name.lower() in COLUMNS:
+        return
+    unknown = UnknownNameError("column", name, COLUMNS, Where(path=f"filter {where}"))
+    fix = unknown.fix or f"text stands in single quotes: '{name}'"
+    raise UsageError(unknown.problem, expected=unknown.expected, found=unknown.found, where=unknown.where, fix=fix)
+
+
+def _too_deep(found: str = "more") -> UsageError:
+    """Return the error of an expression that is nested too deep."""
+    return UsageError("the filter is nested too deep", expected=f"at most {LIMIT_OPEN} open brackets", found=found)
 
 
 def _wrong(where: str, said: str) -> UsageError:
     """Return what is wrong with an expression, from what the database said."""
-    unknown = re.search(r'Referenced (?:column|table) "(.*?)" not found', said)
-    if unknown:
-        known = UnknownNameError("column", unknown[1], COLUMNS, Where(path=f"filter {where}"))
-        quotes = f"text stands in single quotes: '{unknown[1]}'"
-        return known if known.fix else UsageError(
-            known.problem, expected=known.expected, found=known.found, where=known.where, fix=quotes
-        )  # fmt: skip
     first = said.split("\n", 1)[0].partition(": ")
     return UsageError(
         "the filter is no expression over the catalog",

@@ -7,6 +7,7 @@ from pathlib import Path
 import yaml
 
 from candata.errors import UsageError, Where
+from candata.lfs import refuse_pointer
 from candata.schema.effect import EffectsFile
 from candata.schema.yaml_text import parse_yaml
 
@@ -18,7 +19,10 @@ def read_effects(path: Path) -> EffectsFile:
     ------
     UsageError
         When it is missing, no YAML, or not valid.
+    DataError
+        When it is a Git LFS pointer.
     """
+    refuse_pointer(path)
     try:
         return EffectsFile.parse(parse_yaml(path.read_text()), path)
     except (OSError, UnicodeDecodeError) as error:

@@ -89,8 +89,6 @@ class Format:
         One line for people.
     read : callable, optional
         `(source, reading) -> iterator of Episode`; opens nothing but the source and the mapping.
-    digest : callable, optional
-        `(source, reading) -> str`, sha256 over what determines the episodes: equal for the same source.
     takes_map : bool
         Whether `read` looks at `reading.mapping`.
     write : callable, optional
@@ -103,7 +101,6 @@ class Format:
     name: str
     summary: str
     read: Callable[[Path, Reading], Iterator[Episode]] | None = None
-    digest: Callable[[Path, Reading], str] | None = None
     takes_map: bool = False
     write: Callable[[Iterable[Episode], Path, Writing], None] | None = None
     variants: tuple[str, ...] = ()

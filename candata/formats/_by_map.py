@@ -1,9 +1,8 @@
-"""One episode from named arrays, as a feature map says; and what identifies such an import."""
+"""One episode from named arrays, as a feature map says."""
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from candata.errors import Where
 from candata.formats import Reading
 from candata.formats._assemble import checked, gather
 from candata.formats._features import Pick, blocks, names_of
-from candata.formats._map_file import read_map_file
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.exchange import FeatureMap
 
@@ -74,22 +72,3 @@ def mapped_episode(
 def even_time_ns(rows: int, rate_hz: float) -> NDArray[np.int64]:
     """Return `(rows,) int64 [ns]`: the beat of a rate, from zero."""
     return np.rint(np.arange(rows) * 1e9 / rate_hz).astype(np.int64)
-
-
-def digest_of(root: Path, files: Iterable[Path], reading: Reading) -> str:
-    """Return the sha256 over files (by their paths below `root`), the map and what the import was told.
-
-    Raises
-    ------
-    UsageError
-        When the map is wrong.
-    """
-    told: list[object] = [reading.source, reading.scene, reading.object, reading.task]
-    if reading.mapping is not None:
-        told.append(read_map_file(FeatureMap, reading.mapping).model_dump_json())
-    lines = [repr(told)]
-    for path in files:
-        with path.open("rb") as file:
-            content = hashlib.file_digest(file, "sha256").hexdigest()
-        lines.append(f"{path.relative_to(root).as_posix()} {content}")
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()

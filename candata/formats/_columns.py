@@ -1,44 +1,57 @@
-"""Named columns of a Parquet, CSV or npz file as one-dimensional arrays."""
+"""Columns of a Parquet, CSV or npz file by name, with one value or one list of values in each row."""
 
 from __future__ import annotations
 
 import difflib
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv
+import pyarrow.compute as pc
 import pyarrow.parquet
 from numpy.typing import NDArray
 
 from candata.errors import CandataError, DataError, UsageError, Where
+from candata.formats._csv import dialect, read_csv
+from candata.formats._memory import require_memory
+from candata.formats._names import split_entry
+from candata.formats._npz import require_arrays
+from candata.lfs import refuse_pointer
 
 Columns = dict[str, NDArray]
 
 #: Endings of the tables that can be read.
 TABLES = (".parquet", ".csv", ".npz")
-#: pyarrow infers a CSV column's type from its first block; the whole file is one block up to this size.
-_CSV_BLOCK_BYTES = 1 << 30
+#: Bytes that a number takes in memory.
+_NUMBER_BYTES = 8
+#: What tables write for a flag that is not a number.
+_FLAG_WORDS = {"true": 1.0, "false": 0.0}
 
 
-def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
-    """Return the `wanted` columns of a table by name, all of one length, in the file's own types.
+def read_columns(path: Path, names: Iterable[str], entries: Iterable[str] = ()) -> Columns:
+    """Return columns of a table by name, all of one length, in the file's own types.
+
+    Nothing else in the file is decoded or checked.
 
     Parameters
     ----------
     path : Path
         A `.parquet`, `.csv` or `.npz` file; of an npz, each array is a column.
-    wanted : iterable of str
-        Column names.
+    names : iterable of str
+        Columns of one value in each row, `(T,)`.
+    entries : iterable of str
+        Columns that may hold a list in each row, `(T, k)`, nested lists row-major; `state[0:7]` means column `state`.
 
     Raises
     ------
     UsageError
         When the file's ending is none of these.
     DataError
-        When the file is missing or cannot be read, lacks a column, or has no rows.
+        When the file is missing or cannot be read, lacks a column, has no rows, or is larger than the memory; when one
+        of `names` holds lists, or a column lists of several lengths.
     """
     readers = dict(zip(TABLES, (_parquet, _csv, _npz), strict=True))
     reader = readers.get(path.suffix.lower())
@@ -50,8 +63,10 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
             where=Where(path=str(path)),
         )
     require_file(path)
+    refuse_pointer(path)
+    names = list(names)
     try:
-        columns = reader(path, list(dict.fromkeys(wanted)))
+        columns = reader(path, names, list(entries))
     except CandataError:
         raise
     except Exception as error:  # pyarrow, zipfile and zlib raise nearly everything, by where the damage lies
@@ -62,6 +77,14 @@ def read_columns(path: Path, wanted: Iterable[str]) -> Columns:
             where=Where(path=str(path)),
             fix="check that the file is whole, and that its ending tells what it is",
         ) from None
+    for name in names:
+        if columns[name].ndim > 1:
+            raise DataError(
+                f"column {name} holds lists",
+                expected="one value in each row",
+                found=f"{columns[name].shape[1]} values",
+                where=Where(path=str(path)),
+            )
     check_lengths(columns, path)
     return columns
 
@@ -104,8 +127,13 @@ def check_lengths(columns: Mapping[str, NDArray], path: Path) -> None:
         raise DataError("the table is empty", expected="at least 1 row", where=Where(path=str(path)))
 
 
-def numbers(values: NDArray, column: str, path: Path) -> NDArray[np.float64]:
-    """Return a column as float64, missing cells as NaN.
+def numbers(values: NDArray, column: str, path: Path, flags: bool = False) -> NDArray[np.float64]:
+    """Return a column as float64 of its own shape, missing cells as NaN.
+
+    Parameters
+    ----------
+    flags : bool
+        Take the words true and false, in any case, for 1 and 0.
 
     Raises
     ------
@@ -114,12 +142,16 @@ def numbers(values: NDArray, column: str, path: Path) -> NDArray[np.float64]:
     """
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
-    index, value = next(((i, v) for i, v in enumerate(values) if not _is_number(v)), (0, values[0]))
+    flat = values.ravel()
+    if flags and all(isinstance(v, str) and v.strip().casefold() in _FLAG_WORDS for v in flat if v is not None):
+        words = [np.nan if v is None else _FLAG_WORDS[v.strip().casefold()] for v in flat]
+        return np.array(words, float).reshape(values.shape)
+    index, value = next(((i, v) for i, v in enumerate(flat) if not _is_number(v)), (0, flat[0]))
     raise DataError(
         f"column {column} does not hold numbers",
         expected="numbers",
         found=f"{value!r} ({values.dtype})",
-        where=Where(path=str(path), index=index),
+        where=Where(path=str(path), index=index // max(1, flat.size // len(values))),
     )
 
 
@@ -132,65 +164,110 @@ def _is_number(value: object) -> bool:
     return True
 
 
-def _parquet(path: Path, wanted: list[str]) -> Columns:
+def _parquet(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the columns of a Parquet file."""
     with pa.parquet.ParquetFile(path) as file:
-        _require(wanted, file.schema_arrow.names, path)
-        return _from_arrow(file.read(columns=wanted), wanted)
+        wanted = _resolve(names, entries, file.schema_arrow.names, path)
+        require_memory(file.metadata.num_rows * len(wanted) * _NUMBER_BYTES, "the table", Where(path=str(path)))
+        return _from_arrow(file.read(columns=wanted), wanted, path)
 
 
-def _csv(path: Path, wanted: list[str]) -> Columns:
-    """Return the columns of a CSV file with a header line."""
-    block = min(max(path.stat().st_size, 1 << 20), _CSV_BLOCK_BYTES)
-    table = pa.csv.read_csv(path, read_options=pa.csv.ReadOptions(block_size=block))
-    _require(wanted, table.column_names, path)
-    return _from_arrow(table.select(wanted), wanted)
+def _csv(path: Path, names: list[str], entries: list[str]) -> Columns:
+    """Return the columns of a text table."""
+    require_memory(path.stat().st_size, "the table", Where(path=str(path)))
+    layout = dialect(path)
+    if not layout.has_header and not {*names, *entries} <= set(layout.names):
+        raise DataError(
+            "the table has no header: its first line holds numbers",
+            expected="a first line with the names of columns, or a map that gives columns by number",
+            found=layout.first_line[:80],
+            where=Where(path=str(path)),
+            fix="give columns by number, from 0, such as `time_s: 0` and `joint_position: [1, 2]`, or add a first line",
+        )
+    wanted = _resolve(names, entries, list(layout.names), path)
+    return _from_arrow(read_csv(path, layout, wanted), wanted, path)
 
 
-def _npz(path: Path, wanted: list[str]) -> Columns:
-    """Return the one-dimensional arrays of an npz file."""
-    with path.open("rb") as file:
-        arrays = np.load(file, allow_pickle=False)
-        if not isinstance(arrays, Mapping):
-            raise ValueError("one array without a name")
-        _require(wanted, list(arrays), path)
+def _npz(path: Path, names: list[str], entries: list[str]) -> Columns:
+    """Return the arrays of an npz file; axes behind the first become one."""
+    require_arrays(path, [])
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+        wanted = _resolve(names, entries, list(arrays), path)
+        require_arrays(path, wanted)
         columns = {name: arrays[name] for name in wanted}
     for name, values in columns.items():
-        if values.ndim != 1:
-            raise DataError(
-                f"array {name} is no column",
-                expected="one dimension, one value a row",
-                found=f"shape {values.shape}",
-                where=Where(path=str(path)),
-                fix="save each column as an array of its own",
-            )
-        if values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
+        if values.ndim == 0 or values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
             raise DataError(
                 f"array {name} is no column",
                 expected="numbers, texts, or times with their unit",
-                found=str(values.dtype),
+                found=str(values.dtype) if values.ndim else "a single value",
                 where=Where(path=str(path)),
+                fix="save it as an array of one of these",
             )
-    return columns
+    return {name: values if values.ndim < 2 else values.reshape(len(values), -1) for name, values in columns.items()}
 
 
-def _from_arrow(table: pa.Table, wanted: list[str]) -> Columns:
+def _from_arrow(table: pa.Table, wanted: list[str], path: Path) -> Columns:
     """Return arrow columns as numpy arrays; nulls become NaN, NaT or None."""
     columns = {}
     for name in wanted:
-        values = table[name]
-        if pa.types.is_null(values.type) or pa.types.is_decimal(values.type):
-            values = values.cast(pa.float64())
-        elif pa.types.is_boolean(values.type) and values.null_count:
-            values = values.cast(pa.uint8()).cast(pa.float64())
-        elif pa.types.is_dictionary(values.type):
-            values = values.cast(values.type.value_type)
-        columns[name] = values.to_numpy()
+        values = table[name].combine_chunks()
+        if _is_list(values.type):
+            columns[name] = _from_lists(values, name, np.arange(len(values)), Where(path=str(path)))
+        else:
+            columns[name] = _from_values(values)
     return columns
 
 
-def _require(wanted: list[str], known: list[str], path: Path) -> None:
-    """Raise when the table lacks a wanted column (names the nearest it has) or has it twice."""
+def _from_values(values: pa.Array) -> NDArray:
+    """Return `(T,)` values; nulls become NaN, NaT or None."""
+    if pa.types.is_null(values.type) or pa.types.is_decimal(values.type):
+        values = values.cast(pa.float64())
+    elif pa.types.is_boolean(values.type) and values.null_count:
+        values = values.cast(pa.uint8()).cast(pa.float64())
+    elif pa.types.is_dictionary(values.type):
+        values = values.cast(values.type.value_type)
+    return values.to_numpy(zero_copy_only=False)
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    """Tell whether a type is a list of any kind."""
+    return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+
+
+def _from_lists(values: pa.Array, name: str, rows: NDArray[np.int64], where: Where) -> NDArray:
+    """Return `(T, k)` what the lists of each row hold, inner lists row-major; a row without a list is NaN or None.
+
+    `rows (T,)` are the numbers of the rows in the table, for messages.
+    """
+    present = values.is_valid().to_numpy(zero_copy_only=False)
+    lengths = pc.list_value_length(values).drop_null().to_numpy(zero_copy_only=False)
+    if len(set(lengths.tolist())) > 1:
+        usual = int(np.bincount(lengths).argmax())
+        odd = int(np.argmax(lengths != usual))
+        raise DataError(
+            f"column {name} holds lists of several lengths",
+            expected=f"{usual} values, as in most rows",
+            found=f"{lengths[odd]} values",
+            where=replace(where, index=int(rows[present][odd])),
+        )
+    inner = values.flatten()
+    if _is_list(inner.type):
+        flat = _from_lists(inner, name, np.repeat(rows[present], lengths), where)
+    else:
+        flat = _from_values(inner)
+    filled = flat.reshape(len(lengths), -1) if len(lengths) else np.zeros((0, 0))
+    if present.all():
+        return filled
+    missing = None if filled.dtype.kind == "O" else np.nan
+    everywhere = np.full((len(present), filled.shape[1]), missing, np.result_type(filled, type(missing)))
+    everywhere[present] = filled
+    return everywhere
+
+
+def _resolve(names: list[str], entries: list[str], known: list[str], path: Path) -> list[str]:
+    """Return the columns that names and entries mean; raises when one is missing or stands twice."""
+    wanted = list(dict.fromkeys([*names, *(split_entry(entry, known)[0] for entry in entries)]))
     twice = [name for name in wanted if known.count(name) > 1]
     if twice:
         raise DataError(
@@ -201,7 +278,7 @@ def _require(wanted: list[str], known: list[str], path: Path) -> None:
         )
     missing = [name for name in wanted if name not in known]
     if not missing:
-        return
+        return wanted
     near = {name: _nearest(name, known) for name in missing}
     hints = [f"{name} -> {' or '.join(matches)}" for name, matches in near.items() if matches]
     raise DataError(

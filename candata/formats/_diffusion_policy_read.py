@@ -2,179 +2,144 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from numpy.typing import NDArray
 
-from candata.errors import CandataError, DataError, UsageError, Where
+from candata.errors import DataError, UsageError, Where
 from candata.formats import Reading
-from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Feature, picks, wanted
+from candata.formats._by_map import even_time_ns, mapped_episode
+from candata.formats._features import Feature, asked, picks, wanted
 from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_export, restored
+from candata.formats._zarr_buffer import (
+    Buffer,
+    array_names,
+    attributes,
+    episode_rows,
+    find_buffer,
+    open_array,
+    read_rows,
+    width,
+)
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportFile, FeatureMap
 
 #: Attribute of the root group that holds the sidecar as JSON text.
 SIDECAR = "candata"
-#: What compression can gain at most; an array that claims more is damaged. Source: deflate, at most 1032 to 1.
-_LARGEST_GAIN = 1100
-_SLACK_BYTES = 1 << 20
+_ENDS = "meta/episode_ends"
 
 
 def read(source: Path, reading: Reading) -> Iterator[Episode]:
-    """Yield the episodes of a buffer in their order.
+    """Yield the episodes of a buffer in their order; arrays that nothing asks for are not opened.
 
     Raises
     ------
     UsageError
         When candata did not write it and there is no map, or the map is wrong.
     DataError
-        When the buffer is missing or damaged.
+        When the buffer is missing, or what is taken from it is damaged.
     """
-    path = find_buffer(source)
-    try:
-        root = zarr.open_group(store=str(path), mode="r", zarr_format=2)
-        arrays = _arrays(root, path)
-        ends = _ends(root, arrays, path)
-        side = root.attrs.get(SIDECAR)
-    except CandataError:
-        raise
-    except Exception as error:  # zarr and its codecs raise nearly everything, by where the damage lies
-        raise _unreadable(path, error) from None
+    buffer = find_buffer(source)
+    side = attributes(buffer).get(SIDECAR)
     if reading.mapping is None and isinstance(side, str):
-        export = parse_export(side, path)
-        give_clouds(export, reading, path)
-        yield from _restored(export, arrays, ends, path)
+        export = parse_export(side, buffer.path)
+        give_clouds(export, reading, buffer.path)
+        yield from _restored(export, buffer)
         return
-    yield from _by_map(arrays, ends, path, reading)
+    yield from _by_map(buffer, reading)
 
 
-def digest(source: Path, reading: Reading) -> str:
-    """Return the sha256 over the files, the map and what the import was told.
-
-    Raises
-    ------
-    DataError
-        When the buffer is missing.
-    """
-    path = find_buffer(source)
-    return digest_of(path, sorted(p for p in path.rglob("*") if p.is_file()), reading)
-
-
-def find_buffer(source: Path) -> Path:
-    """Return the folder of the zarr group, which may be given by the folder around it.
-
-    Raises
-    ------
-    DataError
-        When there is none, or more than one.
-    """
-    source = Path(source)
-    found = [source] if (source / ".zgroup").is_file() else sorted(p.parent for p in source.glob("*/.zgroup"))
-    if len(found) != 1:
-        raise DataError(
-            "there is no Diffusion Policy buffer",
-            expected="a zarr folder (format 2) with data/ and meta/, or a folder that holds one",
-            found=", ".join(p.name for p in found) or "no .zgroup",
-            where=Where(path=str(source)),
-            fix="unpack a .zarr.zip first",
-        )
-    return found[0]
-
-
-def _arrays(root: Any, path: Path) -> dict[str, NDArray]:
-    """Return every array of numbers in `data`, as `(N, n)`."""
-    odd = next((p for p in path.rglob("*") if not (p.is_dir() or p.is_file())), None)
-    if odd is not None:
-        raise DataError("the buffer holds what is no file", found=odd.name, where=Where(path=str(odd)))
-    limit = _LARGEST_GAIN * sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) + _SLACK_BYTES
-    made = {}
-    for name, array in sorted(root["data"].arrays()):
-        if array.ndim and np.dtype(array.dtype).kind in "fiub":
-            if array.nbytes > limit:
-                raise DataError(
-                    "an array claims more than the buffer can hold", found=name, where=Where(path=str(path))
-                )
-            values = np.asarray(array[:])
-            made[name] = values.reshape(len(values), -1)
-    return made
-
-
-def _ends(root: Any, arrays: dict[str, NDArray], path: Path) -> list[int]:
-    """Return where the episodes end; every array is as long as the last end."""
-    found = root["meta"]["episode_ends"]
-    rows = max(map(len, arrays.values()), default=0)
-    if found.size > rows:
+def _ends(buffer: Buffer, arrays: Mapping[str, Any]) -> list[int]:
+    """Return where the episodes end; every array that is taken is as long as the last end."""
+    listed = open_array(buffer, _ENDS)
+    lengths = {name: array.shape[0] for name, array in arrays.items()}
+    rows = max(lengths.values(), default=0)
+    if listed.size > rows:
         raise DataError(
             "episode_ends lists more episodes than there are rows",
             expected=f"at most {rows}",
-            found=str(found.size),
-            where=Where(path=str(path)),
+            found=str(listed.size),
+            where=buffer.where,
         )
-    ends = [int(n) for n in np.asarray(found[:]).reshape(-1)]
+    values = read_rows(buffer, _ENDS, listed, 0, listed.shape[0]).reshape(-1)
+    odd_rows = np.flatnonzero(values.astype(np.int64) != values) if np.isfinite(values).all() else [0]
+    if len(odd_rows):
+        raise DataError(
+            "episode_ends holds what is no whole number",
+            expected="the number of rows up to each episode's end",
+            found=str(values[odd_rows[0]]),
+            where=dataclasses.replace(buffer.where, channel=_ENDS, index=int(odd_rows[0])),
+        )
+    ends = values.astype(np.int64).tolist()
     if not ends or ends[0] <= 0 or any(b <= a for a, b in itertools.pairwise(ends)):
-        raise DataError("episode_ends does not rise", found=str(ends[:5]), where=Where(path=str(path)))
-    odd = [f"{name}: {len(values)}" for name, values in arrays.items() if len(values) != ends[-1]]
+        raise DataError("episode_ends does not rise", found=str(ends[:5]), where=buffer.where)
+    odd = [f"{name}: {length}" for name, length in lengths.items() if length != ends[-1]]
     if odd:
         raise DataError(
             "the arrays differ in length from the episodes",
             expected=f"{ends[-1]} rows, the last of episode_ends",
             found=", ".join(odd),
-            where=Where(path=str(path)),
+            where=buffer.where,
         )
     return ends
 
 
-def _restored(export: ExportFile, arrays: dict[str, NDArray], ends: Sequence[int], path: Path) -> Iterator[Episode]:
+def _opened(buffer: Buffer, names: Iterable[str]) -> dict[str, Any]:
+    """Return arrays of `data` by name; nothing of their values is read yet."""
+    return {name: open_array(buffer, f"data/{name}") for name in names}
+
+
+def _episodes(buffer: Buffer, arrays: Mapping[str, Any], ends: Sequence[int]) -> Iterator[dict[str, Any]]:
+    """Yield the arrays of each episode as `(T, width)`."""
+    streams = [episode_rows(buffer, f"data/{name}", array, ends) for name, array in arrays.items()]
+    for rows in zip(*streams, strict=True):
+        yield dict(zip(arrays, rows, strict=True))
+
+
+def _restored(export: ExportFile, buffer: Buffer) -> Iterator[Episode]:
     """Yield the episodes that candata exported."""
+    known = array_names(buffer)
+    keys = {one.column: one.key for one in export.columns if one.key in known}
+    arrays = _opened(buffer, dict.fromkeys(keys.values()))
+    ends = _ends(buffer, arrays)
     if len(export.episodes) != len(ends):
         raise DataError(
             "the sidecar lists other episodes than the buffer",
             expected=str(len(export.episodes)),
             found=str(len(ends)),
-            where=Where(path=str(path)),
+            where=buffer.where,
         )
-    columns = {one.column: arrays[one.key] for one in export.columns if one.key in arrays}
-    for entry, start, end in zip(export.episodes, [0, *ends], ends, strict=False):
-        yield restored(entry, {name: values[start:end] for name, values in columns.items()}, path)
+    for entry, rows in zip(export.episodes, _episodes(buffer, arrays, ends), strict=False):
+        yield restored(entry, {column: rows[key] for column, key in keys.items()}, buffer.path)
 
 
-def _by_map(arrays: dict[str, NDArray], ends: Sequence[int], path: Path, reading: Reading) -> Iterator[Episode]:
+def _by_map(buffer: Buffer, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says."""
+    known = array_names(buffer)
     if reading.mapping is None:
         raise UsageError(
             "the buffer does not say what its arrays are, nor its rate",
-            found=", ".join(arrays),
-            where=Where(path=str(path)),
+            found=", ".join(known),
+            where=buffer.where,
             fix="say it with --map FILE, such as `rate_hz: 10` and `channels: {joint_position: 'state[0:7]'}`",
         )
     mapping = read_map_file(FeatureMap, reading.mapping)
-    features = [Feature(name, values.shape[1]) for name, values in arrays.items()]
+    arrays = _opened(buffer, asked(mapping, known))
+    features = [Feature(name, width(arrays[name]) if name in arrays else 0) for name in known]
     made = picks(mapping, features, reading.mapping)
     if mapping.rate_hz is None:
         raise UsageError("the map lacks rate_hz", where=Where(path=str(reading.mapping)), fix="add `rate_hz: 10`")
-    left = sorted(set(arrays) - set(wanted(made)))
-    if left:
-        reading.note(f"left out: {', '.join(left)}")
-    for index, (start, end) in enumerate(zip([0, *ends], ends, strict=False)):
-        time_ns = even_time_ns(end - start, mapping.rate_hz)
-        part = {name: arrays[name][start:end] for name in wanted(made)}
-        own = {"rate_hz": mapping.rate_hz}
-        yield mapped_episode(f"{path.stem}-{index}", time_ns, part, made, mapping, reading, path, **own)
-
-
-def _unreadable(path: Path, error: Exception) -> DataError:
-    """Return the error of a buffer that cannot be read."""
-    return DataError(
-        "the buffer cannot be read",
-        expected="a zarr group (format 2) with data/ and meta/episode_ends",
-        found=(str(error).splitlines() or [""])[0][:200] or type(error).__name__,
-        where=Where(path=str(path)),
-        fix="the folder is damaged or incomplete; get it again from its source",
-    )
+    taken = {name: arrays[name] for name in wanted(made)}
+    left_out = [name for name in known if name not in taken]
+    if left_out:
+        reading.note(f"left out: {', '.join(left_out)}")
+    ends = _ends(buffer, taken)
+    own = {"rate_hz": mapping.rate_hz}
+    for index, (rows, start, end) in enumerate(zip(_episodes(buffer, taken, ends), [0, *ends], ends, strict=False)):
+        identity, time_ns = f"{buffer.stem}-{index}", even_time_ns(end - start, mapping.rate_hz)
+        yield mapped_episode(identity, time_ns, rows, made, mapping, reading, buffer.path, **own)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.formats._assemble import Block
 from candata.formats._mapping import check_channels, fits, si_units, unfit
-from candata.formats._names import element_names, fingertip_names
+from candata.formats._names import element_names, fingertip_names, split_entry
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.exchange import FeatureMap
 from candata.units import TO_SI, to_si
@@ -75,14 +76,22 @@ def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple
         When two channels disagree about the number of joints or fingertips.
     """
     where = Where(path=str(path))
-    check_channels(dict.fromkeys((*mapping.channels, *mapping.units, *mapping.names)), where)
-    for name in (*mapping.units, *mapping.names):
+    check_channels(dict.fromkeys((*mapping.channels, *mapping.units, *mapping.scales, *mapping.names)), where)
+    for name in (*mapping.units, *mapping.scales, *mapping.names):
         if name not in mapping.channels:
             raise UsageError(f"the map speaks of {name}, but does not say what it is made of", where=where)
     by_name = {feature.name: feature for feature in features}
     made = tuple(_pick(mapping, name, by_name, path) for name in mapping.channels)
     _check_counts(made, path)
     return made
+
+
+def asked(mapping: FeatureMap, names: Iterable[str]) -> tuple[str, ...]:
+    """Return which of the features that are there a map speaks of; the others need not be opened."""
+    entries = [text for entry in mapping.channels.values() for text in ((entry,) if isinstance(entry, str) else entry)]
+    return tuple(
+        name for name in names if any(text == name or text.startswith((f"{name}[", f"{name} [")) for text in entries)
+    )
 
 
 def blocks(made: Iterable[Pick], arrays: Mapping[str, NDArray]) -> list[Block]:
@@ -118,35 +127,45 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     """Return how one channel is made."""
     where = Where(path=str(path), channel=channel)
     entry = mapping.channels[channel]
-    parts = tuple(_part(text, by_name, where) for text in ((entry,) if isinstance(entry, str) else entry))
+    parts = tuple(part(text, by_name, where) for text in ((entry,) if isinstance(entry, str) else entry))
     flat = [(by_name[name], column) for name, columns in parts for column in columns]
-    shape = _shape(channel, len(flat), where)
+    _check_repeats(channel, flat, where)
+    shape = _shape(channel, [_label(feature, column) for feature, column in flat], where)
     if channel in QUATERNION and mapping.quaternion == "xyzw":
         flat = [flat[i] for i in _XYZW]
         parts = tuple((feature.name, (column,)) for feature, column in flat)
     columns = tuple(_label(feature, column) for feature, column in flat)
     named = tuple(feature.names[column] if feature.names else "" for feature, column in flat)
     _check_quaternion(channel, named, where)
-    factors = _factors(channel, mapping.units.get(channel), len(flat), where)
+    units = _factors(channel, mapping.units.get(channel), len(flat), where)
+    scales = _scales(channel, mapping.scales.get(channel, 1.0), len(flat), where)
+    factors = tuple(unit * scale for unit, scale in zip(units, scales, strict=True))
     elements = _elements(channel, named, shape, mapping.names.get(channel), where)
     return Pick(channel, parts, shape, factors, columns, elements)
 
 
-def _part(text: str, by_name: Mapping[str, Feature], where: Where) -> tuple[str, tuple[int, ...]]:
-    """Return a feature and the numbers of its columns from `feature` or `feature[columns]`."""
-    found = re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", text)
-    name = text if text in by_name or found is None else found.group(1)
+def part(text: str, by_name: Mapping[str, Feature], where: Where) -> tuple[str, tuple[int, ...]]:
+    """Return a feature and the numbers of its columns from `feature` or `feature[columns]`.
+
+    Raises
+    ------
+    UnknownNameError, UsageError
+        When the feature or a column of it is not there.
+    """
+    name, chosen = split_entry(text, by_name)
     if name not in by_name:
         raise UnknownNameError("feature", name, by_name, where)
     feature = by_name[name]
     if feature.width > _MOST_COLUMNS:
         raise UsageError(
-            f"{name} is too wide for a channel", expected=f"at most {_MOST_COLUMNS} columns", found=str(feature.width),
+            f"{name} is too wide for a channel",
+            expected=f"at most {_MOST_COLUMNS} columns",
+            found=str(feature.width),
             where=where,
-        )  # fmt: skip
-    if name == text or found is None:
+        )
+    if chosen is None:
         return name, tuple(range(feature.width))
-    columns = [column for word in found.group(2).split(",") for column in _columns(word.strip(), feature, where)]
+    columns = [column for word in chosen.split(",") for column in _columns(word.strip(), feature, where)]
     if not columns:
         raise UsageError("the map picks no column", found=text, where=where)
     return name, tuple(columns)
@@ -174,11 +193,20 @@ def _columns(word: str, feature: Feature, where: Where) -> list[int]:
 
 def _label(feature: Feature, column: int) -> str:
     """Return what a column is called in messages."""
+    if feature.names == (feature.name,):
+        return feature.name
     return f"{feature.name}[{feature.names[column] if feature.names else column}]"
 
 
-def _shape(channel: str, width: int, where: Where) -> tuple[int, ...]:
-    """Return the shape of a row of `width` numbers."""
+def width_of_row(channel: str) -> int | None:
+    """Return how many numbers each element of a channel has; None where it has one."""
+    symbols = CHANNELS[channel].shape[1:]
+    return int(symbols[-1]) if len(symbols) == 2 else None
+
+
+def _shape(channel: str, columns: Sequence[str], where: Where) -> tuple[int, ...]:
+    """Return the shape of a row of these columns."""
+    width = len(columns)
     symbols = CHANNELS[channel].shape[1:]
     last = symbols[-1] if symbols else 1
     fixed = len(symbols) < 2 and isinstance(last, int)
@@ -186,7 +214,7 @@ def _shape(channel: str, width: int, where: Where) -> tuple[int, ...]:
         raise UsageError(
             f"{channel} has the wrong number of columns",
             expected=f"{last} columns" if fixed else f"{last} columns a fingertip",
-            found=str(width),
+            found=f"{width}: {', '.join(columns)}"[:200],
             where=where,
         )
     return {0: (), 1: (width,), 2: (width // 3, 3)}[len(symbols)]
@@ -216,6 +244,20 @@ def _factors(channel: str, unit: str | tuple[str, ...] | None, width: int, where
     return tuple(TO_SI[one] for one in unit)
 
 
+def _scales(channel: str, scale: float | tuple[float, ...], width: int, where: Where) -> tuple[float, ...]:
+    """Return what each column is multiplied by before its unit counts; of a pose, one number is for the position."""
+    if not isinstance(scale, tuple):
+        return tuple(1.0 if kind == ("1",) else scale for kind in si_units(channel, width))
+    if len(scale) != width:
+        raise UsageError(
+            f"{channel} has the wrong number of scales",
+            expected=f"one number, or {width}, one a column",
+            found=str(len(scale)),
+            where=where,
+        )
+    return scale
+
+
 def _elements(
     channel: str, named: tuple[str, ...], shape: tuple[int, ...], given: tuple[str, ...] | None, where: Where
 ) -> tuple[str, ...]:
@@ -236,6 +278,13 @@ def _elements(
     return element_names(channel, [name.removesuffix(ending) for name in named])
 
 
+def _check_repeats(channel: str, flat: Sequence[tuple[Feature, int]], where: Where) -> None:
+    """Refuse a channel that takes a column twice."""
+    if len(set(flat)) < len(flat):
+        repeated = [_label(feature, column) for (feature, column), count in Counter(flat).items() if count > 1]
+        raise UsageError(f"{channel} names a column twice", found=", ".join(repeated), where=where)
+
+
 def _check_quaternion(channel: str, named: Sequence[str], where: Where) -> None:
     """Refuse a pose whose columns say by their names that the real part comes last."""
     if channel not in QUATERNION:
@@ -247,7 +296,7 @@ def _check_quaternion(channel: str, named: Sequence[str], where: Where) -> None:
             expected="w x y z",
             found=", ".join(words),
             where=where,
-            fix="say `quaternion: xyzw` in a --map",
+            fix="say `quaternion: xyzw` in the map",
         )
 
 
@@ -265,5 +314,5 @@ def _check_counts(made: Sequence[Pick], path: Path) -> None:
                 expected=f"{other.shape[0]} as in {other.channel}",
                 found=str(pick.shape[0]),
                 where=Where(path=str(path), channel=pick.channel),
-                fix="give a --map that picks the columns of both channels in the same order",
+                fix="give a map that picks the columns of both channels in the same order",
             )

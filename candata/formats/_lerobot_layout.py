@@ -15,7 +15,9 @@ from pydantic import ConfigDict, Field
 
 from candata.errors import DataError, Where
 from candata.formats._features import Feature
+from candata.formats._memory import require_memory
 from candata.formats._sidecar import parse_json
+from candata.lfs import refuse_pointer
 from candata.schema.record import Record
 
 INFO = "meta/info.json"
@@ -75,7 +77,7 @@ class Folder:
     info : Info
         What `meta/info.json` says.
     entries : tuple of Entry
-        Its episodes by number; every file is there.
+        Its episodes by number; whether each one's file is there is seen when it is read.
     """
 
     root: Path
@@ -117,44 +119,43 @@ def is_numbers(feature: FeatureInfo) -> bool:
     return _NUMBERS.fullmatch(feature.dtype) is not None
 
 
-def meta_files(root: Path) -> list[Path]:
-    """Return the files of `meta` that determine the episodes, statistics left out."""
-    tables = sorted((root / "meta" / "episodes").glob("*/*.parquet"))
-    names = (INFO, SIDECAR, "meta/episodes.jsonl", "meta/tasks.jsonl", "meta/tasks.parquet")
-    return [root / name for name in names if (root / name).is_file()] + tables
-
-
 def read_text(path: Path) -> str:
     """Return the text of a file.
 
     Raises
     ------
     DataError
-        When it is missing or no text.
+        When it is missing, no text, a Git LFS pointer, or more than fits into memory.
     """
     if not path.is_file():
         raise missing(path)
+    refuse_pointer(path)
+    require_memory(path.stat().st_size, path.name, Where(path=str(path)))
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise unreadable(path, error) from None
 
 
-def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
-    """Return columns of a Parquet file.
+def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ()) -> pa.Table:
+    """Return columns of a Parquet file, and those of the optional ones that it has; others are not read.
 
     Raises
     ------
     DataError
-        When it is missing, damaged, or lacks a column.
+        When it is missing, damaged, a Git LFS pointer, lacks a column, or claims more than fits into memory.
     """
     if not path.is_file():
         raise missing(path)
+    refuse_pointer(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            lacking = [name for name in columns if name not in file.schema_arrow.names]
+            known = file.schema_arrow.names
+            lacking = [name for name in columns if name not in known]
             if not lacking:
-                return file.read(columns=list(columns), use_threads=False)
+                taken = [*columns, *(name for name in optional if name in known)]
+                require_memory(_claimed_bytes(file.metadata, taken), path.name, Where(path=str(path)))
+                return file.read(columns=taken, use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise unreadable(path, error) from None
     raise DataError(
@@ -163,6 +164,14 @@ def read_table(path: Path, columns: Sequence[str]) -> pa.Table:
         where=Where(path=str(path)),
         fix="the folder is incomplete or was changed; get it again from its source",
     )
+
+
+def _claimed_bytes(metadata: pq.FileMetaData, columns: Sequence[str]) -> int:
+    """Return the size of columns as float64, by what a file says of itself; packed they may take next to nothing."""
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    chunks = (group.column(k) for group in groups for k in range(group.num_columns))
+    starts = tuple(f"{name}." for name in columns)
+    return 8 * sum(c.num_values for c in chunks if f"{c.path_in_schema}.".startswith(starts))
 
 
 def missing(path: Path) -> DataError:
@@ -205,11 +214,11 @@ def _info(root: Path) -> Info:
 def _per_episode_entries(root: Path, info: Info) -> Iterator[Entry]:
     """Yield the episodes of the layout with a file each."""
     path = root / "meta" / "episodes.jsonl"
-    for line in read_text(path).splitlines():
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
-        value = parse_json(line, path)
-        index, rows, tasks = _fields(value, path)
+        place = f"{path}, line {number}"
+        index, rows, tasks = _fields(parse_json(line, place), place)
         places = {"episode_chunk": index // info.chunks_size, "episode_index": index}
         yield Entry(index, rows, tasks, _file(root, info.data_path, places))
 
@@ -219,23 +228,28 @@ def _shared_entries(root: Path, info: Info) -> Iterator[Entry]:
     tables = sorted((root / "meta" / "episodes").glob("*/*.parquet"))
     if not tables and info.total_episodes:
         raise missing(root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
-    columns = ("episode_index", "length", "tasks", "data/chunk_index", "data/file_index")
+    columns = ("episode_index", "length", "data/chunk_index", "data/file_index")
     for path in tables:
-        for value in read_table(path, columns).to_pylist():
-            index, rows, tasks = _fields(value, path)
+        for number, value in enumerate(read_table(path, columns, optional=("tasks",)).to_pylist()):
+            index, rows, tasks = _fields(value, f"{path}, row {number}")
             places = {"chunk_index": value["data/chunk_index"], "file_index": value["data/file_index"]}
             if not all(isinstance(n, int) and n >= 0 for n in places.values()):
                 raise _ragged(f"episode {index} has no file", path, found=repr(places))
             yield Entry(index, rows, tasks, _file(root, info.data_path, places))
 
 
-def _fields(value: Any, path: Path) -> tuple[int, int, tuple[str, ...]]:
-    """Return number, rows and tasks of an episode's record."""
+def _fields(value: Any, place: str) -> tuple[int, int, tuple[str, ...]]:
+    """Return number, rows and tasks of an episode's record; a set may name no tasks."""
     found = value if isinstance(value, dict) else {}
     index, rows, tasks = found.get("episode_index"), found.get("length"), found.get("tasks") or ()
     whole = [isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 2**40 for n in (index, rows)]
     if not all(whole) or not isinstance(tasks, list | tuple) or not all(isinstance(t, str) for t in tasks):
-        raise _ragged("a record of an episode is not valid", path, "episode_index, length and tasks", repr(value)[:200])
+        raise _ragged(
+            "a record of an episode is not valid",
+            place,
+            "episode_index and length as whole numbers, tasks as a list of texts, if any",
+            repr(value)[:200],
+        )
     return int(found["episode_index"]), int(found["length"]), tuple(tasks)
 
 
@@ -258,7 +272,7 @@ def _file(root: Path, template: str, places: dict[str, int]) -> Path:
 
 
 def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
-    """Raise unless the episodes are numbered 0, 1, ..., add up, and their files are there."""
+    """Raise unless the episodes are numbered 0, 1, ..., add up, and any of their files is there."""
     if [entry.index for entry in entries] != list(range(len(entries))):
         raise _ragged("the episodes are not numbered 0, 1, 2, ...", root / "meta", found=_odd_number(entries))
     if not entries:
@@ -271,9 +285,8 @@ def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
             raise _ragged(
                 f"{what} does not agree with the list of episodes", root / INFO, f"{found} as listed", str(claimed)
             )
-    for file in dict.fromkeys(entry.file for entry in entries):
-        if not os.path.isfile(file):  # unlike Path.is_file, also where the name is too long
-            raise missing(file)
+    if not any(os.path.isfile(file) for file in {entry.file for entry in entries}):  # also where the name is too long
+        raise missing(entries[0].file)
 
 
 def _odd_number(entries: Sequence[Entry]) -> str:
@@ -281,7 +294,7 @@ def _odd_number(entries: Sequence[Entry]) -> str:
     return next(f"{entry.index} as number {k}" for k, entry in enumerate(entries) if entry.index != k)
 
 
-def _ragged(problem: str, path: Path, expected: str | None = None, found: str | None = None) -> DataError:
+def _ragged(problem: str, path: Path | str, expected: str | None = None, found: str | None = None) -> DataError:
     """Return the error of a `meta` that contradicts itself."""
     return DataError(
         problem,

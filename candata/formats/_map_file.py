@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 import yaml
 
 from candata.errors import UsageError, Where
+from candata.formats._memory import require_memory
+from candata.lfs import refuse_pointer
 from candata.schema.record import Record
 from candata.schema.yaml_text import parse_yaml
 
@@ -21,8 +23,11 @@ def read_map_file(kind: type[R], path: Path) -> R:
     ------
     UsageError
         When the file is missing, is no YAML, or a field is missing, unknown or wrong.
+    DataError
+        When it is a Git LFS pointer.
     """
     where = Where(path=str(path))
+    refuse_pointer(path)
     try:
         value: Any = parse_yaml(_text(path))
     except UnicodeDecodeError:
@@ -30,7 +35,7 @@ def read_map_file(kind: type[R], path: Path) -> R:
     except OSError as error:
         raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
     except yaml.YAMLError as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:200], where=where) from None
+        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:400], where=where) from None
     return kind.parse(value, path)
 
 
@@ -38,4 +43,6 @@ def _text(path: Path) -> str:
     """Return the text of a map; a device or a pipe may never end."""
     if path.exists() and not path.is_file():
         raise OSError(0, "no regular file")
+    if path.exists():
+        require_memory(path.stat().st_size, "the map", Where(path=str(path)))
     return path.read_text(encoding="utf-8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from candata.formats._mcap_decode import decoded, decoder, type_name
 from candata.formats._mcap_fields import LATEST_NS, Extract
 from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
+from candata.lfs import refuse_pointer
 from candata.schema.yaml_text import parse_yaml
 
 METADATA = "metadata.yaml"
@@ -124,6 +124,7 @@ def recordings(source: Path) -> tuple[Recording, ...]:
 def _listed(folder: Path) -> tuple[Path, ...]:
     """Return the files that a bag's `metadata.yaml` names."""
     path = folder / METADATA
+    refuse_pointer(path)
     try:
         value = parse_yaml(path.read_text(encoding="utf-8"))
         names = value["rosbag2_bagfile_information"]["relative_file_paths"]
@@ -143,6 +144,7 @@ def _listed(folder: Path) -> tuple[Path, ...]:
 
 def _require_mcap(path: Path) -> None:
     """Refuse what is no MCAP file."""
+    refuse_pointer(path)
     where = Where(path=str(path))
     try:
         with path.open("rb") as file:
@@ -160,24 +162,6 @@ def _require_mcap(path: Path) -> None:
         where=where,
         fix=fix,
     )
-
-
-def digest(recording: Recording) -> str:
-    """Return the sha256 over a recording's name and files.
-
-    Raises
-    ------
-    DataError
-        When a file cannot be read.
-    """
-    parts = [recording.name]
-    for path in recording.files:
-        try:
-            with path.open("rb") as file:
-                parts.append(hashlib.file_digest(file, "sha256").hexdigest())
-        except OSError as error:
-            raise DataError("the recording cannot be read", found=error.strerror, where=Where(path=str(path))) from None
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def read_bag(recording: Recording, wanted: Sequence[Wanted] = (), samples: bool = False) -> Bag:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from candata.errors import DataError, Where
+from candata.formats._memory import largest_bytes
+from candata.lfs import refuse_pointer
 
 #: The eight bytes at both ends of an MCAP file (MCAP format specification, "Magic").
 MAGIC = b"\x89MCAP0\r\n"
@@ -48,7 +50,7 @@ class Scan:
 
         with self._path.open("rb") as file:
             stream: Any = _Whole(file)
-            limit = self._path.stat().st_size
+            limit = min(self._path.stat().st_size, largest_bytes())
             records = iter(StreamReader(stream, emit_chunks=True, record_size_limit=limit).records)
             while True:
                 try:
@@ -82,7 +84,9 @@ class _Whole:
     def read(self, count: int) -> bytes:
         """Return `count` bytes; raises EOFError where fewer are left."""
         data = self._file.read(count)
-        if len(data) < count:
+        # One byte is asked for where an opcode stands, and none is 0 (MCAP specification, "Records"): blanks end the
+        # file there, as the library would skip them nine bytes at a time.
+        if len(data) < count or data == b"\0":
             raise EOFError
         return data
 
@@ -92,6 +96,7 @@ def _refuse(path: Path) -> None:
     where = Where(path=str(path))
     if not path.is_file():
         raise DataError("no such log", where=where, fix="give the file that `candata record-real --out` wrote")
+    refuse_pointer(path)
     with path.open("rb") as file:
         head = file.read(len(MAGIC))
     if not head:

@@ -14,6 +14,7 @@ from candata.formats._assemble import LARGEST
 from candata.formats._mapping import check_channels, unit_factors
 from candata.formats._mcap_bag import Bag, Recording, Row, Wanted
 from candata.formats._mcap_fields import Extract, extract, stamp_ns
+from candata.formats._stamps import unit_of
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.episode import Alignment
 from candata.schema.topics import TopicEntry, TopicMap
@@ -193,6 +194,8 @@ def _stamps(
             where=Where(path=where.path, channel=entry.topic, index=rows[int(unstamped[0])].index),
             fix=f"{{topic: {entry.topic}, clock: log}} takes the time at which they were recorded",
         )
+    if fit is not None and clock in ("header", "fitted"):
+        _require_unit(header, log, entry, where)
     if clock == "log":
         time_ns = log
     elif clock == "publish":
@@ -213,6 +216,20 @@ def _stamps(
     if repeated:
         note(f"{entry.topic}: {repeated} repeated stamps; of equal ones the last message counts")
     return (_fitted(header, log) if clock == "fitted" else time_ns), fit
+
+
+def _require_unit(header: NDArray[np.int64], log: NDArray[np.int64], entry: TopicEntry, where: Where) -> None:
+    """Refuse header stamps that were filled in another unit, as the time at which they were recorded shows."""
+    spans = [float(times[-1] - times[0]) * 1e-9 for times in (header, log)]
+    unit = unit_of(spans[0] / spans[1]) if min(spans) > 0 else None
+    if unit is not None:
+        raise DataError(
+            f"the header stamps of {entry.topic} are in {unit}, not in s and ns",
+            expected=f"{spans[1]:.4g} s from the first to the last, as in the log",
+            found=f"{spans[0]:.4g} s",
+            where=where,
+            fix=f"{{topic: {entry.topic}, clock: log}} takes the time at which they were recorded",
+        )
 
 
 def _fitted(header: NDArray[np.int64], log: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,10 +1,10 @@
-"""Names of joints, actuators and fingertips, from the names of their columns."""
+"""Names in maps and files: entries such as `state[0:7]`; joints, actuators and fingertips by their columns."""
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 #: First tokens that say what a column holds and not which element it belongs to.
 _KIND = {
@@ -16,6 +16,15 @@ _KIND = {
     "fingertip_contact": {"c", "contact", "fingertip_contact"},
 }
 _SEPARATORS = "_./:- "
+
+
+def split_entry(text: str, known: Container[str]) -> tuple[str, str | None]:
+    """Return what a map's entry names and the columns of it between brackets; None if it names all of them.
+
+    A name in `known` that itself ends in brackets is taken as it is.
+    """
+    match = None if text in known else re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", text)
+    return (text, None) if match is None else (match.group(1), match.group(2))
 
 
 def element_names(channel: str, columns: Sequence[str]) -> tuple[str, ...]:

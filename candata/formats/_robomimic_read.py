@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import CandataError, DataError, MissingExtraError, UsageError, Where
 from candata.formats import Reading
-from candata.formats._by_map import digest_of, even_time_ns, mapped_episode
-from candata.formats._features import Feature, Pick, picks, wanted
+from candata.formats._by_map import even_time_ns, mapped_episode
+from candata.formats._features import Feature, Pick, asked, picks, wanted
+from candata.formats._hdf5_datasets import load, names_in, open_dataset, open_group
 from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
+from candata.lfs import refuse_pointer
 from candata.schema.channels import CHANNELS, DENSE
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
@@ -30,9 +32,6 @@ T = TypeVar("T")
 SIDECAR = "candata"
 #: What robosuite calls the joints of its first robot.
 _ROBOSUITE = {"joint_position": "obs/robot0_joint_pos", "joint_velocity": "obs/robot0_joint_vel"}
-#: What compression can gain at most; a dataset that claims more is damaged. Source: deflate, at most 1032 to 1.
-_LARGEST_GAIN = 1100
-_SLACK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -59,9 +58,7 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     """
     path = find_file(source)
     with _opened(path) as file:
-        _guarded(path, _refuse_outside, file, path)
-        data = _guarded(path, lambda: file["data"])
-        _guarded(path, _refuse_outside, data, path)
+        data = _guarded(path, open_group, file, "data", path)
         names = _guarded(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
@@ -74,18 +71,6 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
                 yield _restored(demo, keys, path)
             return
         yield from _by_map(data, names, path, reading)
-
-
-def digest(source: Path, reading: Reading) -> str:
-    """Return the sha256 over the file, the map and what the import was told.
-
-    Raises
-    ------
-    DataError
-        When the file is missing.
-    """
-    path = find_file(source)
-    return digest_of(path.parent, [path], reading)
 
 
 def find_file(source: Path) -> Path:
@@ -105,6 +90,7 @@ def find_file(source: Path) -> Path:
             found=", ".join(p.name for p in found) if source.is_dir() and found else "no such file",
             where=Where(path=str(source)),
         )
+    refuse_pointer(found[0])
     return found[0]
 
 
@@ -115,6 +101,16 @@ def _opened(path: Path) -> Iterator[Any]:
         import h5py
     except ImportError:
         raise MissingExtraError("h5py", "formats") from None
+    if not h5py.is_hdf5(path):
+        with path.open("rb") as start:
+            head = start.read(8)
+        raise DataError(
+            "the HDF5 file cannot be read",
+            expected="an HDF5 file with a group `data` of demonstrations",
+            found=f"a file of another kind, which begins {head!r}" if head else "no bytes",
+            where=Where(path=str(path)),
+            fix="give the HDF5 file, or name the format that this one is",
+        )
     file = _guarded(path, lambda: h5py.File(path, "r", locking=False))
     try:
         yield file
@@ -150,58 +146,27 @@ def _export(data: Any, path: Path) -> ExportFile | None:
     return None if value is None else parse_export(value, path)
 
 
-def _demo(data: Any, name: str, path: Path, wanted_names: tuple[str, ...]) -> _Demo:
-    """Return a demonstration with the datasets that are wanted."""
-    group = data[name]
-    shapes = _shapes(group, path)
-    rows = _rows(group, shapes, name, path)
-    value = group.attrs.get(SIDECAR)
-    lacking = [key for key in wanted_names if key not in shapes]
+def _demo(data: Any, name: str, path: Path, keys: tuple[str, ...]) -> _Demo:
+    """Return a demonstration with the datasets of the keys; its others are not opened."""
+    group = open_group(data, name, path)
+    datasets = {key: one for key in keys if (one := open_dataset(group, key, path)) is not None}
+    lacking = [key for key in keys if key not in datasets]
     if lacking:
         raise DataError(
             f"the demonstration lacks {', '.join(lacking)}",
-            expected=", ".join(wanted_names),
-            found=", ".join(shapes),
+            expected=", ".join(keys),
+            found=", ".join(names_in(group)),
             where=Where(path=str(path), episode=name),
         )
-    arrays = {key: _load(group[key], path).reshape(rows, -1) for key in wanted_names}
+    rows = _rows(group, datasets, name, path)
+    value = group.attrs.get(SIDECAR) if SIDECAR in data.attrs else None
+    arrays = {key: load(one, path).reshape(rows, -1) for key, one in datasets.items()}
     return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
 
 
-def _refuse_outside(group: Any, path: Path) -> None:
-    """Raise where a link or a dataset of a group takes its values from other files, which may be anyone's."""
-    import h5py
-
-    for key in group:
-        outside = isinstance(group.get(key, getlink=True), h5py.ExternalLink)
-        one = None if outside else group.get(key)
-        if outside or (isinstance(one, h5py.Dataset) and (one.external or one.is_virtual)):
-            raise DataError(
-                "the file takes values from other files",
-                expected="datasets that lie in the file itself",
-                found=f"{group.name.rstrip('/')}/{key}",
-                where=Where(path=str(path)),
-                fix="copy the datasets into one file first, with h5repack or h5py",
-            )
-
-
-def _shapes(group: Any, path: Path) -> dict[str, tuple[int, ...]]:
-    """Return the shape of every dataset of numbers in a demonstration, by its path; two levels deep."""
-    found = {}
-    _refuse_outside(group, path)
-    for key, value in group.items():
-        if hasattr(value, "items"):
-            _refuse_outside(value, path)
-        inner = {f"{key}/{name}": one for name, one in value.items()} if hasattr(value, "items") else {key: value}
-        for name, one in inner.items():
-            if hasattr(one, "shape") and one.ndim and one.dtype.kind in "fiub":
-                found[name] = one.shape
-    return found
-
-
-def _rows(group: Any, shapes: Mapping[str, tuple[int, ...]], name: str, path: Path) -> int:
-    """Return the number of rows of a demonstration, which all its datasets have."""
-    counts = {key: shape[0] for key, shape in shapes.items()}
+def _rows(group: Any, datasets: Mapping[str, Any], name: str, path: Path) -> int:
+    """Return the number of rows of a demonstration, which all datasets that are taken have."""
+    counts = {key: one.shape[0] for key, one in datasets.items()}
     claimed = group.attrs.get("num_samples")
     if claimed is not None:
         counts = {"num_samples": int(claimed)} | counts
@@ -221,18 +186,6 @@ def _rows(group: Any, shapes: Mapping[str, tuple[int, ...]], name: str, path: Pa
     return known
 
 
-def _load(dataset: Any, path: Path) -> NDArray:
-    """Return the values of a dataset that can lie in a file of that size."""
-    if dataset.nbytes > _LARGEST_GAIN * path.stat().st_size + _SLACK_BYTES:
-        raise DataError(
-            "a dataset claims more than the file can hold",
-            expected=f"a file of {path.stat().st_size} bytes",
-            found=f"{dataset.nbytes} bytes in {dataset.name}",
-            where=Where(path=str(path)),
-        )
-    return dataset[()]
-
-
 def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
     """Return an episode that candata exported."""
     if demo.sidecar is None:
@@ -247,9 +200,10 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    shapes = _guarded(path, lambda: _shapes(data[names[0]], path))
-    features = [Feature(name, int(np.prod(shape[1:], dtype=object))) for name, shape in shapes.items()]
-    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(features, path)
+    first = _guarded(path, open_group, data, names[0], path)
+    known = _guarded(path, names_in, first)
+    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(known, path)
+    features = _guarded(path, _features, first, known, asked(mapping, known), path)
     made = picks(mapping, features, reading.mapping or path)
     rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
     if rate_hz is None:
@@ -260,9 +214,9 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
             fix="say it with --map FILE: `rate_hz: 20` beside `channels`",
         )
     used = wanted(made)
-    left = [name for name in shapes if name not in used]
-    if left:
-        reading.note(f"left out: {', '.join(left)}")
+    left_out = [name for name in known if name not in used]
+    if left_out:
+        reading.note(f"left out: {', '.join(left_out)}")
     if reading.mapping is None:
         kinds = ", ".join(f"{pick.channel} from {wanted([pick])[0]}" for pick in made)
         reading.note(f"by their names: {kinds}; units are taken for SI (rad, m, N), as robomimic names none")
@@ -272,6 +226,19 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
         _check_widths(demo, made, Where(path=str(path), episode=identity))
         time_ns = even_time_ns(demo.rows, rate_hz)
         yield mapped_episode(identity, time_ns, demo.arrays, made, mapping, reading, path, rate_hz=rate_hz)
+
+
+def _features(group: Any, known: Sequence[str], taken: Sequence[str], path: Path) -> list[Feature]:
+    """Return the features of a demonstration; those that are taken with their columns."""
+    widths = {}
+    for name in taken:
+        one = open_dataset(group, name, path)
+        if one is None:
+            raise DataError(
+                f"{name} does not hold rows of numbers", expected="a dataset of numbers", where=Where(path=str(path))
+            )
+        widths[name] = math.prod(one.shape[1:])
+    return [Feature(name, widths.get(name, 0)) for name in known]
 
 
 def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
@@ -287,9 +254,8 @@ def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
                 )
 
 
-def _guess(features: list[Feature], path: Path) -> FeatureMap:
+def _guess(known: Sequence[str], path: Path) -> FeatureMap:
     """Return the map that the datasets' names imply."""
-    known = {feature.name for feature in features}
     channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE}
     for channel, name in _ROBOSUITE.items():
         if name in known:

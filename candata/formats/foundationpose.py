@@ -16,7 +16,6 @@ is a gap. With `stamps: ns` the names are times, as in YCBInEOAT.
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -31,6 +30,8 @@ from candata.errors import DataError, UsageError, Where
 from candata.formats import Format, Reading
 from candata.formats._assemble import checked
 from candata.formats._map_file import read_map_file
+from candata.formats._stamps import require_rate
+from candata.lfs import refuse_pointer
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Alignment, Episode, EpisodeMeta
 from candata.schema.topics import FramesMap
@@ -41,6 +42,10 @@ POSES, PICTURES = "ob_in_cam", "rgb"
 RIGID_TOLERANCE = 1e-3
 #: Rows an episode may have; a frame with a number far off would otherwise ask for more than any memory.
 MOST_ROWS = 10_000_000
+#: Times of file names are a camera's own, and come at its rate within this factor.
+_NAMES_FACTOR = 2.0
+#: Bytes of a frame that are read: 16 numbers of text take hundreds.
+_LARGEST_FRAME_BYTES = 1 << 16
 _EXAMPLE = "rate_hz: 30\nobject: NAME\n# stamps: ns        # where the file names are times\n"
 
 
@@ -73,24 +78,6 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     mapping = _mapping(reading)
     for folder in sequences(Path(source)):
         yield _episode(folder, mapping, reading)
-
-
-def digest(source: Path, reading: Reading) -> str:
-    """Return the sha256 over the map, what else was told, and the names and bytes of all frames.
-
-    Raises
-    ------
-    UsageError, DataError
-        As `read` does for a map or a folder that cannot be read.
-    """
-    told = [reading.source, reading.scene, reading.object, reading.task, str(reading.allow_gaps)]
-    found = hashlib.sha256("\n".join([_mapping(reading).model_dump_json(), *map(str, told)]).encode())
-    for folder in sequences(Path(source)):
-        found.update(f"\n{folder.resolve().name}\n".encode())
-        for path in sorted((folder / POSES).glob("*.txt")):
-            found.update(f"{path.name}\n".encode() + hashlib.sha256(_bytes(path)).digest())
-        found.update("\n".join(sorted(path.name for path in (folder / PICTURES).glob("*"))).encode())
-    return found.hexdigest()
 
 
 def sequences(source: Path) -> list[Path]:
@@ -186,11 +173,13 @@ def _number(path: Path) -> int:
 
 
 def _bytes(path: Path) -> bytes:
-    """Return a file's bytes."""
+    """Return a file's bytes, as many as a matrix can have."""
+    refuse_pointer(path)
     try:
         if path.exists() and not path.is_file():  # a device may never end
             raise OSError(0, "no regular file")
-        return path.read_bytes()
+        with path.open("rb") as file:
+            return file.read(_LARGEST_FRAME_BYTES)
     except OSError as error:
         raise DataError("the frame cannot be read", found=error.strerror, where=Where(path=str(path))) from None
 
@@ -249,7 +238,8 @@ def _timed(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np
             raise DataError("the file names are no times", expected=f"times in {mapping.stamps}", found=str(last),
                             where=where, fix="correct `stamps` in the map")  # fmt: skip
         time_ns = numbers * factor
-        _require_rate(align.period_ns(time_ns) * 1e-9, mapping, where)
+        names = Where(path=f"{folder}, file names")
+        require_rate(time_ns * 1e-9, mapping.rate_hz, names, lambda unit: f"`stamps: {unit}`", _NAMES_FACTOR)
         return time_ns, frames.matrices
     count = int(numbers[-1] - numbers[0]) + 1
     if count > MOST_ROWS:
@@ -260,18 +250,6 @@ def _timed(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np
     rows = np.full((count, 4, 4), np.nan)
     rows[numbers - numbers[0]] = frames.matrices
     return np.round(np.arange(count) * (1e9 / mapping.rate_hz)).astype(np.int64), rows
-
-
-def _require_rate(period_s: float, mapping: FramesMap, where: Where) -> None:
-    """Refuse stamps whose unit or rate must be wrong."""
-    if np.isfinite(period_s) and not 0.5 < period_s * mapping.rate_hz < 2.0:
-        raise DataError(
-            "the file names do not fit the rate",
-            expected=f"steps near {1 / mapping.rate_hz:g} s (rate_hz: {mapping.rate_hz:g})",
-            found=f"steps of {period_s:g} s",
-            where=where,
-            fix="correct `stamps` or `rate_hz` in the map",
-        )
 
 
 def _tell_gaps(
@@ -317,6 +295,5 @@ FORMAT = Format(
     name="foundationpose",
     summary="FoundationPose results: ob_in_cam/ with a 4 x 4 matrix a frame, by a frames.yaml",
     read=read,
-    digest=digest,
     takes_map=True,
 )

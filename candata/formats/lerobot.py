@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from candata.formats import Format
-from candata.formats._lerobot_read import digest, read
+from candata.formats._lerobot_read import read
 from candata.formats._lerobot_write import write
 
 FORMAT = Format(
     name="lerobot",
     summary="LeRobot folder, v2.1 or v3.0",
     read=read,
-    digest=digest,
     takes_map=True,
     write=write,
     variants=("v21",),

@@ -18,7 +18,6 @@ the step, nothing over a gap. What `candata export mcap` wrote needs no map: its
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,7 +25,6 @@ from candata.errors import DataError, UsageError, Where
 from candata.formats import Format, Reading
 from candata.formats._map_file import read_map_file
 from candata.formats._mcap_bag import Bag, Recording, metadata, read_bag, recordings
-from candata.formats._mcap_bag import digest as recording_digest
 from candata.formats._mcap_episode import episodes
 from candata.formats._mcap_own import EPISODE, restore
 from candata.formats._mcap_streams import entries, require_topics, stream, wanted
@@ -57,24 +55,6 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
             raise _no_map(recording)
         else:
             yield from _read(recording, mapping, reading)
-
-
-def digest(source: Path, reading: Reading) -> str:
-    """Return the sha256 over the map, what else was told, and every file.
-
-    Raises
-    ------
-    UsageError, DataError
-        As `read` does for a map or a file that cannot be read.
-    """
-    mapping = _mapping(reading)
-    found = recordings(Path(source))
-    for recording in found if mapping is None else ():
-        if not _is_own(recording):
-            raise _no_map(recording)
-    told = [reading.source, reading.scene, reading.object, reading.task, str(reading.allow_gaps)]
-    parts = ["" if mapping is None else mapping.model_dump_json(), *map(str, told), *map(recording_digest, found)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _is_own(recording: Recording) -> bool:
@@ -152,7 +132,6 @@ FORMAT = Format(
     name="mcap",
     summary="MCAP: ROS 2 bags and Foxglove recordings by a topics.yaml; export for Foxglove",
     read=read,
-    digest=digest,
     takes_map=True,
     write=write,
 )

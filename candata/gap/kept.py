@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import io
 import os
 import shutil
 import time
 import uuid
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +18,26 @@ from numpy.typing import NDArray
 LIMIT_BYTES = 4_000_000_000
 #: Seconds for which a set stays after a diagnosis began with it or wrote to it.
 IN_USE_S = 6 * 3600.0
+#: Size of a SHA-256 [bytes].
+_DIGEST_BYTES = 32
 
 
 def keep(file: Path | None, **arrays: NDArray) -> None:
-    """Write arrays to a file, whole or not at all; a cache that cannot be written is no harm."""
+    """Write arrays to a file, whole or not at all; a cache that cannot be written is no harm.
+
+    The file is an npz archive with the SHA-256 of it behind: the sums in an archive do not cover its own fields.
+    """
     if file is None:
         return
+    archive = io.BytesIO()
+    np.savez(archive, allow_pickle=False, **arrays)
+    content = archive.getbuffer()
     draft = file.with_name(f".{file.name}.{uuid.uuid4().hex[:8]}")
     try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with draft.open("wb") as out:
-            np.savez(out, allow_pickle=False, **arrays)
+            out.write(content)
+            out.write(hashlib.sha256(content).digest())
         draft.replace(file)
     except OSError:
         with contextlib.suppress(OSError):
@@ -35,14 +45,18 @@ def keep(file: Path | None, **arrays: NDArray) -> None:
 
 
 def read(file: Path | None) -> dict[str, NDArray] | None:
-    """Return the arrays of a file; None where it is missing or damaged (the archive checks its sums)."""
+    """Return the arrays of a file; None where it is missing, damaged, or another's."""
     if file is None:
         return None
     try:
-        with np.load(file) as kept:
-            return {name: kept[name] for name in kept.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        content = memoryview(file.read_bytes())
+    except OSError:
         return None
+    archive, digest = content[:-_DIGEST_BYTES], content[-_DIGEST_BYTES:]
+    if hashlib.sha256(archive).digest() != digest:
+        return None
+    with np.load(io.BytesIO(archive)) as kept:
+        return {name: kept[name] for name in kept.files}
 
 
 def used(own: Path) -> None:

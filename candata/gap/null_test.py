@@ -27,8 +27,11 @@ COPIES = 4
 #: those from one recording of an episode to the next, and over episodes. Chosen: one in 10,000 and one in 20 of normal
 #: errors; the search had the choice of a hundred effects, and a true effect may show in few episodes.
 BEYOND_NULLS, BEYOND_CHANCE = 3.7, 1.64
-#: The same over episodes, where the mismatch without the name lies within what nulls show. Chosen: one in 700.
+#: The same over episodes, where the mismatch without the name may lie within what nulls show. Chosen: one in 700.
 BEYOND_CHANCE_WITHOUT_A_GAP = 3.0
+#: Standard errors over episodes by which a mismatch must lie beyond what nulls show to be a gap for sure. Chosen: as
+#: many tie two names.
+SURE_GAP = 1.0
 #: Gain [floors] that no effect can have on a null recording: all that one loses.
 ALL_OF_A_NULL = 1.0
 
@@ -95,14 +98,14 @@ def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array)
     excess = gain - nulls.mean(0)
     copies, episodes = nulls.shape
     error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / episodes * (1 + 1 / copies)))
-    chance = BEYOND_CHANCE if leaves_gap(problem, rest) else BEYOND_CHANCE_WITHOUT_A_GAP
+    chance = BEYOND_CHANCE if leaves_gap(problem, rest, SURE_GAP) else BEYOND_CHANCE_WITHOUT_A_GAP
     return bool(excess.mean() > max(BEYOND_NULLS * error, chance * standard_error(excess)))
 
 
-def leaves_gap(problem: Problem, members: Members) -> bool:
-    """Tell whether the mismatch of a set lies beyond what null recordings show."""
-    loss = problem.score.loss(problem.residuals([problem.setting(members)])[0]).mean()
-    return bool(loss > null_level(problem.score, problem.rng))
+def leaves_gap(problem: Problem, members: Members, errors: float = 0.0) -> bool:
+    """Tell whether the mismatch of a set lies beyond what null recordings show, by so many standard errors."""
+    loss = problem.score.loss(problem.residuals([problem.setting(members)])[0])
+    return bool(loss.mean() - errors * standard_error(loss) > null_level(problem.score, problem.rng))
 
 
 def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int = COPIES) -> Array:

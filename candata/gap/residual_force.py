@@ -267,12 +267,14 @@ def _servo(scene: Scene, effort: Array) -> tuple[Array, Array]:
 def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Array:
     """Return `(E, T, D)` generalised forces of fingertip forces `extra (E, T, F, 3)` on joints and object.
 
-    The recorded force of a row is the mean over the step before it, so it counts for that step.
+    A scene without an object has them on joints alone: what else a fingertip touches is taken to stand still. The
+    recorded force of a row is the mean over the step before it, so it counts for that step.
     """
     model, data = scene.model, mujoco.MjData(scene.model)
     out = np.zeros((*extra.shape[:2], len(_dofs(scene))))
     frames, dofs = [_frame(scene, tip) for tip in range(extra.shape[2])], _dofs(scene)
     own, other = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    touched = 0 if scene.object_id is None else scene.object_id  # without an object, what does not move
     felt = np.abs(extra).sum((2, 3)) > 0
     for e, row in zip(*np.nonzero(felt[:, 1:]), strict=True):
         data.qpos[:] = log[row][0].qpos[e]
@@ -282,7 +284,7 @@ def _contact(scene: Scene, log: list[tuple[Forces, Array]], extra: Array) -> Arr
             frame, body = frames[tip], int(scene.fingertip_bodies[tip])
             point = data.geom_xpos[frame.geoms].mean(0) if len(frame.geoms) else data.xipos[body]
             mujoco.mj_jac(model, data, own, None, point, body)
-            mujoco.mj_jac(model, data, other, None, point, scene.object_id)
+            mujoco.mj_jac(model, data, other, None, point, touched)
             axes = (data.site_xmat if frame.site else data.xmat)[frame.address].reshape(3, 3)
             out[e, row] += ((own - other).T @ (axes @ extra[e, row + 1, tip]))[dofs]
     return out

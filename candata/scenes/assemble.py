@@ -14,6 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
+from candata.lfs import refuse_pointer
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
@@ -214,6 +215,8 @@ def load_scene(name: str | Path) -> Scene:
         When the model does not compile or lacks a name that the scene uses.
     UsageError
         When the file is missing or not valid.
+    DataError
+        When it, the model or a file that the model names is a Git LFS pointer.
     """
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
@@ -229,17 +232,16 @@ def load_scene(name: str | Path) -> Scene:
 def _no_scene(path: Path) -> UsageError:
     """Return the error of a path that leads to a model, a folder or anything else but a scene file."""
     beside = (path if path.is_dir() else path.parent) / "scene.yaml"
-    give = f"give {beside}" if beside.is_file() else ""
-    if path.is_file():
-        draft = f"candata scene init {path}, then give the scene file that it writes"
-        what, fix = (
-            "is a model, which does not say which part plays which role",
-            f"{give}, or: {draft}" if give else draft,
-        )
-    else:
-        what, fix = "is a folder" if path.is_dir() else "does not exist", give
+    ways = [f"give {beside}"] if beside.is_file() else []
+    what = "is a folder" if path.is_dir() else "is no scene file" if path.exists() else "does not exist"
+    if path.is_file() and path.suffix.lower() in _MODELS:
+        what = "is a model, which does not say which part plays which role"
+        ways.append(f"candata scene init {path}, then give the scene file that it writes")
     return UsageError(
-        f"{path} {what}", expected="a scene.yaml, or the name of a built-in scene", where=Where(path=str(path)), fix=fix
+        f"{path} {what}",
+        expected="a scene.yaml, or the name of a built-in scene",
+        where=Where(path=str(path)),
+        fix=", or: ".join(ways),
     )
 
 
@@ -247,6 +249,7 @@ def _from_file(path: Path) -> Scene:
     """Return the scene of a `scene.yaml`."""
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
+    refuse_pointer(path)
     try:
         raw = parse_yaml(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, yaml.YAMLError) as error:

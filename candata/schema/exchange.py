@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from candata.schema.episode import EpisodeMeta
 from candata.schema.manifest import Lineage
@@ -11,6 +13,7 @@ from candata.schema.scene import Rate
 
 #: Version of the sidecar; a reader refuses one it does not know.
 SIDECAR_VERSION = 1
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class FeatureMap(Record):
@@ -18,7 +21,9 @@ class FeatureMap(Record):
 
     An entry of `channels` is one feature or a list of them, put side by side: `observation.state` is all of its
     columns, `observation.state[0:7]` or `[0:3, 6, 3:6]` some by number, `[elbow, wrist]` some by name. `units` is a
-    unit a channel, or a list of one a column, where it is not SI.
+    unit a channel, or a list of one a column, where it is not SI; of lerobot also that of `timestamp`. `scales` is a
+    number a channel, or a list of one a column, that makes the file's numbers ones of that unit, such as degrees a
+    percent of a joint's range.
     """
 
     rate_hz: Rate | None = None
@@ -27,6 +32,7 @@ class FeatureMap(Record):
     task: str | None = None
     channels: dict[str, str | tuple[str, ...]]
     units: dict[str, str | tuple[str, ...]] = {}
+    scales: dict[str, FiniteNumber | tuple[FiniteNumber, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
     quaternion: Literal["wxyz", "xyzw"] = "wxyz"
     force: Literal["mean", "instant"] = "mean"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from candata.schema.record import Record
 
@@ -55,18 +55,36 @@ class SceneFile(Record):
         return tuple(self.actuators)
 
 
+def _number_as_name(value: object) -> object:
+    """Return the number of a column as its name."""
+    return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+
+#: Name of a column; the number of one, from 0, in a table without a header.
+ColumnName = Annotated[str, BeforeValidator(_number_as_name, json_schema_input_type=str | int)]
+
+
 class TableMap(Record):
-    """`map.yaml`: which column of a table is which channel."""
+    """`map.yaml`: which column of a table is which channel.
+
+    An entry of `channels` is a column or a list of them. A column that holds a list in each row stands for all of its
+    numbers, `state[0:7]` or `state[0:3, 6]` for some of them, counted from 0. `joint_names`, `actuator_names` and
+    `fingertip_names` name the elements where the columns do not.
+    """
 
     file: str
     source: Literal["real", "sim"] = "real"
-    episode: str | None = None
-    time_s: str
+    episode: ColumnName | None = None
+    time_s: ColumnName
     rate_hz: Rate
     scene: str | None = None
     object: str | None = None
     task: str | None = None
-    channels: dict[str, tuple[str | tuple[str, ...], ...]]
-    units: dict[str, str] = {}
+    channels: dict[str, ColumnName | tuple[ColumnName | tuple[ColumnName, ...], ...]]
+    units: dict[ColumnName, str] = {}
     force: Literal["mean", "instant"] = "mean"
     action: Literal["next", "previous"] = "next"
+    quaternion: Literal["wxyz", "xyzw"] = "wxyz"
+    joint_names: tuple[str, ...] = ()
+    actuator_names: tuple[str, ...] = ()
+    fingertip_names: tuple[str, ...] = ()

@@ -8,14 +8,18 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from dataclasses import astuple, dataclass
 from functools import lru_cache
+from typing import Any, NoReturn, TypeVar
 
 from candata.scenes import Scene, load_scene
 from candata.simulate.jobs import OPERATION, Recipe, job, motions_of
 
+T = TypeVar("T")
 Told = Callable[[int], None]
+#: How long a stopped worker may take to remove what it has half written [s].
+_LEAVE_S = 1
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -82,11 +86,11 @@ def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[st
     if min(workers, len(chunks)) <= 1:
         parts = []
         for chunk in chunks:
-            parts.append(make_chunk(**asdict(chunk)))
+            parts.append(make_chunk(*astuple(chunk)))
             progress(len(chunk.numbers))
         return parts
     with spawned(min(workers, len(chunks))) as pool:
-        futures = {pool.submit(make_chunk, **asdict(chunk)): i for i, chunk in enumerate(chunks)}
+        futures = {f: i for i, f in enumerate(submitted(pool, make_chunk, [astuple(chunk) for chunk in chunks]))}
         done: dict[int, str] = {}
         for future in as_completed(futures):
             done[futures[future]] = future.result()
@@ -96,13 +100,34 @@ def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[st
 
 @contextlib.contextmanager
 def spawned(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of fresh processes, one thread each, that end with this one; what waits at the end is dropped."""
+    """Yield a pool of fresh processes, one thread each, that end with this one; what waits at the end is dropped.
+
+    Where the block is left by Ctrl-C, what runs is stopped as well, and removes what it has half written.
+    """
+    others = set(multiprocessing.active_children())
     with _single_threads():
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
         try:
             yield pool
+        except (KeyboardInterrupt, GeneratorExit):
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def submitted(pool: ProcessPoolExecutor, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> list[Future[T]]:
+    """Return the futures of tasks, in their order; the processes begun for them never hear Ctrl-C.
+
+    A terminal sends it to every process. One that has just begun would answer with a traceback, before `_start` can
+    tell it to ignore it; so it is held back, in this process only until all have begun.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        return [pool.submit(work, *task) for task in tasks]
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @lru_cache(maxsize=1)
@@ -112,9 +137,16 @@ def _scene(name: str) -> Scene:
 
 
 def _start() -> None:
-    """Prepare a worker: interrupts are the parent's to handle, and it ends when the parent does."""
+    """Prepare a worker: interrupts are the parent's to handle, and it ends when the parent does, or tells it to."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _leave(_number: int, _frame: object) -> NoReturn:
+    """Leave the task under way, so that it removes what is half; the process goes soon after, whatever waits for it."""
+    signal.alarm(_LEAVE_S)
+    raise SystemExit
 
 
 def _end_with_parent() -> None:

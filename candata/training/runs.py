@@ -43,22 +43,38 @@ def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     UsageError
         When the folder holds something else, or a run with other settings; names what differs.
     """
-    if folder.exists() and not folder.is_dir():
-        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
+    refuse_foreign(folder)
     path = folder / FILE
     if path.is_file():
         _refuse_other(read_run(folder), run, path)
         return
-    if folder.is_dir() and any(p.name not in (SPLIT, f".{SPLIT}.part", f".{FILE}.part") for p in folder.iterdir()):
-        raise UsageError(
-            "the output folder holds something that is no run", expected=f"a new folder, or one with {FILE}",
-            found=", ".join(sorted(p.name for p in folder.iterdir())[:8]), where=Where(path=str(folder)),
-            fix="choose another --out",
-        )  # fmt: skip
     ensure_folder(folder)
     if split is not None:
         _write(folder / SPLIT, split)
     _write(path, run)  # last: with it the run stands
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Refuse a place for a run in which something else stands.
+
+    Raises
+    ------
+    UsageError
+        When it is a file, or a folder that holds something that is no run.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
+    if not folder.is_dir() or (folder / FILE).is_file():
+        return
+    others = sorted(p.name for p in folder.iterdir())
+    if set(others) - {SPLIT, f".{SPLIT}.part", f".{FILE}.part"}:
+        raise UsageError(
+            "the output folder holds something that is no run",
+            expected=f"a new folder, or one with {FILE}",
+            found=", ".join(others[:8]),
+            where=Where(path=str(folder)),
+            fix="choose another --out",
+        )
 
 
 @contextmanager

@@ -76,6 +76,18 @@ def test_the_same_source_twice_adds_nothing(source, out, capsys):
     assert capsys.readouterr().out == f"{out}: 1 episodes added, 3 in version 2\n"
 
 
+def test_the_lineage_names_what_was_taken(source, out, tmp_path):
+    def digest(path, out):
+        assert exit_code("import", "table", path, "--out", out) == 0
+        return open_dataset(out).lineage[0].config_digest
+
+    first = digest(source(), out)
+    path = source()
+    path.write_text("# the same\n" + path.read_text())
+    assert digest(path, tmp_path / "again") == first
+    assert digest(source(3), tmp_path / "other") != first
+
+
 def test_what_a_version_leaves_out_is_not_counted(source, out, tmp_path, capsys):
     pytest.importorskip("duckdb")
     exit_code("import", "table", source(), "--out", out)
@@ -208,7 +220,7 @@ def test_a_dataset_made_meanwhile_is_not_added_to(source, out, capsys, monkeypat
     def late(path, append):
         create_dataset(path)  # another import, after the check and before the end of ours
 
-    monkeypatch.setattr(import_commands, "_refuse_standing", late)
+    monkeypatch.setattr(import_commands, "_try_output", late)
     assert exit_code("import", "table", source(), "--out", out) == 2
     assert "the output exists already" in capsys.readouterr().err
     assert not (out / "versions").exists()

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import types
+from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 import typer
@@ -118,13 +119,51 @@ def test_a_negative_finding_keeps_its_code(with_command):
     assert exit_code("planted") == 1
 
 
-def test_an_unexpected_exception_stays_a_traceback(with_command):
+def test_a_fault_of_candata_is_a_short_text_a_file_and_a_code_of_its_own(with_command, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+    def broken() -> None:
+        raise ZeroDivisionError("a secret place")
+
+    with_command(broken)
+    assert exit_code("planted") == 70
+    printed = capsys.readouterr().err
+    (kept,) = tmp_path.glob("candata-failure-*.txt")
+    assert printed == (
+        f"candata failed: ZeroDivisionError: a secret place\n  where: {kept}\n"
+        "  do: report it with that file; it is a fault of candata, not of your data\n"
+    )
+    text = kept.read_text()
+    assert text.startswith(f"candata {__version__}, Python 3")
+    assert "candata planted\n" in text
+    assert 'raise ZeroDivisionError("a secret place")' in text
+
+
+def test_a_fault_where_nothing_can_be_written_is_told_whole(with_command, capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+
     def broken() -> None:
         raise ZeroDivisionError
 
     with_command(broken)
-    with pytest.raises(ZeroDivisionError):
-        entry.main(["planted"])
+    assert exit_code("planted") == 70
+    assert "Traceback (most recent call last)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (MemoryError("Unable to allocate 9 TiB"), "out of memory\n  found: Unable to allocate 9 TiB\n"),
+        (BrokenProcessPool(), "a worker process ended before its work\n"),
+    ],
+)
+def test_what_the_machine_lacks_exits_3(with_command, capsys, error, text):
+    def fail() -> None:
+        raise error
+
+    with_command(fail)
+    assert exit_code("planted") == 3
+    assert capsys.readouterr().err.startswith(text)
 
 
 def test_an_unknown_command_is_a_usage_error(capsys):
@@ -141,6 +180,7 @@ def test_a_reader_that_leaves_is_no_error():
     finally:
         os.close(write)
     assert done.stderr == b""
+    assert done.returncode == 0
 
 
 @pytest.mark.parametrize("words", [(), ("gap",)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from candata.checks import check
-from candata.datasets import content_hash, filtering, history, open_dataset, put_cloud
+from candata.datasets import content_hash, history, open_dataset, put_cloud
 from candata.datasets.diff import diff
 from candata.datasets.filtering import COLUMNS, filter_dataset, matching
 from candata.datasets.merging import merge, merge_into
@@ -62,15 +62,24 @@ def test_every_column_may_be_named(mixed):
         ("true; drop table x", "no expression"),
         ("true) union select 'x' where (true", "no expression"),
         ("true order by rows", "no expression"),
-        ("count(*) > 1", "aggregate"),
+        ("count(*) > 1", "count_star has no place"),
         ("object", "could not convert"),
-        ("rows > (select count(*) from read_text('/etc/hostname'))", "disabled"),
-        ("rows > (select count(*) from '/etc/hostname')", "no expression"),
+        ("rows > (select count(*) from read_text('/etc/hostname'))", "(subquery|star|count_star) has no place"),
+        ("rows > (select count(*) from '/etc/hostname')", "(subquery|star|count_star) has no place"),
         ("'", "unterminated"),
         ("no_such(rows)", "no_such"),
         ("meta = ''", "unknown column 'meta'"),
         ("\x00", "null|unknown|no expression"),
-        ("rows > ?", "no expression"),
+        ("rows > ?", "parameter has no place"),
+        ("exists(from query('select 1'))", "has no place"),
+        ("json_serialize_sql('select 1') is not null", "json_serialize_sql has no place"),
+        ("sum(rows) over () > 1", "has no place"),
+        ("list_filter([1], x -> x > 0) is not null", "has no place"),
+        ("length(rpad('a', 20000000, 'b')) > 0", "rpad has no place"),
+        ("rows > 1; select 1", "no expression"),
+        ("rows > 1 limit 1", "no expression"),
+        ("other.rows > 1", "unknown column 'other.rows'"),
+        ("case when true then " * 400 + "true" + " end" * 400, "too deep"),
         ("object = '\udcff'", "no expression"),  # bytes of a command line that are no text
         ("true or " * 5_000 + "rows > 1", "too long"),
         ("(" * 3_000, "too deep.*\n.*open brackets"),
@@ -79,20 +88,7 @@ def test_every_column_may_be_named(mixed):
 def test_what_is_no_expression_is_one_clear_error(mixed, where, words):
     with pytest.raises(UsageError, match=f"(?i){words}") as told:
         matching(mixed, where)
-    assert "rows" in str(told.value) or "at most" in str(told.value)
-
-
-@pytest.mark.parametrize(
-    "where",
-    [
-        "(select count(*) from range(1000000000000)) > 0",
-        "length(rpad('a', 20000000, 'b')) > 0",  # one call that an interruption does not end
-    ],
-)
-def test_an_expression_that_does_not_end_is_stopped(mixed, monkeypatch, where):
-    monkeypatch.setattr(filtering, "LIMIT_S", 0.05)
-    with pytest.raises(UsageError, match="takes too long"):
-        matching(mixed, where)
+    assert any(text in str(told.value) for text in ("rows", "at most", "columns compared"))
 
 
 @pytest.mark.parametrize(
@@ -112,12 +108,12 @@ def test_an_expression_that_does_not_end_is_stopped(mixed, monkeypatch, where):
     ],
 )
 def test_a_filter_that_would_choose_others_another_time_is_refused(mixed, where):
-    with pytest.raises(UsageError, match=r"other episodes another time.*\n.*columns compared"):
+    with pytest.raises(UsageError, match=r"has no place in a filter\n.*the same episodes|unknown column"):
         matching(mixed, where)
 
 
 def test_words_of_text_and_functions_of_columns_alone_are_no_chance(mixed):
-    where = "object <> 'random()' and lower(object) <> $$now()$$ and date_trunc('day', date '2026-01-01') is not null"
+    where = "object <> 'random()' and lower(object) <> $$now()$$ and upper(object) <> 'today()'"
     assert matching(mixed, where + " -- random()") == mixed.ids
 
 

@@ -13,6 +13,7 @@ from candata.errors import DataError, UnknownNameError, UsageError
 from candata.formats.table import digest, read
 
 POSE = ["px", "py", "pz", "qw", "qx", "qy", "qz"]
+FORCES = ["f0_x", "f0_y", "f0_z", "f1_x", "f1_y", "f1_z"]
 
 
 def refusal(path, kind=UsageError, **options) -> str:
@@ -43,35 +44,39 @@ def test_wrong_counts_of_joints_and_fingertips(columns, write):
     assert refusal(write(columns, channels=channels), DataError) == (
         "joint_velocity has the wrong count of joints\n  expected: 2 as in joint_position\n  found: 1\n"
         "  where: map.yaml, channel joint_velocity\n"
-        "  do: name one column an element in both channels, in the same order"
+        "  do: give a map that picks the columns of both channels in the same order"
     )
-    channels = {"object_pose": POSE, "fingertip_force": [["px", "py", "pz"]], "fingertip_contact": ["a", "b"]}
+    channels = {"object_pose": POSE, "fingertip_force": [["px", "py", "pz"]], "fingertip_contact": ["qw", "qx"]}
     assert "wrong count of fingertips" in refusal(write(columns, channels=channels), DataError)
 
 
 @pytest.mark.parametrize(
-    ("channels", "problem", "found"),
+    ("channels", "text"),
     [
-        ({"object_pose": POSE[:6]}, "a list of 7 columns", "6 columns: px, py, pz, qw, qx, qy"),
-        ({"object_pose": [POSE]}, "a list of 7 columns", "lists of 7"),
-        ({"joint_position": []}, "a list of one column an element", "an empty list"),
-        ({"joint_position": [["px"]]}, "a list of one column an element", "lists of 1"),
-        ({"object_pose": POSE, "contact": ["a", "b"]}, "a list of 1 columns", "2 columns: a, b"),
+        ({"object_pose": POSE[:6]}, "number of columns\n  expected: 7 columns\n  found: 6: px, py, pz, qw, qx, qy"),
+        ({"object_pose": [POSE]}, "columns\n  expected: a list of columns\n  found: lists of 7"),
+        ({"joint_position": []}, "columns\n  expected: a list of columns\n  found: an empty list"),
+        ({"joint_position": [["px"]]}, "columns\n  expected: a list of columns\n  found: lists of 1"),
         (
-            {"object_pose": POSE, "fingertip_force": ["f0_x", "f0_y", "f0_z"]},
-            "a list of lists of 3 columns",
-            "3 columns: f0_x, f0_y, f0_z",
+            {"object_pose": POSE, "contact": ["px", "py"]},
+            "number of columns\n  expected: 1 columns\n  found: 2: px, py",
         ),
         (
-            {"object_pose": POSE, "fingertip_force": [["a", "b"]]},
-            "a list of lists of 3 columns",
-            "lists of 2",
+            {"object_pose": POSE, "fingertip_force": FORCES[:2]},
+            "number of columns\n  expected: 3 columns a fingertip\n  found: 2: f0_x, f0_y",
+        ),
+        (
+            {"object_pose": POSE, "fingertip_force": [FORCES[:2], FORCES[2:]]},
+            "columns\n  expected: a list of lists of 3 columns\n  found: lists of 2, 4",
+        ),
+        (
+            {"object_pose": POSE, "fingertip_force": [FORCES[:3], *FORCES[3:]]},
+            "columns\n  expected: a list of lists of 3 columns\n  found: lists of 3 beside f1_x, f1_y, f1_z",
         ),
     ],
 )
-def test_wrong_columns_of_a_channel(columns, write, channels, problem, found):
-    text = refusal(write(columns, channels=channels))
-    assert f"has the wrong columns\n  expected: {problem}\n  found: {found}\n" in text
+def test_wrong_columns_of_a_channel(columns, write, channels, text):
+    assert f"has the wrong {text}\n" in refusal(write(columns, channels=channels))
 
 
 def test_a_column_named_twice(columns, write):
@@ -184,13 +189,28 @@ def test_an_empty_table(columns, write, kind):
     assert text == f"the table is empty\n  expected: at least 1 row\n  where: run.{kind}"
 
 
-@pytest.mark.parametrize("label", [[1, 2], [], {"a": 1}])
-def test_an_episode_that_is_no_name(columns, write, label):
+@pytest.mark.parametrize(
+    ("label", "text"),
+    [
+        ([1, 2], "holds lists\n  expected: one value in each row\n  found: 2 values\n"),
+        ([], "holds lists\n  expected: one value in each row\n"),
+        ({"a": 1}, "does not name an episode\n  expected: numbers or texts\n"),
+    ],
+)
+def test_an_episode_that_is_no_name(columns, write, label, text):
     path = write(columns)
     table = pa.table(columns | {"episode": pa.array([label] * 6)})
     pa.parquet.write_table(table, path.parent / "run.parquet")
-    text = refusal(path, DataError)
-    assert text.startswith("column episode does not name an episode\n  expected: numbers or texts\n")
+    assert refusal(path, DataError).startswith(f"column episode {text}")
+
+
+def test_an_episode_named_by_a_broken_number_is_told_with_its_row(columns, write):
+    columns["episode"] = np.array([1.0, 1, 1, 2, 2.5, 2])
+    assert refusal(write(columns), DataError) == (
+        "column episode does not name an episode\n  expected: whole numbers or texts\n  found: 2.5\n"
+        "  where: run.parquet, index 4\n"
+        "  do: give the column that numbers the episodes, or leave `episode` out for one episode"
+    )
 
 
 def test_an_npz_whose_columns_are_damaged(columns, write):
@@ -213,6 +233,9 @@ def test_columns_of_different_length(columns, write):
 
 def test_an_array_that_is_no_column(columns, write):
     columns["px"] = np.zeros((6, 2))
+    text = refusal(write(columns, "npz"))
+    assert "expected: 7 columns\n  found: 8: px[0], px[1], py, pz, qw, qx, qy, qz\n" in text
+    columns["px"] = np.array(0.5)
     assert refusal(write(columns, "npz"), DataError).startswith("array px is no column\n")
 
 
@@ -238,8 +261,9 @@ def test_a_csv_with_a_short_line(columns, write):
     file = path.parent / "run.csv"
     file.write_text(file.read_text() + "1,2\n")
     assert refusal(path, DataError).startswith("the table cannot be read\n")
-    file.write_text("")
-    assert refusal(path, DataError).startswith("the table cannot be read\n")
+    for nothing in ("", "\n\n", "# a comment\n"):
+        file.write_text(nothing)
+        assert refusal(path, DataError).startswith("the table is empty\n  expected: a first line with the names")
 
 
 def test_a_single_array_is_no_npz(columns, write):
@@ -259,7 +283,8 @@ def test_an_array_of_what_is_no_value(columns, write, name, kind):
 
 def test_an_npz_with_objects_is_not_unpickled(columns, write):
     columns["px"] = np.array([object()] * 6)
-    assert refusal(write(columns, "npz"), DataError).startswith("the table cannot be read\n")
+    text = refusal(write(columns, "npz"), DataError)
+    assert "found: Python objects in the array px, which are not unpickled: they could run anything\n" in text
 
 
 def test_a_file_that_is_not_there_or_of_another_kind(columns, write):
@@ -289,9 +314,11 @@ def test_a_rate_too_long_to_be_shown(columns, write):
     assert "  found: a long int\n" in refusal(path)
 
 
-def test_a_map_with_numbers_for_columns(columns, write):
+def test_a_map_with_numbers_for_columns_of_a_table_with_names(columns, write):
     path = write(columns)
     path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"time_s": 1}))
+    assert refusal(path, DataError).startswith("the table has no column 1\n")
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | {"time_s": True}))
     assert refusal(path).startswith("map.yaml is not valid: time_s: ")
 
 

@@ -151,13 +151,7 @@ def test_a_sequence_without_a_pose_is_refused(tmp_path):
         read(folder, allow_gaps=True)
 
 
-def test_a_folder_of_sequences_gives_an_episode_each_and_digests_follow_the_bytes(tmp_path):
+def test_a_folder_of_sequences_gives_an_episode_each(tmp_path):
     write(tmp_path / "all" / "a", matrices())
-    folder = write(tmp_path / "all" / "b", matrices(5))
+    write(tmp_path / "all" / "b", matrices(5))
     assert [(e.meta.id, len(e)) for e in read(tmp_path / "all")] == [("a", 12), ("b", 5)]
-    reading = Reading(mapping=tmp_path / "frames.yaml")
-    first = FORMAT.digest(tmp_path / "all", reading)
-    np.savetxt(folder / "ob_in_cam" / "0000000.txt", np.eye(4))
-    assert FORMAT.digest(tmp_path / "all", reading) == first  # frame 0 was the identity
-    np.savetxt(folder / "ob_in_cam" / "0000001.txt", np.eye(4))
-    assert FORMAT.digest(tmp_path / "all", reading) != first

@@ -44,17 +44,6 @@ def test_episodes_come_back_bit_for_bit(name, variant, episodes):
     assert [content_hash(one) for one in back] == [content_hash(one) for one in episodes]
 
 
-@pytest.mark.parametrize(("name", "variant"), WAYS)
-def test_the_digest_tells_sources_apart(name, variant, episode, tmp_path):
-    one = export(name, [episode("a")], tmp_path / "one", variant)
-    other = export(name, [episode("a", seed=1)], tmp_path / "other", variant)
-    digest = load("candata.formats", "FORMAT", name).digest
-    assert len(digest(one, Reading())) == 64
-    assert digest(one, Reading()) == digest(one, Reading())
-    assert digest(one, Reading()) != digest(other, Reading())
-    assert digest(one, Reading()) != digest(one, Reading(source="sim"))
-
-
 @pytest.fixture(scope="module")
 def exports(tmp_path_factory):
     """An export in each way, of three episodes, and what they were."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -20,54 +19,13 @@ from candata.formats import Reading, Writing
 from candata.formats.lerobot import FORMAT
 from tests.conftest import make_episode
 from tests.formats._damage import damaged_copy, damages, only_own_errors
-
-JOINTS = ["thumb", "index"]
-
-
-def feature(dtype: str, width: int, names=None) -> dict:
-    return {"dtype": dtype, "shape": [width], "names": names}
+from tests.formats.made_sets import JOINTS, feature, write_lerobot
 
 
 @pytest.fixture
 def made(tmp_path):
     """Writes a v2.1 or v3.0 set of two episodes as others do: `made(features, columns, version=...)`."""
-
-    def write(features=None, columns=None, version="v3.0", fps=50, rows=(4, 3), info=None):
-        root = tmp_path / "set"
-        shutil.rmtree(root, ignore_errors=True)
-        rng = np.random.default_rng(3)
-        total = sum(rows)
-        own = {"observation.state": feature("float32", 2, JOINTS), "action": feature("float32", 2, JOINTS)}
-        values = {key: rng.normal(size=(total, one["shape"][0])) for key, one in (own | (features or {})).items()
-                  if one["dtype"].startswith(("float", "int", "bool"))}  # fmt: skip
-        values |= columns or {}
-        frames = np.concatenate([np.arange(n) for n in rows])
-        whose = np.repeat(np.arange(len(rows)), rows)
-        table = {key: pa.array(list(v)) for key, v in values.items()}
-        table |= {"timestamp": (frames / fps).astype(np.float32), "frame_index": frames, "episode_index": whose}
-        table = pa.table(table | {"index": np.arange(total), "task_index": np.zeros(total, int)})
-        own |= features or {}
-        said = {"codebase_version": version, "fps": fps, "features": own, "total_episodes": len(rows)}
-        said |= {"total_frames": total, "chunks_size": 1000, "robot_type": "hand"}
-        lines = [{"episode_index": k, "tasks": ["grasp it"], "length": n} for k, n in enumerate(rows)]
-        (root / "meta" / "episodes" / "chunk-000").mkdir(parents=True)
-        (root / "data" / "chunk-000").mkdir(parents=True)
-        if version == "v3.0":
-            said["data_path"] = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-            for line in lines:
-                line |= {"data/chunk_index": 0, "data/file_index": 0}
-            pq.write_table(pa.Table.from_pylist(lines), root / "meta/episodes/chunk-000/file-000.parquet")
-            pq.write_table(table, root / "data/chunk-000/file-000.parquet")
-        else:
-            said["data_path"] = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
-            (root / "meta/episodes.jsonl").write_text("\n".join(json.dumps(line) for line in lines))
-            for k in range(len(rows)):
-                part = table.filter(pa.compute.equal(table["episode_index"], k))
-                pq.write_table(part, root / f"data/chunk-000/episode_{k:06d}.parquet")
-        (root / "meta/info.json").write_text(json.dumps(said | (info or {})))
-        return root
-
-    return write
+    return lambda *given, **told: write_lerobot(tmp_path / "set", *given, **told)
 
 
 @pytest.fixture

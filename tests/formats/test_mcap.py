@@ -306,19 +306,6 @@ def test_what_the_map_leaves_out_is_told(tmp_path):
     assert notes == ["run: left out, not in the map: /word (std_msgs/String, 1 messages)"]
 
 
-def test_the_digest_is_of_map_and_bytes_alone(tmp_path):
-    bag = write_ros2(tmp_path / "run.mcap", POSE_TOPIC)
-    path = tmp_path / "map.yaml"
-    digest = load("candata.formats", "FORMAT", "mcap").digest
-    path.write_text("rate_hz: 100\nchannels: {object_pose: /pose}\n")
-    first = digest(bag, Reading(mapping=path))
-    path.write_text("# the same\nchannels: {object_pose: /pose}\nrate_hz: 100.0\n")
-    assert digest(bag, Reading(mapping=path)) == first
-    assert digest(bag, Reading(mapping=path, object="can")) != first
-    write_ros2(bag, {"/pose": (POSES, poses(49))})
-    assert digest(bag, Reading(mapping=path)) != first
-
-
 def test_a_missing_topic_names_the_nearest(tmp_path):
     with pytest.raises(UnknownNameError, match="did you mean '/pose'"):
         read(write_ros2(tmp_path / "run.mcap", POSE_TOPIC), {"rate_hz": 100, "channels": {"object_pose": "/pos"}})

@@ -9,7 +9,7 @@ import pytest
 
 from candata.datasets import content_hash
 from candata.errors import DataError
-from candata.formats import Reading, Writing
+from candata.formats import Writing
 from candata.formats._mcap_messages import message
 from candata.formats._mcap_scan import Scan
 from candata.plugins import load
@@ -213,11 +213,3 @@ def test_what_the_file_cannot_place_is_said(folder, episode):
     write(folder, episode("run"), note=notes.append)
     assert len(notes) == 1
     assert "fingertip/NAME" in notes[0]
-
-
-def test_an_export_needs_no_map_and_its_digest_is_of_its_bytes(folder, episode):
-    write(folder, episode("run"))
-    first = FORMAT.digest(folder, Reading())
-    (path,) = folder.iterdir()
-    path.rename(folder / "000001_other.mcap")
-    assert FORMAT.digest(folder, Reading()) != first

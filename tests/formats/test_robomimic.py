@@ -246,3 +246,13 @@ def test_damage_gives_only_own_errors(damage, tmp_path_factory):
 @given(damage=damages())
 def test_much_damage_gives_only_own_errors(damage, tmp_path_factory):
     test_damage_gives_only_own_errors.hypothesis.inner_test(damage, tmp_path_factory)
+
+
+@pytest.mark.parametrize(
+    ("data", "found"), [(b"", "no bytes"), (b"PAR1", "a file of another kind, which begins b'PAR1'")]
+)
+def test_a_file_of_another_kind_says_what_it_is(tmp_path, data, found):
+    (tmp_path / "d.hdf5").write_bytes(data)
+    with pytest.raises(DataError, match="the HDF5 file cannot be read") as caught:
+        read(tmp_path / "d.hdf5")
+    assert caught.value.found == found

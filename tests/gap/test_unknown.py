@@ -255,6 +255,32 @@ def test_what_the_support_takes_is_not_known(gripper):
     assert (off[known[..., 0]] < 1).any(), "sideways on the support too, while it is touched"
 
 
+JAWS = """<mujoco><option timestep="0.002"/><worldbody>
+<body pos="-.02 0 .3"><joint name="left" type="slide" axis="1 0 0" damping="5"/>
+  <geom name="left_tip" type="sphere" size=".015" mass=".1"/></body>
+<body pos=".02 0 .3"><joint name="right" type="slide" axis="-1 0 0" damping="5"/>
+  <geom name="right_tip" type="sphere" size=".015" mass=".1"/></body></worldbody>
+<actuator><motor name="left" joint="left"/><motor name="right" joint="right"/></actuator></mujoco>"""
+
+
+def test_a_fingertip_that_feels_more_without_an_object_is_held_by_its_joint(tmp_path):
+    (tmp_path / "jaws.xml").write_text(JAWS)
+    (tmp_path / "scene.yaml").write_text(
+        "model: jaws.xml\nrate_hz: 100\njoints: [left, right]\nactuators: [left, right]\n"
+        "fingertips: [left_tip, right_tip]\n"
+    )
+    jaws, count, rows = load_scene(tmp_path / "scene.yaml"), 2, 60
+    commands = np.full((count, rows, 2), 3.0)
+    readings = rollout(jaws, commands, *at_rest(jaws, count), [()] * count).readings
+    readings = {name: readings[name] for name in ("joint_position", "fingertip_force")}
+    readings["fingertip_force"][:, 20:, 0, 0] += 1.0  # [N], on the left one alone, and nothing moves
+    recs = Recordings(("a", "b"), ("push",) * count, commands, readings, np.full(count, rows), False)
+    force = residual_force(Replayer(jaws), recs, starts(jaws, recs)).force
+    # Smoothing spreads the step over the rows about it.
+    assert np.nanmean(force[:, 30:50, 0]) == pytest.approx(-1.0, abs=0.05)
+    assert np.nanmean(force[:, 30:50, 1]) == pytest.approx(0.0, abs=0.05)
+
+
 def test_rows_that_were_not_recorded_are_not_known(arm, arm_episodes):
     recs = recordings(arm, arm_episodes())
     recs.readings["joint_position"][2, 50:60, 1] = np.nan

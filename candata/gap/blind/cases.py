@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
+from candata.datasets.durable import passing
 from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
@@ -163,13 +164,14 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     draft = path.with_name(f".{path.name}")
     shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
-    create_dataset(draft, path.name)
-    append(draft, made, Lineage(operation="blind case", sealed=sealed))
     case = CaseFile(
         name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
     )
-    (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
-    draft.replace(path)
+    with passing(draft):
+        create_dataset(draft, path.name)
+        append(draft, made, Lineage(operation="blind case", sealed=sealed))
+        (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
+        draft.replace(path)
     return path.name
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from typing import Any, Protocol, TypeVar
 
-from candata.simulate.pool import spawned
+from candata.simulate.pool import spawned, submitted
 
 T = TypeVar("T")
 
@@ -33,6 +33,6 @@ def local(jobs: int) -> Crew:
             yield from alone(work, tasks)
             return
         with spawned(min(jobs, len(tasks))) as pool:
-            yield from (done.result() for done in as_completed([pool.submit(work, *task) for task in tasks]))
+            yield from (done.result() for done in as_completed(submitted(pool, work, tasks)))
 
     return crew

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
+from candata.datasets.durable import passing
 from candata.gap.blind.cases import CASE, CASES, LABELS, missing_cases, standing_labels
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
@@ -191,11 +192,12 @@ def write_rig_case(path: Path, label: Label, sealed: str, number: int, duration_
     draft = path.with_name(f".{path.name}")
     shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
-    create_dataset(draft, path.name)
-    append(draft, episodes(rig, drawn.outlines, read), Lineage(operation="blind case", sealed=sealed))
-    (draft / "scene.xml").write_text(rig.xml + "\n")
-    (draft / "scene.yaml").write_text(rig.yaml)
     case = CaseFile(name=path.name, scene="scene.yaml", episodes=number, sealed=sealed)
-    (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
-    draft.replace(path)
+    with passing(draft):
+        create_dataset(draft, path.name)
+        append(draft, episodes(rig, drawn.outlines, read), Lineage(operation="blind case", sealed=sealed))
+        (draft / "scene.xml").write_text(rig.xml + "\n")
+        (draft / "scene.yaml").write_text(rig.yaml)
+        (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
+        draft.replace(path)
     return drawn

@@ -75,7 +75,7 @@ def episodes(rig: Rig, some: Sequence[Outline], found: Sequence[Reading]) -> lis
     file = rig.file
     joints, motors = [f"q_{j}" for j in file.joints], [f"a_{a}" for a in file.actuator_names]
     tips = [tuple(f"f{i}{axis}" for axis in "xyz") for i in range(len(file.fingertips))]
-    channels: dict[str, tuple[str | tuple[str, ...], ...]] = {
+    channels: dict[str, str | tuple[str | tuple[str, ...], ...]] = {
         "joint_position": tuple(joints),
         "action": tuple(motors),
     }

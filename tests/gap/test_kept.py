@@ -1,0 +1,55 @@
+"""What was simulated is read back as it was written, or not at all."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from candata.gap import kept
+
+ARRAYS = {
+    "raw": np.arange(24.0).reshape(2, 3, 4),
+    "flag": np.array([True, False]),
+    "empty": np.zeros((0, 3), np.float32),
+}
+
+
+@pytest.fixture
+def file(tmp_path):
+    kept.keep(tmp_path / "set" / "a.npz", **ARRAYS)
+    return tmp_path / "set" / "a.npz"
+
+
+def test_arrays_come_back(file):
+    arrays = kept.read(file)
+    assert arrays is not None
+    assert arrays.keys() == ARRAYS.keys()
+    for name, values in ARRAYS.items():
+        assert arrays[name].dtype == values.dtype
+        np.testing.assert_array_equal(arrays[name], values)
+
+
+def test_any_damaged_bit_is_a_miss(file):
+    """Every bit is flipped once: in the archive's own fields, in headers of arrays, in values, in the digest."""
+    good = file.read_bytes()
+    for index in range(8 * len(good)):
+        bad = bytearray(good)
+        bad[index // 8] ^= 1 << index % 8
+        file.write_bytes(bad)
+        assert kept.read(file) is None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_cut_file_is_a_miss(file, share):
+    good = file.read_bytes()
+    file.write_bytes(good[: int(share * len(good))])
+    assert kept.read(file) is None
+
+
+def test_files_of_others_are_misses(tmp_path):
+    np.savez(tmp_path / "plain.npz", **ARRAYS)
+    np.savez(tmp_path / "objects.npz", raw=np.array([{}], object), sha256=np.zeros(32, np.uint8))
+    np.save(tmp_path / "one.npy", ARRAYS["raw"])
+    (tmp_path / "text.npz").write_text("version https://git-lfs.github.com/spec/v1\n")
+    for name in ("plain.npz", "objects.npz", "one.npy", "text.npz", "missing.npz", "."):
+        assert kept.read(tmp_path / name) is None
