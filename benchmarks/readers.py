@@ -14,6 +14,7 @@ that of time of reading the columns; what checks and writing take is printed bes
 from __future__ import annotations
 
 import argparse
+import gc
 import json
 import subprocess
 import sys
@@ -202,6 +203,8 @@ WAYS = {"library": library, "columns": columns, "episodes": episodes, "import": 
 def probe(way: str, name: str, source: Path) -> None:
     """Print what one way takes, as JSON: seconds, and MB beyond what was held before."""
     run = WAYS[way](name, source)
+    gc.collect()  # of what the imports made, which is no part of reading
+    gc.freeze()
     before = _status("VmRSS")
     imports_mb = _status("VmHWM")
     Path("/proc/self/clear_refs").write_text("5")  # the peak counts from here

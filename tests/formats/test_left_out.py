@@ -203,3 +203,16 @@ def test_a_dataset_of_10_tb_that_is_not_asked_for_does_not_matter(tmp_path):
         h5py.h5d.create(file["data/demo_0"].id, b"pictures", h5py.h5t.NATIVE_UINT8, space, plan)
 
     assert len(read("robomimic", write_demos(tmp_path / "d.hdf5", edit))) == 2
+
+
+def test_pictures_of_a_lerobot_set_that_are_damaged_and_not_asked_for_do_not_matter(tmp_path):
+    root = write_lerobot(tmp_path / "set", {"observation.image": feature("image", 3)})
+    path = root / "data/chunk-000/file-000.parquet"
+    column = pa.array([b"a picture" * 100] * 7)
+    pq.write_table(pq.read_table(path).append_column("observation.image", column), path, write_page_checksum=True)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"a picturea", b"no pictur!"))
+    assert path.read_bytes() != data
+    notes: list[str] = []
+    assert len(read("lerobot", root, note=notes.append)) == 2
+    assert notes[0] == "left out, videos and images: observation.image"
