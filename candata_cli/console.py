@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -185,16 +186,84 @@ def transfer(label: str, total: int) -> Iterator[Callable[[int], None]]:
         yield lambda count: bar.advance(task, count)
 
 
+@dataclass(frozen=True)
+class Stages:
+    """What a long command does: called with the name of each stage; `ends` hears by when it is done at the latest."""
+
+    tell: Callable[[str], None]
+    ends: Callable[[float | None], None] = lambda ends_s: None
+
+    def __call__(self, name: str) -> None:
+        """Tell that a stage begins."""
+        self.tell(name)
+
+
 @contextmanager
-def stages() -> Iterator[Callable[[str], None]]:
-    """Yield `stage(name)`: a spinner with the time spent on a terminal, a line each elsewhere."""
+def stages(timed: bool = False) -> Iterator[Stages]:
+    """Yield what shows stages: a spinner with the time spent on a terminal, a line each elsewhere.
+
+    Where the command knows its latest end (`timed`), a terminal also shows a bar and the time left.
+    """
     if not sys.stderr.isatty():
-        yield note
+        yield Stages(note)
         return
     from rich.console import Console
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, ProgressBar, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda name: bar.update(task, description=name)
+    left = TimeLeft()
+
+    class Share(BarColumn):
+        """A bar as long as the share of the time that has gone."""
+
+        def render(self, task: Task) -> ProgressBar:
+            task.completed = left.gone_s
+            return super().render(task)
+
+    columns = [SpinnerColumn(), TextColumn("{task.description}")]
+    columns += [Share(20), TextColumn("{task.fields[left]}")] if timed else []
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task("starting", total=None, left=left)
+
+        def tell(name: str) -> None:
+            if left.grown:
+                left.grown = False
+                bar.console.print(name, markup=False, highlight=False)
+            bar.update(task, description=name.partition(" (")[0] if timed else name)
+
+        def ends(ends_s: float | None) -> None:
+            left.move(ends_s)
+            bar.update(task, total=left.total_s)
+
+        yield Stages(tell, ends)
+
+
+class TimeLeft:
+    """The time left of a command, as text whenever it is shown."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """Begin without an end."""
+        self._clock, self._begun_s = clock, clock()
+        self._ends_s: float | None = None
+        self.grown = False
+
+    @property
+    def gone_s(self) -> float:
+        """Time since the beginning [s]."""
+        return self._clock() - self._begun_s
+
+    @property
+    def total_s(self) -> float | None:
+        """Time from the beginning to the latest end [s]; None while that is not known."""
+        return None if self._ends_s is None else self._ends_s - self._begun_s
+
+    def move(self, ends_s: float | None) -> None:
+        """Take another latest end, on the clock's time, or None; `grown` is set where it is later."""
+        self.grown |= self._ends_s is not None and ends_s is not None and ends_s > self._ends_s
+        self._ends_s = ends_s
+
+    def __str__(self) -> str:
+        """Return `at most 2:05 left`; empty while nothing is known."""
+        if self._ends_s is None:
+            return ""
+        left = round(self._ends_s - self._clock())
+        return f"at most {left // 60}:{left % 60:02d} left" if left > 0 else "longer than planned"

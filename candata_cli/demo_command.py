@@ -47,8 +47,9 @@ def demo(
     note(f"two sets of {episodes} episodes in {SCENE}: nominal, and `real` with a hidden effect")
     _generate(folder, seal, seed, episodes, jobs)
     dataset = open_dataset(folder / "real")
-    with stages() as stage:
-        found = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage)
+    with stages(timed=True) as stage:
+        found = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage, ends=stage.ends)
+        stage.ends(None)
         stage("writing the report")
         page = write_diagnosis(found, scene, folder / "report")
     truth = open_seal(seal, dataset)

@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli import console
+from candata_cli.outputs import tried
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -15,7 +18,9 @@ if TYPE_CHECKING:
     from candata.gap import Diagnosis
     from candata.scenes import Scene
 
-VERDICTS = ("no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data")
+VERDICTS = (
+    "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
+)  # fmt: skip
 
 
 def register(app: typer.Typer) -> None:
@@ -23,6 +28,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: candata diagnose real --scene scene.yaml --out out/diagnosis")(diagnose)
 
 
+@console.stoppable()
 def diagnose(
     dataset: Annotated[str, typer.Argument(help="Dataset of recordings: its folder or registered name.")],
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
@@ -41,7 +47,8 @@ def diagnose(
         str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
     ] = "",
     budget: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Stop without a verdict after so many CPU seconds.")
+        float | None,
+        typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
     ] = None,
     keep: Annotated[
         bool,
@@ -54,42 +61,66 @@ def diagnose(
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
-    from candata.datasets.durable import user_cache
-    from candata.errors import UsageError
-    from candata.gap import diagnose as run
-    from candata.reports import summary, write_diagnosis
-    from candata.scenes import load_scene
-    from candata_cli import console
-
     refused, names = _verdicts(fail_on), console.words(only)
-    if out.is_file():
-        raise UsageError(f"--out {out} is a file", expected="a folder", found="a file", fix="name another folder")
-    if edit_scene is not None and edit is None:
-        raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
-    if cache_dir is not None and not keep:
-        raise UsageError("--cache-dir with --no-cache", expected="one of them")
+    _refuse_pairs(edit, edit_scene, cache_dir, keep)
+    cache = _try_outputs(out, cache_dir, keep)
+    from candata.gap import diagnose as run
+    from candata.reports import summary
+    from candata.scenes import load_scene
+
     world = load_scene(scene)
     other = None if edit is None else (console.opened(edit), load_scene(edit_scene) if edit_scene else world)
     if other is not None:
         _check_edit(*other)
-    with console.stages() as stage:
-        data, cache = console.opened(dataset, version), (cache_dir or user_cache()) if keep else None
-        found = run(data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage)
-        stage("writing the report")
-        page = write_diagnosis(found, world, out)
-        if other is not None:
+    kept = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
+    with console.stoppable(kept, goes_on=keep), console.stages(timed=True) as stage:
+        data = console.opened(dataset, version)
+        found = run(
+            data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage, ends=stage.ends
+        )
+        stage.ends(None)
+        page = _written(found, world, out, stage)
+    if other is not None:
+        with console.stoppable(f"the report without its edit test stands in {out}"), console.stages() as stage:
             found = _edited(found, *other, jobs, seed, stage)
-            page = write_diagnosis(found, world, out)
+            page = _written(found, world, out, stage)
     console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
     console.note(f"report: {page}")
     if found.report.verdict in refused:
         raise typer.Exit(1)
 
 
+def _refuse_pairs(edit: str | None, edit_scene: str | None, cache_dir: Path | None, keep: bool) -> None:
+    """Refuse options that mean nothing without, or with, another."""
+    from candata.errors import UsageError
+
+    if edit_scene is not None and edit is None:
+        raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
+    if cache_dir is not None and not keep:
+        raise UsageError("--cache-dir with --no-cache", expected="one of them")
+
+
+def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:
+    """Return the folder of what is kept, None for none, once that and the report's are tried."""
+    from candata.datasets.durable import user_cache
+
+    tried(out, "folder")
+    if cache_dir is not None:
+        tried(cache_dir, "folder", "--cache-dir")
+    return (cache_dir or user_cache()) if keep else None
+
+
+def _written(found: Diagnosis, scene: Scene, out: Path, stage: Callable[[str], None]) -> Path:
+    """Return the page of a report after writing its files."""
+    from candata.reports import write_diagnosis
+
+    stage("writing the report")
+    return write_diagnosis(found, scene, out)
+
+
 def _verdicts(text: str) -> tuple[str, ...]:
     """Return the verdicts of a comma-separated list, each a known one."""
     from candata.errors import UnknownNameError
-    from candata_cli import console
 
     for word in console.words(text):
         if word not in VERDICTS:
@@ -111,7 +142,6 @@ def _edited(
     from dataclasses import replace
 
     from candata.gap.edit import edit_test
-    from candata_cli import console
 
     if not found.effects.effects:
         console.note("no effect is named, so there is nothing to test on --edit")

@@ -58,7 +58,8 @@ FaultList = Annotated[
     typer.Option(
         "--faults",
         metavar="LIST",
-        help="bitflip:P, truncate:P, head:P, garbage:P (shares of the frames), stall:S@T, unplug[:S]@T.",
+        help="bitflip:P, truncate:P, head:P, garbage:P (shares of the frames), stall:S@T, unplug[:S]@T, burst:S (a USB "
+        "adapter's latency timer, 0.016).",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Two lines of JSON: the port, then the report.")]

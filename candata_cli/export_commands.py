@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
     app.command("export", epilog=_EXAMPLES)(export)
 
 
+@console.stoppable()
 def export(
     format_name: Annotated[str, typer.Argument(metavar="FORMAT", help="Format; an unknown one lists them.")],
     dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name.")],

@@ -79,6 +79,7 @@ def register(app: typer.Typer) -> None:
     group.command("score", epilog=SCORE_EXAMPLE)(score)
 
 
+@console.stoppable()
 def bench(
     out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted one goes on.")],
     scene: Annotated[
@@ -129,6 +130,7 @@ def bench(
         _diagnose_and_score(run, json)
 
 
+@console.stoppable()
 def score(
     cases: Annotated[Path, typer.Argument(help="Folder of cases.")],
     labels: Annotated[Path, typer.Option(help="The sealed labels.")],

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli import console
 from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ def register(app: typer.Typer) -> None:
     )
 
 
+@console.stoppable()
 def generate_sim(
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")],
     episodes: Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")],
@@ -61,31 +63,31 @@ def generate_sim(
     from candata.datasets.versions import members_of
     from candata.effects import read_effects
     from candata.simulate.generate import Withheld, generate
-    from candata_cli.console import note, progress, stoppable
-    from candata_cli.console import out as say
 
     given = read_effects(effects) if effects else None
     hidden = None if withhold is None else Withheld(withhold, sealed, salt)
-    made = 0
-
-    def told(count: int) -> None:
-        nonlocal made
-        made += count
-        advance(count)
-
-    def kept() -> str:
-        return f"{made} of {episodes} episodes are kept in {out}" if made else "no episode was made yet"
-
-    with stoppable(kept, goes_on=True), progress("episodes", episodes) as advance:
+    with console.stoppable(lambda: _kept(out), goes_on=True), console.progress("episodes", episodes) as advance:
         version = generate(
             out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
             policies=tuple(policies.split(",")) if policies else (), policy_file=policy_file,
-            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=told,
+            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance,
         )  # fmt: skip
     if hidden:
-        note(f"withheld effect sealed in {hidden.seal}")
+        console.note(f"withheld effect sealed in {hidden.seal}")
     total = len(members_of(out, version))
-    say(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+    console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+
+
+def _kept(out: Path) -> str:
+    """Return how many episodes a run that was stopped leaves, published or not, as a clause."""
+    from candata.datasets import pending_parts
+    from candata.datasets.versions import DATASET, members_of, newest
+
+    if not (out / DATASET).exists():
+        return "nothing was written"
+    version = newest(out)
+    pending = sum(len(part.episodes) for part in pending_parts(out))
+    return f"{pending + (len(members_of(out, version)) if version else 0)} episodes are kept in {out}"
 
 
 def _scene(asked: str | None, given: EffectsFile | None, path: Path | None) -> str:

@@ -90,7 +90,7 @@ def register(app: typer.Typer) -> None:
     app.command("fetch", epilog="Example: candata fetch cube-tosses --out tosses")(fetch)
 
 
-@console.stoppable("nothing was imported")
+@console.stoppable()
 def import_(
     format_name: FormatName,
     sources: Sources,
@@ -175,7 +175,7 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
         raise UsageError(f"{format_name} can be exported, not imported")
     if options["mapping"] is not None and not reader.takes_map:
         raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
-    _try_output(out, append)
+    _refuse_standing(out, append)
     clouds: list[NDArray] = []
     reading = Reading(**options, note=console.note, cloud=clouds.append)
     operation, hashes = f"import {format_name}", []
@@ -214,7 +214,7 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
 
     if "episode" in settings and len(logs) > 1:
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
-    _try_output(out, append)
+    _refuse_standing(out, append)
     recipe = _recipe(settings)
     made: list[tuple[str, dict]] = []
 
@@ -263,6 +263,7 @@ def _recipe(settings: dict) -> Recipe:
     return Recipe.parse({"episode": "", **settings}, "options")
 
 
+@console.stoppable()
 def fetch(
     name: Annotated[str, typer.Argument(metavar="NAME", help="Public data set, such as `cube-tosses`.")],
     out: Out,
@@ -279,7 +280,7 @@ def fetch(
     from candata.schema.manifest import Lineage
 
     source, downloads = load("candata.fetch", "SOURCE", name.replace("-", "_")), cache or user_cache()
-    _try_output(out, append)
+    _refuse_standing(out, append)
     if folder is None:
         tried(downloads, "folder", "--cache")
     console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
@@ -294,7 +295,7 @@ def fetch(
     _publish(out, append, fetched.episodes, lineage.operation, lambda: lineage)
 
 
-def _try_output(out: Path, append: bool) -> None:
+def _refuse_standing(out: Path, append: bool) -> None:
     """Refuse an `--out` that cannot be written, or that stands unless it is to be appended to."""
     from candata.datasets.versions import read_dataset_file
 

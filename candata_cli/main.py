@@ -13,7 +13,10 @@ import pkgutil
 import shlex
 import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
 from typing import Annotated, NoReturn
 
 import typer
@@ -63,10 +66,12 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit with its code; `arguments` default to the process's own."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     _draw_in_children()
+    pressed: list[int] = []
     try:
-        app = build()
-        _leave_unread(app, words)
-        app(args=words, prog_name="candata")
+        with _heard(pressed):
+            app = build()
+            _leave_unread(app, words)
+            app(args=words, prog_name="candata")
         code: int | str | None = 0
     except Stopped as stop:
         code = _stopped(stop, words)
@@ -85,7 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
         # typer makes this code of a Ctrl-C that no command has put into words.
         code = _stopped(Stopped(), words) if error.code == STOPPED else 0 if gone else error.code
     except Exception as error:
-        code = _failed(error, words)
+        # Compiled code that is being imported turns a Ctrl-C into an error of its own.
+        code = _stopped(Stopped(), words) if pressed else _failed(error, words)
     _flush()
     sys.exit(code)
 
@@ -99,9 +105,30 @@ def _failed(error: Exception, words: Sequence[str]) -> int:
     return known.exit_code if known else UNEXPECTED
 
 
+@contextmanager
+def _heard(pressed: list[int]) -> Iterator[None]:
+    """Note in `pressed` that Ctrl-C came, beside what it does; where it is ignored (a shell's job) it stays so."""
+
+    def note(number: int, frame: FrameType | None) -> None:
+        pressed.append(number)
+        signal.default_int_handler(number, frame)
+
+    standing = signal.getsignal(signal.SIGINT)
+    if standing is signal.default_int_handler and threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        if signal.getsignal(signal.SIGINT) is note:
+            signal.signal(signal.SIGINT, standing)
+
+
 def _stopped(stop: Stopped, words: Sequence[str]) -> int:
     """Print what is kept and which command to type, and return the exit code; from now on Ctrl-C is not heard."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Python remembers a Ctrl-C that came while text was executed (a named tuple in an import, say), caught or not, and
+    # would kill itself by the signal in the end; it forgets that when more text is executed.
+    exec("")
     print(f"stopped: {stop.kept}" if stop.kept else "stopped", file=sys.stderr)
     how = "go on" if stop.goes_on or stop.other else "begin again"
     print(f"  to {how}: {shlex.join(['candata', *(stop.other or words)])}", file=sys.stderr)
@@ -109,10 +136,15 @@ def _stopped(stop: Stopped, words: Sequence[str]) -> int:
 
 
 def _draw_in_children() -> None:
-    """Keep the user's GL library for the processes that draw: importing MuJoCo fails where the library is not there."""
-    if os.environ.get("MUJOCO_GL"):
-        os.environ.setdefault("CANDATA_GL", os.environ["MUJOCO_GL"])
-        os.environ["MUJOCO_GL"] = "off"
+    """Keep the user's GL library for the processes that draw, and let MuJoCo load none here.
+
+    Importing it fails where the library is not there, and where none is named it asks for one in a process of its own,
+    which answers Ctrl-C with a traceback.
+    """
+    asked = os.environ.get("MUJOCO_GL", "")
+    if asked != "off" or "CANDATA_GL" not in os.environ:
+        os.environ["CANDATA_GL"] = asked
+    os.environ["MUJOCO_GL"] = "off"
 
 
 def _leave_unread(app: typer.Typer, words: Sequence[str]) -> None:

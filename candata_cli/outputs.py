@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from contextlib import suppress
@@ -41,7 +42,7 @@ def tried(path: Path, kind: Kind, option: str = "--out", fix: str | None = None)
     try:
         _refuse_standing(path, kind, option, fix)
         _refuse_in_dataset(path, kind, option)
-        _try_writing(path, option)
+        _try_writing(path)
     except OSError as error:
         raise SetupError(
             f"{option} {path} cannot be written",
@@ -90,18 +91,12 @@ def _is_dataset(folder: Path) -> bool:
     return False
 
 
-def _try_writing(path: Path, option: str) -> None:
+def _try_writing(path: Path) -> None:
     """Raise OSError where the nearest folder that stands takes no file, or no such names."""
     base = next(folder for folder in path.absolute().parents if folder.exists())
     base = path if path.is_dir() else base
     if not base.is_dir():
-        raise UsageError(
-            f"{option} {path} would lie in a file",
-            expected="a folder",
-            found="a file",
-            where=Where(path=str(base)),
-            fix=f"choose another {option}",
-        )
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(base))
     for name in path.absolute().relative_to(base.absolute()).parts:
         with suppress(FileNotFoundError):
             os.lstat(base / name)  # a name that is too long is refused here

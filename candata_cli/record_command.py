@@ -35,6 +35,7 @@ def register(app: typer.Typer) -> None:
     app.command("recover", epilog=_RECOVER_EXAMPLE)(recover)
 
 
+@console.stoppable("nothing was recorded")
 def record_real(
     port: Annotated[str, typer.Option("--port", metavar="PORT", help="Serial port to listen to; never written to.")],
     out: Annotated[Path, typer.Option("--out", metavar="LOG", help="Log to write (MCAP).")],
@@ -94,11 +95,8 @@ def record_real(
         _print_report(report.facts)
     if report.failure is not None:
         raise report.failure
-    following = ("import", "log", str(out), "--out", "DATASET")
     if duration is not None and report.facts["ended"] == "stopped":
-        states = f"{report.facts['rows']} states in {report.facts['duration_s']:.1f} s are kept in {out}, whole"
-        raise console.Stopped(states, other=following)
-    console.note(f"next: {shlex.join(['candata', *following])}")
+        raise _cut_short(report.facts)
 
 
 def recover(
@@ -122,6 +120,18 @@ def recover(
     console.out(f"{saved.log} is {state}: {saved.read_bytes} of {saved.total_bytes} bytes read{damaged}")
     console.out(f"{saved.out}: {sum(saved.messages.values())} messages over {saved.duration_s:.2f} s")
     console.out_table(("topic", "messages"), sorted(saved.messages.items()))
+
+
+def _cut_short(facts: dict[str, Any]) -> console.Stopped:
+    """Return what is kept of a recording that was to last longer."""
+    log = Path(facts["log"])
+    states = f"{facts['rows']} states over {facts['duration_s']:.1f} s are kept in {log}, whole"
+    return console.Stopped(states, other=_following(log))
+
+
+def _following(out: Path) -> tuple[str, ...]:
+    """Return the words of the command that goes on with a log."""
+    return "import", "log", str(out), "--out", "DATASET"
 
 
 def _kept(out: Path) -> str:
@@ -225,6 +235,8 @@ def _each_second() -> Callable[[View], None]:
 
 def _print_report(facts: dict[str, Any]) -> None:
     """Print the report for people."""
+    from candata.record.bursts import WORDS
+
     losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
     saturated = facts["saturated"]
     rows = (
@@ -232,12 +244,14 @@ def _print_report(facts: dict[str, Any]) -> None:
         ("states", f"{facts['rows']} in {facts['duration_s']:.2f} s, {facts['rate_hz']:.2f} Hz"),
         ("commands", facts["commands"]),
         ("gaps", f"{facts['gaps']}, the longest {facts['longest_gap_s'] * 1e3:.0f} ms"),
+        *([("bursts", f"bytes {WORDS}; do: {facts['bursts']}")] if facts["bursts"] else []),
         ("lost", losses or "nothing"),
         ("unplugged", f"{len(facts['unplugs'])} times"),
         ("saturated", f"{saturated['forces']} forces, {saturated['taxels']} taxels"),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
         ("ended", facts["problem"] or facts["ended"]),
         ("sha256", facts["sha256"]),
+        ("next", shlex.join(["candata", *_following(Path(facts["log"]))])),
     )
     for name, value in rows:
         console.out(f"{name:<11}{value}")

@@ -263,6 +263,7 @@ def filter_episodes(
     console.note(f"{len(ids)} of {len(data)} episodes")
 
 
+@console.stoppable()
 def merge(
     datasets: Annotated[list[str], typer.Argument(metavar="DATASET...", help="Names or folders.")],
     out: Out,

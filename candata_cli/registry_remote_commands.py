@@ -44,6 +44,7 @@ def register(app: typer.Typer) -> None:
     remotes.command("remove", epilog="Example: candata registry remotes remove lab")(remove)
 
 
+@console.stoppable("nothing was sent")
 def push(
     dataset: Annotated[str, typer.Argument(metavar="DATASET", help="Name or folder; all its versions are sent.")],
     remote: Remote,
@@ -79,6 +80,7 @@ def push(
     console.out(f"{called}@{done.newest.digest[:12]} on {remote}: new versions {new}; {sent}")
 
 
+@console.stoppable()
 def pull(
     remote: Remote,
     name: Annotated[str, typer.Argument(metavar="NAME", help="Dataset there; NAME@TAG, NAME@3, NAME@9f31c2.")],

@@ -28,6 +28,7 @@ def register(app: typer.Typer) -> None:
     console.group(app, "gap", console.GAP).command("signatures", epilog=_EXAMPLE)(signatures)
 
 
+@console.stoppable()
 def signatures(
     dataset: Annotated[str, typer.Argument(help="Recordings of the commands: a dataset's folder or registered name.")],
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],

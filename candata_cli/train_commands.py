@@ -39,6 +39,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: candata evaluate runs/first sim --out out/evaluation")(evaluate)
 
 
+@console.stoppable()
 def train(
     data: Annotated[
         str, typer.Option("--data", metavar="DATASET", help="Dataset to train on, or several: sim:0.7,real:0.3.")
@@ -96,9 +97,7 @@ def train(
         stage("reading the dataset")
         opened = {name: console.opened(path, version) for name, path in paths.items()}
         job = prepare(opened if mixture else opened[""], ask, settings, device)
-        if clipped := job.run.normaliser.get("clipped"):
-            values = ", ".join(f"{name} {count:,}" for name, count in clipped.items())
-            stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")
+        _tell_clipped(job, stage)
         if init is not None:
             stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
         with _stop_on_interrupt() as stopped:
@@ -108,6 +107,7 @@ def train(
     _print_trained(job, progress, out, list(paths.values())[-1], json)
 
 
+@console.stoppable()
 def evaluate(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run (its best checkpoint), or a checkpoint.")],
     data: Annotated[str, typer.Argument(metavar="DATASET", help="Dataset to evaluate on: folder or registered name.")],
@@ -144,6 +144,13 @@ def evaluate(
         page = write_evaluation(found, tracks, folder)
     console.out(found.model_dump_json(indent=2) if json else summary(found))
     console.note(f"page: {page}")
+
+
+def _tell_clipped(job: Job, stage: Callable[[str], None]) -> None:
+    """Tell how many values the normaliser clips."""
+    if clipped := job.run.normaliser.get("clipped"):
+        values = ", ".join(f"{name} {count:,}" for name, count in clipped.items())
+        stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")
 
 
 def _saved(out: Path) -> str:

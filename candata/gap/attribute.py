@@ -11,7 +11,7 @@ from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
 from candata.gap.fewer import by_choice, completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
 from candata.gap.own_floor import Grown, judged
-from candata.gap.pace import AGAIN, SHARPEN
+from candata.gap.pace import AGAIN, ANOTHER, REST, SHARPEN
 from candata.gap.refine import polished
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
@@ -21,7 +21,7 @@ from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, s
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses
 from candata.gap.uneven import alone, recentred
-from candata.gap.worth import LEFT, MOST, leaves, left_by
+from candata.gap.worth import LARGEST, LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.
@@ -107,7 +107,7 @@ def _attributed(problem: Problem, doubt: Doubt | None) -> Attribution:
         uneven = _uneven(found.first, alone(problem, found.chosen, found.score))
     if uneven or little or not found.remains:
         return uneven or found
-    problem.pace.say("simulating every effect on the recording itself", AGAIN)
+    problem.pace.say("simulating every effect on the recording itself", AGAIN, after=REST.most)
     seeing = _looked_into(problem, found)
     if seeing is None:
         return found
@@ -236,7 +236,7 @@ def _left(problem: Problem, found: Attribution) -> tuple[float, float]:
 
 def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attribution:
     """Return what the search finds that begins with the evidence of every candidate alone, or where a doubt ends it."""
-    nominal = problem.nominal
+    nominal, problem.sofar.first = problem.nominal, first
     remains = bool(problem.score.loss(nominal).mean() > null_level(problem.score, problem.rng))
     if remains and first.faint and first.passing() is None and not problem.simulated:
         # Before the cause is called unknown, all that could explain it is looked at on every episode.
@@ -248,8 +248,8 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
     several = together(problem, best, as_simulated(problem, first)) if is_far else None
     if several is None:
-        problem.pace.say("comparing what is best so far", SHARPEN)
-        first = sharpened(problem, narrowed(problem, nominal, first))
+        problem.pace.say("comparing what is best so far", SHARPEN, after=(LARGEST - 1) * ANOTHER.most + REST.most)
+        first = problem.sofar.first = sharpened(problem, narrowed(problem, nominal, first))
     best, rough = first.fits[0], as_simulated(problem, first)
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]
     chosen, world, remains = forward(problem, several or best, first.fits, () if is_far else rough, doubt)

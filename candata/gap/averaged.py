@@ -13,7 +13,7 @@ from candata.gap.candidates import Candidate, candidate, elements_of, local_cand
 from candata.gap.compare import is_tied, standard_error
 from candata.gap.floor import null_recordings, perturbed
 from candata.gap.folds import CrossFit, rest
-from candata.gap.pace import MEAN
+from candata.gap.pace import MEAN, REST
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, is_simulated, name_of, replay_all
 from candata.gap.residuals import residual
@@ -98,7 +98,7 @@ class Averaged:
 
 def faint(problem: Problem, first: Stage) -> tuple[Fit, Averaged] | None:
     """Return the quiet effect that surely gains in the mean over many replays, and these; None where none does."""
-    problem.pace.say("looking for what contact hides, in the mean over many replays", MEAN)
+    problem.pace.say("looking for what contact hides, in the mean over many replays", MEAN, after=REST.most)
     many = _of(problem)
     fits = _compared(many, [(c, u) for c in _quiet(problem, first) for u in _clear(problem, c)])
     return next(((f, many) for f in fits if _surpasses_nulls(many, f)), None)
@@ -121,7 +121,7 @@ def placed(problem: Problem, chosen: Fit) -> tuple[Fit | None, Averaged] | None:
     single = _single(problem, whole)
     if not single or not _is_scalar(whole):
         return None
-    problem.pace.say("asking where it acts, in the mean over many replays", MEAN)
+    problem.pace.say("asking where it acts, in the mean over many replays", MEAN, after=REST.most)
     many = _of(problem)
     places = (c, *(v for v in (whole, *single) if v.label != c.label))
     fits = _compared(many, [(v, at) for v in places for at in (u, *_clear(problem, v))])

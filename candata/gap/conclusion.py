@@ -28,6 +28,7 @@ from candata.gap.replay import EffectSet
 from candata.gap.residuals import residual
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap, measures, shares, support, trust
+from candata.gap.stage import Stage
 from candata.gap.starts import is_toss
 from candata.gap.unknown import Described, describe, described, outdoing, unseating
 from candata.gap.verdict import FEWEST, class_of, unknown, verdict
@@ -93,7 +94,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
     if word == "partly_explained":
         after = f.world.score.normal(residual(f.held.recs, f.world.plan, f.held.after))
         left = symptoms(f.world.plan, locate(f.world.plan, f.world.score, after, rng))
-    typical, unit = _typical(f, left[0].channel, left[0].element) if left else (None, None)
+    typical, unit = typical_size(f.world, f.held, chosen is not None, left[0]) if left else (None, None)
     proposed, motion = separating(_judged(f), f.found) if word == "ambiguous" else (None, ())
     named: tuple[NamedEffect, ...] = ()
     repaired: EffectSet = ()
@@ -107,7 +108,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
         effects=named,
         ambiguous_class=class_of(f.found.tied) if word == "ambiguous" else (),
         unknown=rest.unknown if rest else unknown(word, f.found, left, acts_on(left, slides(f.scene)), typical, unit),
-        ranking=_ranking(f, rng),
+        ranking=ranked(f.found.first, f.scene, rng),
         gap=size,
         where=where,
         next_motion=proposed,
@@ -176,12 +177,12 @@ def lasting(name: str) -> str:
     return str(Path(name).resolve()) if Path(name).suffix in (".yaml", ".yml") else name
 
 
-def _typical(f: Findings, channel: str, element: str | None) -> tuple[float, str]:
-    """Return the 68 % quantile of the remaining residual's size in one column, and its unit."""
-    readings = f.held.after if f.found.chosen else f.held.before
-    column = [(c, e) for c, e, _ in f.world.plan.columns].index((channel, element or ""))
-    size = np.abs(residual(f.held.recs, f.world.plan, readings)[..., column])
-    return float(np.nanquantile(size, 0.68)), f.world.plan.columns[column][2]
+def typical_size(world: Problem, held: HeldOut, repaired: bool, where: Symptom) -> tuple[float, str]:
+    """Return the 68 % quantile of the residual's size where a symptom shows, and its unit."""
+    readings = held.after if repaired else held.before
+    column = [(c, e) for c, e, _ in world.plan.columns].index((where.channel, where.element or ""))
+    size = np.abs(residual(held.recs, world.plan, readings)[..., column])
+    return float(np.nanquantile(size, 0.68)), world.plan.columns[column][2]
 
 
 def _named(f: Findings, fit: Fit, ends: Known, trusted: float, rng: np.random.Generator) -> tuple[NamedEffect, ...]:
@@ -237,12 +238,11 @@ def _is_at_bound(c: Candidate, u: Array) -> bool:
     return not c.choices and bool(np.any(ends))
 
 
-def _ranking(f: Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
+def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked, ...]:
     """Return every candidate alone with its held-out gain and a 90 % interval, best first; dead ones last."""
-    fits = f.found.first.fits
-    backing = support(fits, f.found.first.base, rng)
+    backing = support(first.fits, first.base, rng)
     out = []
-    for fit, s in zip(fits, backing, strict=True):
+    for fit, s in zip(first.fits, backing, strict=True):
         gain = fit.evidence.gain
         picks = rng.integers(len(gain), size=(500, len(gain)))
         low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
@@ -255,10 +255,9 @@ def _ranking(f: Findings, rng: np.random.Generator) -> tuple[Ranked, ...]:
                 held_out_gain=round(fit.gain, 4),
                 gain_low=round(float(low), 4),
                 gain_high=round(float(high), 4),
-                parameters=c.setting(u, f.scene).parameters,
+                parameters=c.setting(u, scene).parameters,
             )
         )
-    first = f.found.first
     reasons = [
         *((d, "gains little on the episodes looked at first") for d in first.faint),
         *((d, "best left out") for d in first.idle),

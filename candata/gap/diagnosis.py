@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from time import monotonic, process_time
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from candata.effects import effect_names
 from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.averaged import ALL, SOME, sizes_in_mean
-from candata.gap.budget import Budget
+from candata.gap.budget import Budget, BudgetSpent
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.floor import spread
@@ -26,17 +26,18 @@ from candata.gap.mismatch import checked
 from candata.gap.noise import sensor_noise
 from candata.gap.null_test import leaves_gap, with_names_tested
 from candata.gap.outlook import say_outlook
-from candata.gap.pace import REST, Pace
+from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
-from candata.gap.search import Fit, Problem
+from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.shortlist import with_telling
 from candata.gap.shrink import HeldOut, gap, held_out
 from candata.gap.signatures import library
 from candata.gap.sized import with_sizes
 from candata.gap.starts import is_toss, start_notes, starts
+from candata.gap.unfinished import unfinished
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, verdict
 from candata.scenes import Scene
@@ -66,6 +67,7 @@ def diagnose(
     only: tuple[str, ...] = (),
     budget: float | None = None,
     progress: Progress = lambda stage: None,
+    ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
     """Return where recordings and simulator differ, which effect causes it, and how far the gap shrinks.
 
@@ -85,26 +87,55 @@ def diagnose(
     only : tuple of str
         Effects to search among; all that can act and show by default.
     budget : float, optional
-        CPU seconds, of all threads, after which it stops without a verdict; checked against the first replay.
+        CPU seconds, of all threads, after which it ends with the best answer so far: the verdict `out_of_budget`.
     progress : callable
         Called with the name of each stage.
+    ends : callable
+        Called with the latest time [s, of `time.monotonic`] by which the search ends, each time that it is known
+        better. It moves later only where more is to be done than was planned, which `progress` then says.
 
     Raises
     ------
     UnknownNameError, UsageError
-        When `only` names an effect that is not there, or that cannot act or show here; when the budget is too small.
+        When `only` names an effect that is not there, or that cannot act or show here; when the budget is no time.
     DataError
         When the dataset is empty or does not fit the scene, or when commands, poses or forces are not what the schema
         says they are.
     """
     limit = None if budget is None else Budget(budget)
-    replayer = limit.watched(Replayer(scene, jobs)) if limit else Replayer(scene, jobs)
-    everything, untouched, problem = posed(dataset, replayer, seed, cache, only, progress, limit)
+    sofar, forecast = SoFar(), Forecast(ends)
+    replayer = Replayer(scene, jobs, forecast.count)
+
+    def tell(step: str) -> None:
+        sofar.step = step
+        progress(step)
+
+    try:
+        some = posed(
+            dataset,
+            limit.watched(replayer) if limit else replayer,
+            seed,
+            cache,
+            only,
+            tell,
+            forecast=forecast,
+            sofar=sofar,
+        )
+        return _searched(dataset, scene, some)
+    except BudgetSpent as spent:
+        return unfinished(dataset, scene, sofar, spent.budget)
+
+
+def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
+    """Return the diagnosis of the problem that a dataset poses."""
+    everything, untouched, problem = some
     if problem is None:
         return too_little(dataset, scene, everything)
     say_outlook(problem)
     found = with_names_tested(problem, with_sizes(problem, attribute(problem)))
-    problem.pace.say("measuring on held-out episodes", REST)
+    # What no effect explains is described as a force in the end.
+    described = found.remains and not is_toss(scene)
+    problem.pace.say("measuring on held-out episodes", REST, after=FORCE.most if described else 0.0)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if found.mean and found.chosen:
@@ -141,15 +172,21 @@ def posed(
     cache: Path | None,
     only: tuple[str, ...] = (),
     progress: Progress = lambda stage: None,
-    limit: Budget | None = None,
     share: bool | None = None,
+    forecast: Forecast | None = None,
+    sofar: SoFar | None = None,
 ) -> Posed:
-    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose` and `library`."""
+    """Return the search problem that a dataset poses; parameters and errors are those of `diagnose` and `library`.
+
+    Simulations of the `replayer` are counted by the `forecast`; what is known by then is kept in `sofar`.
+    """
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     rng, scene = np.random.default_rng(seed), replayer.scene
+    sofar, forecast = sofar or SoFar(), forecast or Forecast()
     progress("reading")
-    everything = checked(replayer, read(scene, dataset))
+    sofar.recs = read(scene, dataset)
+    everything = sofar.recs = checked(replayer, sofar.recs)
     order = rng.permutation(len(everything))
     most = TOSSES if is_toss(scene) else SEARCHED
     most = most if len(everything) - most >= UNTOUCHED else len(everything)
@@ -157,8 +194,10 @@ def posed(
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
-    problem = _problem(replayer, everything.take(searched), rng, cache, progress, limit, share)
-    return Posed(everything, untouched, replace(problem, ruled_out=problem.ruled_out | left_out))
+    problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
+    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
+    sofar.problem = problem
+    return Posed(everything, untouched, problem)
 
 
 def _problem(
@@ -167,16 +206,16 @@ def _problem(
     rng: np.random.Generator,
     cache: Path | None,
     progress: Progress,
-    limit: Budget | None = None,
     share: bool | None = None,
+    forecast: Forecast | None = None,
 ) -> Problem:
     """Return the search problem."""
     progress("replaying the nominal scene")
-    begin, before_s, clock_s = starts(replayer.scene, recs), process_time(), monotonic()
+    forecast = forecast or Forecast()
+    begin, clock_s = starts(replayer.scene, recs), monotonic()
+    forecast.begin()
     readings = replay_all(replayer, recs, begin, [()])[0]
-    if limit:
-        limit.check(process_time() - before_s, len(recs))
-    pace = Pace(progress, 0.0 if is_toss(replayer.scene) else monotonic() - clock_s)
+    pace = Pace(progress, 0.0 if is_toss(replayer.scene) else monotonic() - clock_s, forecast)
     plan = layout(replayer.scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     progress("measuring the floor")

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.floor import null_recordings
+from candata.gap.pace import FORCE
 from candata.gap.replay import EffectSet, replay_all
 from candata.gap.residual_force import residual_force
 from candata.gap.score import Compact
@@ -94,7 +95,7 @@ class Doubt:
 
 def _tried(problem: Problem, rng: np.random.Generator) -> Mended | None:
     """Return the force that mends most of the nominal world."""
-    problem.pace.told("trying one force in place of more effects")
+    problem.pace.say("trying one force in place of more effects", FORCE)
     return mended(problem, (), rng)
 
 

@@ -1,9 +1,10 @@
-"""Pace: about how long what is left of a diagnosis takes, told in ranges that other diagnoses took."""
+"""Pace: how long what is left of a diagnosis takes, told in ranges that other diagnoses took, and as its latest end."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 
@@ -30,12 +31,82 @@ TOGETHER = Span(6, 50)
 COUNT = Span(10, 55)
 #: Looking for a faint effect in the mean over many replays, or for where it acts: 13 drawn cases of a gripper.
 MEAN = Span(12, 190)
+#: Trying one force in the place of effects: two cases of a gripper, 32 replays and as much time again of fitting.
+FORCE = Span(0, 80)
 #: Replays that one signature takes, of its episodes: a recording in the changed world, and its nominal replay.
 SIGNATURE = 2.0
 #: Seconds of fitting in any step, and how much time left is worth a word.
 FITTING_S, WORTH_S = 5.0, 10.0
 #: Seconds from which on minutes are told.
 MINUTES_S = 120.0
+
+
+class Forecast:
+    """The latest end of a diagnosis, from what is planned of it and how fast it goes.
+
+    What is planned is an upper end of what each step took elsewhere, in replays of all episodes, so that the latest end
+    comes nearer as steps take less or are not needed. It moves later only where more is to be done than was planned.
+
+    Attributes
+    ----------
+    ends_s : float or None
+        Latest end, on the clock's time [s]; None where nothing is planned.
+    """
+
+    def __init__(
+        self, told: Callable[[float], None] = lambda ends_s: None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin without a plan; `told` hears of each better end."""
+        self.ends_s: float | None = None
+        self._told, self._clock = told, clock
+        self._begun_s, self._done, self._planned, self._replay = clock(), 0.0, 0.0, 0.0
+
+    @property
+    def done(self) -> float:
+        """Replays done since it began to count."""
+        return self._done / self._replay if self._replay else 0.0
+
+    @property
+    def left(self) -> float:
+        """Replays that are planned and not done."""
+        return max(self._planned - self._done, 0.0) / self._replay if self._replay else 0.0
+
+    def begin(self) -> None:
+        """Count from now on: the next thing simulated is one replay of all episodes."""
+        self._begun_s, self._done, self._replay = self._clock(), 0.0, 0.0
+
+    def count(self, steps: int) -> None:
+        """Hear of physics steps that were simulated."""
+        self._done += steps
+        self._replay = self._replay or self._done
+        if self.ends_s is not None:
+            self._move(may_grow=False)
+
+    def plan(self, replays: float, whole: bool) -> bool:
+        """Return whether the end moves later, as at most so many replays are left: all that is planned, or some of it.
+
+        Parameters
+        ----------
+        replays : float
+            The most that what is planned takes from now on.
+        whole : bool
+            Whether nothing else is planned beside.
+        """
+        before, more = self.ends_s, replays > self.left
+        if not self._replay:
+            return False
+        if whole or more:
+            self._planned = self._done + replays * self._replay
+        self._move(may_grow=more)
+        return before is not None and self.ends_s is not None and self.ends_s > before
+
+    def _move(self, may_grow: bool) -> None:
+        """Put the end where the plan leads at the mean pace so far; not later, unless it may."""
+        now = self._clock()
+        ends_s = now + max(self._planned - self._done, 0.0) * (now - self._begun_s) / self._done
+        if self.ends_s is None or may_grow or ends_s < self.ends_s:
+            self.ends_s = ends_s
+            self._told(ends_s)
 
 
 @dataclass(frozen=True)
@@ -48,14 +119,23 @@ class Pace:
         Called with the name of each step.
     replay_s : float
         Seconds that one replay of all episodes took; 0 says nothing of time.
+    forecast : Forecast
+        Hears how much each step takes at most.
     """
 
     told: Callable[[str], None] = lambda text: None
     replay_s: float = 0.0
+    forecast: Forecast = field(default_factory=Forecast)
 
-    def say(self, step: str, span: Span, more: str = "") -> None:
-        """Tell of a step that takes as many replays, `more` after its time."""
-        self.told(f"{step} ({self.range_of(span)}{more})" if self.range_of(span) else step)
+    def say(self, step: str, span: Span, more: str = "", after: float | None = None) -> None:
+        """Tell of a step that takes as many replays, `more` after its time.
+
+        At most `after` replays are planned after it; None says that it is one of several that were planned together.
+        """
+        whole = after is not None
+        grows = self.forecast.plan(span.most + (after if after is not None else REST.most), whole)
+        text = f"{step} ({self.range_of(span)}{more})" if self.range_of(span) else step
+        self.told(f"{text}, more than was planned" if grows else text)
 
     def range_of(self, span: Span) -> str:
         """Return a range of time in words; empty where it is unknown or not worth a word."""

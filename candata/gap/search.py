@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +22,40 @@ from candata.gap.signatures import Library
 from candata.gap.starts import Starts, is_toss, joined
 from candata.schema.scene import Noise
 
+if TYPE_CHECKING:
+    from candata.gap.stage import Stage
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Members = tuple[tuple[Candidate, Array], ...]
 #: Replayed episodes that are kept, the newest ones: of two or three looks in which every effect of a hand is simulated
 #: on six, or of 150 worlds on twenty. (Of a hand of five fingers, 2304 numbers an episode, 55 MB.)
 KEPT = 3000
+
+
+@dataclass
+class SoFar:
+    """What a diagnosis has come to know, the newest of each, for an answer should its budget be spent.
+
+    Attributes
+    ----------
+    step : str
+        What is being done, as the user was told.
+    recs : Recordings or None
+        All that was recorded.
+    problem : Problem or None
+        What is searched, once the floor is measured.
+    first : Stage or None
+        Every candidate alone, once all were looked at.
+    best : Fit or None
+        The set of effects that explains most, in units of its own floor.
+    """
+
+    step: str = ""
+    recs: Recordings | None = None
+    problem: Problem | None = None
+    first: Stage | None = None
+    best: Fit | None = None
 
 
 @dataclass(frozen=True)
@@ -37,7 +66,8 @@ class Problem:
     set where only a few of the episodes are looked at, and fewer signatures do; `played` keeps the residuals `(B, D)`
     of episodes from their starts in worlds that were simulated, as some of them are asked for again, alone or among
     others; `simulated` is set where every candidate is simulated on the recording, its signature set aside, and
-    `telling` where other episodes are looked at first than usual; `pace` tells how far the search is.
+    `telling` where other episodes are looked at first than usual; `pace` tells how far the search is, and `sofar` keeps
+    what it has come to know.
     """
 
     replayer: Replayer
@@ -59,6 +89,7 @@ class Problem:
     telling: Index | None = None
     played: dict[tuple[str, tuple[str, bytes]], Array] = field(default_factory=dict)
     pace: Pace = field(default_factory=Pace)
+    sofar: SoFar = field(default_factory=SoFar)
 
     @property
     def plays_all(self) -> bool:

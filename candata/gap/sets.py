@@ -14,7 +14,7 @@ from candata.gap.compare import RIVALS, UNSURE, is_near, is_tied, standard_error
 from candata.gap.elsewhere import moved
 from candata.gap.mending import Doubt
 from candata.gap.own_floor import Grown, judged, refitted, rescored
-from candata.gap.pace import ANOTHER, BESIDE, JOINT
+from candata.gap.pace import ANOTHER, BESIDE, JOINT, REST
 from candata.gap.refine import WIDTHS, joint
 from candata.gap.score import Compact
 from candata.gap.search import Fit, Members, Problem
@@ -78,6 +78,7 @@ def forward(
     while True:
         first = best
         world, best = rescored(problem, best)
+        world.sofar.best = best
         remains = leaves(world, best)
         sharper = refitted(problem, first, world, best) if remains else None
         if sharper is not None:
@@ -91,7 +92,9 @@ def forward(
         seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
         if not seems and world.plays_all:
             return best, world, remains
-        world.pace.say(f"{', '.join(best.labels)} found, looking for what is beside", ANOTHER)
+        others = max(LARGEST - len(best.members) - 1, 0) * ANOTHER.most
+        found = f"{', '.join(best.labels)} found, looking for what is beside"
+        world.pace.say(found, ANOTHER, after=others + REST.most)
         full = is_full(best.members, problem.measured)
         grown = None if full else _next(world, best, seems, doubt)
         if doubt and (doubt.stands or (full and is_doubted(world, best, doubt))):

@@ -145,6 +145,10 @@ class Library:
             kept.keep(self._file(name), residual=self.memo[name])
         return [self.memo[name] for name in names]
 
+    def knows(self, some: EffectSet) -> bool:
+        """Tell whether this diagnosis has a signature already."""
+        return self._name(some) in self.memo
+
     def lacks(self, some: EffectSet) -> bool:
         """Tell whether the cache has no file for a signature."""
         file = self._file(self._name(some))

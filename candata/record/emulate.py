@@ -6,7 +6,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,12 +76,21 @@ class _Tally:
 
     index: list[int] = field(default_factory=list)
     times: list[tuple[int, int]] = field(default_factory=list)
-    whole: list[tuple[bool, bool]] = field(default_factory=list)
+    whole: list[list[bool]] = field(default_factory=list)
     late_ns: int = 0
     dropped_frames: int = 0
     dropped_bytes: int = 0
     received_bytes: int = 0
     faults: Counter[str] = field(default_factory=Counter)
+
+
+class _Held(NamedTuple):
+    """A frame that an adapter holds: what arrives of it, whether that is undamaged, and where to note that it did."""
+
+    data: bytes
+    sound: bool
+    whole: list[bool]
+    place: int
 
 
 class _Wire:
@@ -90,6 +99,9 @@ class _Wire:
     def __init__(self, line: Line, script: Script, faults: Faults, rng: np.random.Generator) -> None:
         self.line: Line | None = line
         self._link, self._script, self._faults, self._rng = line.link, script, faults, rng
+        self._held: list[_Held] = []
+        self._timer_ns = round(1e9 * faults.burst_s)
+        self._tick_ns = time.monotonic_ns() + self._timer_ns
         self.tally = _Tally()
 
     def follow(self, at_s: float, on_port: Callable[[str], None]) -> bool:
@@ -107,27 +119,53 @@ class _Wire:
 
     def close(self) -> None:
         """Close the line."""
-        if self.line is not None:
-            self.line.has_reader()
-            self.tally.received_bytes += self.line.received_bytes
-            self.line.close()
-            self.line = None
+        line, self.line = self.line, None
+        self._hand_over()
+        if line is not None:
+            line.has_reader()
+            self.tally.received_bytes += line.received_bytes
+            line.close()
 
     def silent(self, at_s: float) -> bool:
         """Tell whether nothing is sent in second `at_s`."""
         return self.line is None or any(t <= at_s < t + length for t, length in self._faults.stalls)
 
-    def send(self, frame: bytes, silent: bool) -> bool:
-        """Send a frame; return whether it went out whole and undamaged."""
+    def send(self, frame: bytes, silent: bool, whole: list[bool]) -> None:
+        """Send a frame, or hold it until the timer runs out; `whole` takes whether it goes out whole and undamaged."""
+        whole.append(False)
         if silent or self.line is None:
-            return False
+            return
         data, fault = damaged(frame, self._faults, self._script.encoder.with_heads, self._rng)
         if fault:
             self.tally.faults[fault] += 1
-        lost = len(data) - self.line.write(data)
-        self.tally.dropped_bytes += lost
-        self.tally.dropped_frames += lost > 0
-        return not lost and fault in (None, "head")
+        self._held.append(_Held(data, fault in (None, "head"), whole, len(whole) - 1))
+        if not self._timer_ns:
+            self._hand_over()
+
+    def tick(self, now_ns: int) -> int:
+        """Hand over what is held if the timer has run out; return the time until it does next [ns], or a nap."""
+        if not self._timer_ns:
+            return _NAP_NS
+        if now_ns >= self._tick_ns:
+            self._hand_over()
+            self._tick_ns += self._timer_ns * (1 + (now_ns - self._tick_ns) // self._timer_ns)
+        return self._tick_ns - now_ns
+
+    def drain(self) -> None:
+        """Wait until nothing is held, and the reader has taken what is on the line."""
+        while self._held:
+            time.sleep(self.tick(time.monotonic_ns()) * 1e-9)
+        if self.line is not None:
+            self.line.drain(DRAIN_S)
+
+    def _hand_over(self) -> None:
+        """Write what is held; what the reader has not taken in time, or no line takes, is lost."""
+        for one in self._held:
+            lost = len(one.data) - (self.line.write(one.data) if self.line else 0)
+            self.tally.dropped_bytes += lost
+            self.tally.dropped_frames += lost > 0
+            one.whole[one.place] = one.sound and not lost
+        self._held = []
 
 
 def wait_for_reader(line: Line, stop: Callable[[], bool]) -> bool:
@@ -192,8 +230,7 @@ def play(
             wire.tally.index.append(index)
             wire.tally.times.append((times[0] + wall_ns, times[1] + wall_ns))
             wire.tally.late_ns = max(wire.tally.late_ns, times[0] - due)
-        if wire.line is not None:
-            wire.line.drain(DRAIN_S)
+        wire.drain()
     finally:
         wire.close()
     return _sent(script, wire.tally)
@@ -219,25 +256,26 @@ def _send_row(
     for frame in (script.commands[index], script.states[index]):
         length_ns = wire_time_ns(len(frame), script.device.baud)
         # A request that went out is answered: a stop ends between rows.
-        now = _wait(free_ns + length_ns, (lambda: False) if whole else stop)
+        now = _wait(free_ns + length_ns, (lambda: False) if whole else stop, wire)
         if now is None:
             return None
-        whole.append(wire.send(frame, silent))
+        wire.send(frame, silent, whole)
         begun.append(now - length_ns)
         free_ns = now
-    wire.tally.whole.append((whole[0], whole[1]))
+    wire.tally.whole.append(whole)
     return free_ns, (begun[0], begun[1])
 
 
-def _wait(until_ns: int, stop: Callable[[], bool]) -> int | None:
+def _wait(until_ns: int, stop: Callable[[], bool], wire: _Wire) -> int | None:
     """Sleep until a moment of the monotonic clock; return the moment it is then, or None when stopped."""
     while True:
         if stop():
             return None
         left = until_ns - (now := time.monotonic_ns())
+        nap = wire.tick(now)
         if left <= 0:
             return now
-        time.sleep(min(left, _NAP_NS) * 1e-9)
+        time.sleep(min(left, nap, _NAP_NS) * 1e-9)
 
 
 def _sent(script: Script, tally: _Tally) -> Sent:

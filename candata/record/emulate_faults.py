@@ -14,6 +14,10 @@ from candata.errors import UnknownNameError, UsageError
 _NOISE = np.array([0x00, 0x80, 0xC0, 0xE0, 0xF0, 0xF8, 0xFC, 0xFE, 0xFF], np.uint8)
 
 
+#: Range of a latency timer [s]. Source: FTDI AN232B-04.
+LEAST_BURST_S, MOST_BURST_S = 0.001, 0.255
+
+
 @dataclass(frozen=True)
 class Faults:
     """What goes wrong on the wire.
@@ -27,6 +31,8 @@ class Faults:
         `(from_s, for_s)`: nothing is sent.
     unplug : (float, float or None) or None
         `(from_s, for_s)`: the port goes away; for good where `for_s` is None.
+    burst_s : float
+        Bytes are held until a timer of this period runs out, as a USB adapter does; 0: none.
     """
 
     bitflip: float = 0.0
@@ -35,6 +41,7 @@ class Faults:
     garbage: float = 0.0
     stalls: tuple[tuple[float, float], ...] = ()
     unplug: tuple[float, float | None] | None = None
+    burst_s: float = 0.0
 
     @property
     def shares(self) -> dict[str, float]:
@@ -44,14 +51,19 @@ class Faults:
 
 NO_FAULTS = Faults()
 _OF_FRAMES = ("bitflip", "truncate", "head", "garbage")
-_WORDS = {**{name: f"{name}:P" for name in _OF_FRAMES}, "stall": "stall:S@T", "unplug": "unplug[:S]@T"}
+_WORDS = {
+    **{name: f"{name}:P" for name in _OF_FRAMES},
+    "stall": "stall:S@T",
+    "unplug": "unplug[:S]@T",
+    "burst": "burst:S",
+}
 
 
 def parse_faults(text: str) -> Faults:
-    """Return the faults in `bitflip:0.01,stall:2@5,unplug@9`.
+    """Return the faults in `bitflip:0.01,stall:2@5,unplug@9,burst:0.016`.
 
     `P` is a share of the frames; a stall lasts S seconds from second T on; `unplug:S@T` comes back after S seconds,
-    `unplug@T` never.
+    `unplug@T` never; a burst holds all bytes until a timer of S seconds runs out, again and again.
 
     Raises
     ------
@@ -61,6 +73,7 @@ def parse_faults(text: str) -> Faults:
     shares: dict[str, float] = {}
     stalls: list[tuple[float, float]] = []
     unplug: tuple[float, float | None] | None = None
+    burst_s = 0.0
     for word in filter(None, (word.strip() for word in text.split(","))):
         name = re.split("[:@]", word)[0]
         if name not in _WORDS:
@@ -68,18 +81,34 @@ def parse_faults(text: str) -> Faults:
         number = r"(\d+\.?\d*|\.\d+)"
         pattern = {"stall": f":{number}@{number}", "unplug": f"(?::{number})?@{number}"}.get(name, f":{number}")
         found = re.fullmatch(name + pattern, word)
-        if found is None or name in shares or (name == "unplug" and unplug):
+        if found is None or name in shares or (name == "unplug" and unplug) or (name == "burst" and burst_s):
             raise UsageError(f"the fault {word!r} is not well formed", expected=f"{_WORDS[name]}, numbers, once")
         values = [None if value is None else float(value) for value in found.groups()]
         if name == "stall":
             stalls.append((float(values[1] or 0), float(values[0] or 0)))
         elif name == "unplug":
             unplug = (float(values[1] or 0), values[0])
+        elif name == "burst":
+            burst_s = _burst(float(values[0] or 0))
         else:
             shares[name] = float(values[0] or 0)
     if sum(shares.values()) > 1:
         raise UsageError("the shares of damaged frames sum to more than 1", found=f"{sum(shares.values()):g}")
-    return Faults(**shares, stalls=tuple(sorted(stalls)), unplug=unplug)
+    return Faults(**shares, stalls=tuple(sorted(stalls)), unplug=unplug, burst_s=burst_s)
+
+
+def _burst(period_s: float) -> float:
+    """Return the period of a latency timer.
+
+    Raises
+    ------
+    UsageError
+        When it is out of the range of such timers.
+    """
+    if not LEAST_BURST_S <= period_s <= MOST_BURST_S:
+        expected = f"{LEAST_BURST_S:g} to {MOST_BURST_S:g} s, as latency timers have"
+        raise UsageError("a burst of this period is none", expected=expected, found=f"{period_s:g} s")
+    return period_s
 
 
 def damaged(

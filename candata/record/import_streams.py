@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata import align
 from candata.errors import DataError, Where
+from candata.record.bursts import TIMER_S, seen_rate_hz
 from candata.record.companions import Companion, Stream
 from candata.record.logs import Log
 from candata.schema.scene import SceneFile
@@ -41,6 +42,18 @@ def came_late(time_ns: NDArray[np.int64], max_gap_periods: float) -> NDArray[np.
         last = first + int(np.argmin(close[first:]))
         found[first : last + 1] = last > first
     return found
+
+
+def gap_periods(stream: Stream, most: float, timed: bool) -> float:
+    """Return from how many median intervals on neighbours of a stream are the ends of a gap: `most`.
+
+    Of a wire that is read in bursts (`timed`) that interval is the timer's, not the stream's; so many of its mean
+    periods, and one of the timer, are allowed.
+    """
+    rate_hz, period = seen_rate_hz(stream.time_ns), align.period_ns(stream.time_ns)
+    if not timed or stream.origin != WIRE or not rate_hz:
+        return most
+    return 1e9 * (most / rate_hz + TIMER_S) / period
 
 
 def punctual(log: Log, max_gap_periods: float) -> tuple[Log, str]:

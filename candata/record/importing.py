@@ -6,8 +6,9 @@ first stream that ends. `action[k]` is what was commanded in the middle of the s
 reading of force stands for the device's period before its stamp, so that it counts where the middle of that falls.
 Where hand and grid have one rate, jitter of up to half a period then moves nothing into another row; where they
 have not, commands and forces move by half a period at most, neither always early nor always late. Frames read in one
-burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Motor
-current stays in the log: it is no joint effort, as no torque constant of the motors is published.
+burst after a gap had waited for a reader that was held up: their stamps tell nothing, and they are left out. Where a
+USB adapter's timer holds every frame, none is: their stamps are late by up to its period, which is said. Motor current
+stays in the log: it is no joint effort, as no torque constant of the motors is published.
 """
 
 from __future__ import annotations
@@ -23,8 +24,18 @@ from numpy.typing import NDArray
 
 from candata import align
 from candata.errors import DataError, UsageError, Where
+from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
 from candata.record.companions import Companion, Stream
-from candata.record.import_streams import column_order, merged, punctual, require_overlap, span, utc, wire_streams
+from candata.record.import_streams import (
+    column_order,
+    gap_periods,
+    merged,
+    punctual,
+    require_overlap,
+    span,
+    utc,
+    wire_streams,
+)
 from candata.record.logs import Log
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
@@ -124,13 +135,14 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     path = Path(path)
     _refuse(path, log, recipe)
     scale = recipe.newton_per_count or log.meta.newton_per_count
-    log, late = punctual(log, recipe.max_gap_periods)
+    timed = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
+    log, late = (log, "") if timed else punctual(log, recipe.max_gap_periods)
     streams, notes = merged(wire_streams(log, scale), companions)
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
-    arrays, names = _aligned(streams, grid_ns, recipe)
+    arrays, names = _aligned(streams, grid_ns, recipe, timed)
     _add_contact(arrays, recipe.threshold_n)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
@@ -139,6 +151,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
     details = _details(path, log, recipe, companions, episode, scale)
     notes += [late] if late else []
+    notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if timed else []
     return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
 
 
@@ -237,16 +250,19 @@ def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> i
 
 
 def _aligned(
-    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe
+    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe, timed: bool
 ) -> tuple[Arrays, dict[str, tuple[str, ...]]]:
-    """Return every channel with its flags on the grid, and the names of their columns."""
+    """Return every channel with its flags on the grid, and the names of their columns; `timed`: read in bursts."""
     arrays: Arrays = {"time_ns": grid_ns}
     names: dict[str, tuple[str, ...]] = {}
     for channel in dict.fromkeys(s.channel for s in streams):
         same = [s for s in streams if s.channel == channel]
         order, names[channel] = column_order(same, recipe.roles)
-        gap = recipe.max_gap_periods
-        found = [align.on_rows(s.channel, s.time_ns, s.values, grid_ns, max_gap_periods=gap) for s in same]
+        gaps = [gap_periods(s, recipe.max_gap_periods, timed) for s in same]
+        found = [
+            align.on_rows(s.channel, s.time_ns, s.values, grid_ns, max_gap_periods=gap)
+            for s, gap in zip(same, gaps, strict=True)
+        ]
         values = np.concatenate([f.values for f in found], axis=1) if len(found) > 1 else found[0].values
         arrays[channel] = values if order is None else values[:, order]
         arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in found])

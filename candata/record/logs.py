@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +93,8 @@ class Log:
         True where the file has no end (its writer was killed): what stands before the tear was read.
     damaged_chunks : int
         Chunks that could not be read and are missing here.
+    read_time_ns : (k,) int64 [ns]
+        When bytes were read from the port.
     """
 
     meta: LogMeta
@@ -108,6 +110,7 @@ class Log:
     sha256: str
     torn: bool = False
     damaged_chunks: int = 0
+    read_time_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
 
 
 def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
@@ -278,7 +281,7 @@ def read_log(path: str | Path) -> Log:
     """
     path = Path(path)
     scan = Scan(path)
-    messages, metadata = _collect(scan)
+    messages, metadata, reads = _collect(scan)
     where = Where(path=str(path))
     if META not in metadata:
         raise DataError(
@@ -300,6 +303,7 @@ def read_log(path: str | Path) -> Log:
         sha256=sha256,
         torn=not scan.whole,
         damaged_chunks=scan.damaged_chunks,
+        read_time_ns=np.array(reads, np.int64),
         **arrays,
     )
 
@@ -308,23 +312,27 @@ def read_log(path: str | Path) -> Log:
 _Messages = dict[str, dict[int, tuple[int, bytes]]]
 
 
-def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]]]:
-    """Return the messages of the topics that are read back, and the metadata records by name."""
+def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[int]]:
+    """Return the messages of the topics that are read back, the metadata records by name, and when bytes were read."""
     from mcap.records import Channel, Message, Metadata
 
     topics: dict[int, str] = {}
     messages: _Messages = {topic: {} for topic in (JOINTS, TARGETS, FORCES, TAXELS, MOTORS, STATISTICS)}
     metadata: dict[str, Mapping[str, str]] = {}
+    reads: list[int] = []
     for record in scan:
         if isinstance(record, Message):
-            kept = messages.get(topics.get(record.channel_id, ""))
-            if kept is not None:
+            topic = topics.get(record.channel_id, "")
+            kept = messages.get(topic)
+            if topic == WIRE:
+                reads.append(record.log_time)
+            elif kept is not None:
                 kept[record.sequence or len(kept)] = (record.log_time, record.data)
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata):
             metadata[record.name] = record.metadata
-    return messages, metadata
+    return messages, metadata, reads
 
 
 def _unpacked(values: Mapping[str, str], where: Where) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from candata.errors import CandataError, SetupError, UsageError, Where
+from candata.record import bursts
 from candata.record.calibration import Calibration, calibrate
 from candata.record.devices._contract import Device, Frame, States
 from candata.record.logs import LogMeta, LogWriter, meta_of
@@ -129,6 +130,7 @@ class _Session:
         self._unplugged = False
         # When bytes came last, since when they have come without a good frame among them, and what was said of it.
         self._heard_ns, self._bad_since_ns, self._silent, self._bad = opened_ns, 0, False, False
+        self._bursts = False
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
 
@@ -177,6 +179,7 @@ class _Session:
             "rate_hz": round(tally.rate_hz, 3),
             "gaps": tally.gaps,
             "longest_gap_s": round(tally.longest_gap_s, 6),
+            "bursts": bursts.remedy(port) if tally.in_bursts else None,
             "losses": tally.losses(),
             "saturated": tally.saturated(),
             "unplugs": tally.unplugs,
@@ -226,7 +229,7 @@ class _Session:
 
     def _bytes(self, event: Event) -> None:
         self._writer.wire(event.data, event.stamp_ns)
-        self._tally.bytes += len(event.data)
+        self._tally.read(event.data, event.stamp_ns)
         if event.stamp_ns - self._heard_ns > 1e9 * self._settings.patience_s:
             self._bad_since_ns = 0  # a glitch before a silence says nothing of what comes now
         self._heard_ns, self._silent = event.stamp_ns, False
@@ -288,6 +291,7 @@ class _Session:
         if self._is_due("space", now_ns, _SPACE_S):
             check_space(self._writer.path, self._settings.reserve_bytes)
             self._check_link(now_ns)
+            self._check_bursts()
         if self._is_due("show", now_ns, _SHOW_S):
             show(self._view(now_ns))
 
@@ -311,6 +315,12 @@ class _Session:
         if not self._silent and now_ns - self._heard_ns > 1e9 * patience_s:
             self._silent = True
             self._say(f"no bytes for {patience_s:g} s: is the hand on, and does its program ask it for its state?")
+
+    def _check_bursts(self) -> None:
+        """Say once that an adapter hands bytes over in bursts."""
+        if self._tally.in_bursts and not self._bursts:
+            self._bursts = True
+            self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
 
     def _no_state(self) -> SetupError:
         where = Where(path=self._meta.port)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.record.bursts import Rhythm
 from candata.record.devices._contract import Frame, Framer, States
 from candata.record.logs import LogMeta
 
@@ -39,6 +40,8 @@ class Tally:
         self._past = dict.fromkeys(_LOSSES, 0)
         self._framer: Framer | None = None
         self._asked = False
+        self._rhythm = Rhythm()
+        self._nominal_hz = meta.rate_hz
         self._recent: deque[int] = deque(maxlen=4096)
 
     @property
@@ -50,6 +53,16 @@ class Tally:
     def rate_hz(self) -> float:
         """Mean rate of the states over the whole recording."""
         return (self.frames["state"] - 1) / self.duration_s if self.duration_s > 0 else 0.0
+
+    @property
+    def in_bursts(self) -> bool:
+        """Whether bytes come at the beat of a USB adapter's latency timer."""
+        return self._rhythm.is_in_bursts((self._nominal_hz, self.rate_hz))
+
+    def read(self, data: bytes, stamp_ns: int) -> None:
+        """Count what was read at once."""
+        self.bytes += len(data)
+        self._rhythm.read(stamp_ns)
 
     def use(self, framer: Framer) -> None:
         """Count the losses of `framer` from now on, beside those of the ones before."""

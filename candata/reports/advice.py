@@ -136,6 +136,7 @@ def next_step(report: Report) -> str:
         "too_little_data": f"Nothing yet: record {missing or 'more'} more episodes and diagnose again."
         if missing
         else "Nothing yet: record more episodes and diagnose again.",
+        "out_of_budget": "Nothing yet: diagnose again with a larger --budget.",
     }.get(report.verdict, "")
 
 

@@ -28,6 +28,7 @@ TONES = {
     "ambiguous": "tie",
     "unknown_effect": "bad",
     "too_little_data": "none",
+    "out_of_budget": "none",
 }
 
 

@@ -20,6 +20,7 @@ HEADLINES: dict[Verdict, str] = {
     "ambiguous": "Ambiguous",
     "unknown_effect": "Unknown effect",
     "too_little_data": "Too little data",
+    "out_of_budget": "Out of budget",
 }
 
 _MEANINGS: dict[Verdict, str] = {
@@ -31,6 +32,8 @@ _MEANINGS: dict[Verdict, str] = {
     "ambiguous": "Two or more candidates explain the recordings equally well, so none is named.",
     "unknown_effect": "There is a gap, but no effect in the library accounts for it, so none is named.",
     "too_little_data": "There are too few episodes to hold some out, so nothing can be concluded.",
+    "out_of_budget": "Its CPU time was spent before the search ended: what is known by then is told, but no effect is "
+    "named.",
 }
 
 #: Other words of the page.
@@ -81,6 +84,8 @@ def where(report: Report) -> str:
     """Return the sentence that says in which channels and phases the gap shows."""
     if report.verdict == "too_little_data" and not report.where:
         return "Not examined: there are too few episodes."
+    if report.verdict == "out_of_budget" and report.gap is None:
+        return "Not examined: the budget was spent before."
     if not report.where:
         return "No channel leaves the range that sensor noise alone explains."
     first, *rest = report.where
@@ -111,14 +116,20 @@ def which(report: Report) -> str:
         return "None: no effect does better than the unchanged simulation."
     if report.verdict == "too_little_data":
         return "None is named: no effect can be tested on held-out episodes."
+    if report.verdict == "out_of_budget":
+        return f"None is named: the search was not finished{_first(report, '; first so far is ')}."
     if report.verdict == "ambiguous":
         tied = listed([plain(name) for name in report.ambiguous_class], "or") or "several candidates"
         return f"{capital(tied)}: these recordings cannot tell them apart."
     if not report.effects:
-        nearest = next(iter(report.ranking), None)
-        text = "No effect in the library explains the gap"
-        return f"{text}; the nearest is {title(nearest.name, nearest.element)}." if nearest else f"{text}."
+        return f"No effect in the library explains the gap{_first(report, '; the nearest is ')}."
     return capital(listed([effect_phrase(effect) for effect in report.effects])) + "."
+
+
+def _first(report: Report, before: str) -> str:
+    """Return the first of the ranking with words before it; empty where nothing was looked at."""
+    first = next((one for one in report.ranking if one.reason is None), None)
+    return before + title(first.name, first.element) if first else ""
 
 
 def how_far(report: Report) -> str:

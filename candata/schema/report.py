@@ -9,7 +9,9 @@ from pydantic import AliasChoices, ConfigDict, Field, model_validator
 from candata.schema.effect import Value
 from candata.schema.record import Record
 
-Verdict = Literal["no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data"]
+Verdict = Literal[
+    "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
+]
 Bound = float | tuple[float, ...] | None
 Bounded = Literal["low", "high", "both"]
 #: Which ends are known, by whether the lower and the higher one are given.

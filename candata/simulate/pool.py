@@ -19,7 +19,7 @@ from candata.simulate.jobs import OPERATION, Recipe, job, motions_of
 T = TypeVar("T")
 Told = Callable[[int], None]
 #: How long a stopped worker may take to remove what it has half written [s].
-_LEAVE_S = 1
+_LEAVE_S = 0.5
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -145,7 +145,7 @@ def _start() -> None:
 
 def _leave(_number: int, _frame: object) -> NoReturn:
     """Leave the task under way, so that it removes what is half; the process goes soon after, whatever waits for it."""
-    signal.alarm(_LEAVE_S)
+    signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
     raise SystemExit
 
 

@@ -209,7 +209,7 @@ def diagnosis(monkeypatch):
     def plant(name: str, parameters: dict[str, float]) -> list:
         calls = []
 
-        def diagnose(dataset, scene, *, jobs, progress):
+        def diagnose(dataset, scene, *, jobs, progress, ends):
             calls.append((dataset.name, scene.name, jobs, len(dataset)))
             named = NamedEffect(
                 name=name, share=0.9, support=0.95,

@@ -217,10 +217,10 @@ def test_the_cube_tosses(shared, out, capsys):
 
 
 def test_a_dataset_made_meanwhile_is_not_added_to(source, out, capsys, monkeypatch):
-    def late(path, append):
+    def late(path, *_, **__):
         create_dataset(path)  # another import, after the check and before the end of ours
 
-    monkeypatch.setattr(import_commands, "_try_output", late)
+    monkeypatch.setattr(import_commands, "tried", late)
     assert exit_code("import", "table", source(), "--out", out) == 2
     assert "the output exists already" in capsys.readouterr().err
     assert not (out / "versions").exists()

@@ -171,4 +171,4 @@ def test_names_in_the_data_cannot_break_the_page(tmp_path):
 def test_a_page_that_cannot_be_written_is_an_error(root, tmp_path):
     (tmp_path / "file").write_text("x")
     assert isinstance(run("validate", root, "--html", tmp_path / "file" / "page.html").exception, SetupError)
-    assert isinstance(run("validate", root, "--html", tmp_path).exception, SetupError)
+    assert isinstance(run("validate", root, "--html", tmp_path).exception, UsageError)

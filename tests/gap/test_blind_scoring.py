@@ -148,6 +148,21 @@ def test_abstention_is_a_verdict_and_not_silence():
     assert whys == ["said to act on joint, acts on object", "overlooked", "explained by the library"]
 
 
+def test_a_spent_budget_abstains():
+    wind = Outside(name="wind", acts_on="object")
+    place = Unknown(acts_on="object", words="w")
+    some = [
+        case("outside", verdict="out_of_budget", unknown=place, outside=wind),
+        case("null", verdict="out_of_budget"),
+        case("one", (MASS,), verdict="out_of_budget"),
+    ]
+    assert row(some, "outside the library: abstains").value == 100
+    assert row(some, "outside the library: where it acts is right").value == 100
+    assert row(some, "null: an effect named").value == 0
+    assert row(some, "library effects: false abstention").value == 100
+    assert [miss(o).why if miss(o) else None for o in some] == [None, None, "not first"]
+
+
 def test_nulls_and_false_abstention():
     some = [case("null"), case("null", named=(say(MASS),)), case("one", (MASS,), verdict="unknown_effect")]
     assert row(some, "null: an effect named").value == 50

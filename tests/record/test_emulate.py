@@ -197,6 +197,36 @@ def test_what_is_late_is_followed_at_the_pace_of_the_wire(script, monkeypatch):
     assert abs((sent.command_time_ns - sent.command_time_ns[0] - on_time)[-1]) < 1e9 - 0.6e6 * 200
 
 
+def test_a_latency_timer_hands_over_what_came_at_its_beat(script, monkeypatch):
+    """Rows of 9.1 ms behind a timer of 16 ms: nothing is lost or late on the wire, only read later, together."""
+    clock = Clock(0)
+    monkeypatch.setattr(emulation, "time", clock)
+    line = Dead(clock)
+    sent = play(script, line, np.random.default_rng(0), faults=parse_faults("burst:0.016"))
+    at = np.array([at for at, _ in line.written])
+    assert [size for _, size in line.written] == [len(frame) for frame in both(script)]
+    # Sleeps are floats of seconds: 1 us of rounding.
+    beat = (at - 10**9) / 16e6
+    np.testing.assert_allclose(beat, np.round(beat), atol=1e-4)
+    on_wire = np.column_stack([sent.command_time_ns, sent.state_time_ns]).ravel() - 10**18
+    wire_ns = np.array([size for _, size in line.written]) * 10e9 / 3e6
+    waited_ns = at - on_wire - wire_ns
+    assert waited_ns.min() > -2000
+    assert waited_ns.max() < 16e6 + 2000
+    assert sent.report()["whole_states"] == len(script)
+    assert sent.late_s == pytest.approx(0, abs=1e-5)
+
+
+def test_what_an_adapter_holds_goes_with_it(script, monkeypatch):
+    clock = Clock(0)
+    monkeypatch.setattr(emulation, "time", clock)
+    line = Dead(clock)
+    sent = play(script, line, np.random.default_rng(0), faults=parse_faults("burst:0.1,unplug@0.15"))
+    # Rows of the first tick were handed over, those since then were not.
+    assert 0 < sent.state_whole.sum() < len(sent.index)
+    assert sent.report()["dropped_frames"] == 2 * len(sent.index) - len(line.written)
+
+
 def test_the_report_counts(script, whole):
     sent, reader = whole
     report = sent.report()

@@ -22,6 +22,7 @@ def test_faults_are_read():
     asked = parse_faults("bitflip:0.01, truncate:.5,head:0.25,stall:2@5,stall:1@0.5,unplug@9")
     assert asked == Faults(bitflip=0.01, truncate=0.5, head=0.25, stalls=((0.5, 1.0), (5.0, 2.0)), unplug=(9.0, None))
     assert parse_faults("unplug:1.5@3").unplug == (3.0, 1.5)
+    assert parse_faults("burst:0.016") == Faults(burst_s=0.016)
     assert parse_faults("") == NO_FAULTS
 
 
@@ -39,6 +40,10 @@ def test_faults_are_read():
         ("unplug", "is not well formed"),
         ("unplug@1,unplug@2", "once"),
         ("bitflip:0.6,garbage:0.6", "sum to more than 1"),
+        ("burst", "'burst' is not well formed\n  expected: burst:S"),
+        ("burst:0.016,burst:0.004", "once"),
+        ("burst:0", "a burst of this period is none\n  expected: 0.001 to 0.255 s, as latency timers have"),
+        ("burst:16", "found: 16 s"),
     ],
 )
 def test_faults_that_mean_nothing_are_refused(text, problem):

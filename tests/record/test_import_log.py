@@ -131,6 +131,23 @@ def test_what_waited_for_a_held_up_reader_is_invalid():
     assert not episode.valid("taxels")[np.searchsorted(time_ns, log.state_time_ns[first + 1])]
 
 
+def test_what_an_adapters_timer_holds_is_late_and_no_gap():
+    log, recipe = make_log(rate_hz=50), RECIPE.model_copy(update={"rate_hz": 50.0})
+    tick = 16_000_000
+    read = -(-log.state_time_ns // tick) * tick
+    log = replace(log, state_time_ns=read, command_time_ns=read - 1000, read_time_ns=read)
+    found = import_log("run.mcap", log, recipe)
+    (note,) = [note for note in found.notes if "bursts" in note]
+    assert "every 16 ms" in note
+    # Steps of 16 and 32 ms: by the median step the longer ones would be gaps.
+    assert not found.episode.meta.invalid_counts
+    assert not any("read late" in note for note in found.notes)
+    lost = np.zeros(len(read), bool)
+    lost[250:256] = True
+    gone = import_log("run.mcap", without(log, lost), recipe).episode
+    assert gone.meta.invalid_counts["joint_position"] == pytest.approx(7, abs=1)
+
+
 def test_readings_that_are_not_finite_are_a_gap():
     pose = pose_stream()
     values = pose.values.copy()

@@ -15,9 +15,15 @@ from candata import plugins
 from candata.errors import SetupError, UsageError
 from candata.formats._mcap_scan import Scan
 from candata.record.devices import _xhand_frames as wire
+from candata.record.emulate import play
+from candata.record.emulate_faults import parse_faults
+from candata.record.emulate_line import Line
+from candata.record.emulate_script import write_script
+from candata.record.importing import Recipe, import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
 from candata.record.recorder_values import Settings
+from candata.schema.episode import Episode, EpisodeMeta
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
 
@@ -276,6 +282,50 @@ def test_a_frame_that_the_end_cuts_is_no_loss(hand, tmp_path):
     report, _ = run(one.port, tmp_path / "log.mcap", Watcher(lambda view: True, begin), duration_s=1.0)
     assert report.facts["rows"] == 1
     assert report.facts["losses"]["garbage_bytes"] == 0
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 83.0])
+def test_bursts_of_an_adapter_are_told_with_the_remedy_while_they_last_and_in_the_end(tmp_path, rate_hz):
+    report, watcher, log = recorded_from(tmp_path, rate_hz, "burst:0.016")
+    remedy = "/sys/bus/usb-serial/devices/ttyUSB0/latency_timer (as root), or setserial /dev/ttyUSB0 low_latency"
+    (note,) = [note for note in watcher.notes if "in bursts" in note]
+    assert note.startswith("bytes come in bursts, every 16 ms, as a USB adapter's latency timer makes them: stamps are")
+    assert remedy in note
+    assert remedy in report.facts["bursts"]
+    found = import_log(log, read_log(log), Recipe(episode="run", rate_hz=rate_hz, uncalibrated=True))
+    (told,) = [note for note in found.notes if "in bursts" in note]
+    assert "stamps are up to 16 ms late, half of that in the mean; do: echo 1 > " in told
+    assert not any("read late in a burst after a gap" in note for note in found.notes)
+
+
+def test_a_healthy_port_has_no_bursts(tmp_path):
+    report, watcher, log = recorded_from(tmp_path, 83.0, "")
+    assert report.facts["bursts"] is None
+    assert not any("bursts" in note for note in watcher.notes)
+    found = import_log(log, read_log(log), Recipe(episode="run", uncalibrated=True))
+    assert not any("bursts" in note for note in found.notes)
+
+
+def recorded_from(folder, rate_hz: float, faults: str):
+    """Five seconds of a resting emulated hand: the report, what was shown and said, and the log."""
+    rows = np.zeros((8, 12))
+    joints, tips = DEVICE.joint_names, DEVICE.fingertip_names
+    names = {"joint_names": joints, "actuator_names": joints, "fingertip_names": tips}
+    meta = EpisodeMeta.model_validate({"id": "e", "source": "sim", "rate_hz": rate_hz, **names})
+    arrays = {"joint_position": rows, "action": rows, "fingertip_force": np.zeros((8, 5, 3))}
+    arrays["time_ns"] = np.arange(8) * round(1e9 / rate_hz)
+    script = write_script(Episode(meta, arrays), "xhand", DEVICE, rate_hz=rate_hz, still_s=0.0)
+    stop = threading.Event()
+    with Line(folder / "port") as line:
+        rng = np.random.default_rng(0)
+        asked = {"faults": parse_faults(faults), "passes": 0, "stop": stop.is_set}
+        sender = threading.Thread(target=play, args=(script, line, rng), kwargs=asked)
+        sender.start()
+        log = folder / "log.mcap"
+        report, watcher = run(str(folder / "port"), log, duration_s=5.0)
+        stop.set()
+        sender.join()
+    return report, watcher, log
 
 
 def test_a_hand_that_never_replies_is_said(hand, tmp_path):

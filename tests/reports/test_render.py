@@ -84,6 +84,7 @@ def test_a_child_that_hangs_is_given_up(monkeypatch):
 
 def test_with_gl_the_same_things_are_in_the_same_place(monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.delenv("CANDATA_GL", raising=False)
     made = render.film(ball(), ball().qpos0, None, 80, 60)
     if made.library is None:
         pytest.skip("no GL library here")

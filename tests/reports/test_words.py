@@ -108,6 +108,19 @@ def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
     assert "the nearest is joint dry friction at index2" in words.which(make_report("unknown_effect"))
 
 
+def test_out_of_budget_names_nothing_and_says_what_is_first_so_far(make_report):
+    report = make_report("out_of_budget")
+    assert words.which(report) == (
+        "None is named: the search was not finished; first so far is joint dry friction at index2."
+    )
+    assert words.how_far(report).startswith("On held-out episodes the mismatch is 3.12 times the floor")
+    nothing = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
+    assert words.which(nothing) == "None is named: the search was not finished."
+    assert words.where(nothing) == "Not examined: the budget was spent before."
+    assert words.how_far(nothing) == "Not measured."
+    assert "change     Nothing yet: diagnose again with a larger --budget." in reports.summary(nothing)
+
+
 def test_where_no_candidate_passes_none_is_said_to_close_anything(make_report):
     report = make_report("unknown_effect")
     same = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})

@@ -45,6 +45,11 @@ class Outcome:
         return self.result.report.verdict if self.result.report else "error"
 
     @property
+    def abstains(self) -> bool:
+        """Whether the cause was said not to be known, or not to be known yet."""
+        return self.verdict in ("unknown_effect", "out_of_budget")
+
+    @property
     def truth(self) -> tuple[str, ...]:
         """`name` or `name element` of each hidden effect."""
         return tuple(text_of(e.name, e.element) for e in self.label.effects)

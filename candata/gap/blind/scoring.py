@@ -115,9 +115,9 @@ def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome
              for p, o in zip(places, outside, strict=True)]  # fmt: skip
     return [
         percent("null: an effect named", (bool(o.named) for o in null), high=3),
-        percent("outside the library: abstains", (o.verdict == "unknown_effect" for o in outside), low=90),
+        percent("outside the library: abstains", (o.abstains for o in outside), low=90),
         percent("outside the library: where it acts is right", where, low=80),
-        percent("library effects: false abstention", (o.verdict == "unknown_effect" for o in known), high=3),
+        percent("library effects: false abstention", (o.abstains for o in known), high=3),
     ]
 
 
@@ -269,7 +269,7 @@ def _why_alarm(o: Outcome) -> str | None:
 
 def _why_outside(o: Outcome) -> str | None:
     """Return why an outside cause counts as a miss: it was explained away, overlooked, or put elsewhere."""
-    if o.verdict != "unknown_effect":
+    if not o.abstains:
         return "overlooked" if o.verdict == "no_gap" else "explained by the library"
     unknown, truth = o.result.report.unknown if o.result.report else None, o.label.outside
     place = unknown.acts_on if unknown else None
