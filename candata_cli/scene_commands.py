@@ -95,7 +95,8 @@ def init(
     from candata_cli.console import out as say
 
     path = scene or model.parent / "scene.yaml"
-    found, proposal = write_draft(model, path, overwrite=force)
+    tried(path, "file" if force else "new", fix="name another --out, or overwrite it with --force")
+    found, proposal = write_draft(model, path)
     roles = found.file
     counts = f"joints {len(roles.joints)}, actuators {len(roles.actuator_names)}, fingertips {len(roles.fingertips)}"
     say(f"{path}: {counts}, object {roles.object or 'none'}, {roles.rate_hz:g} Hz")

@@ -19,7 +19,6 @@ from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
 from candata.scenes.model_file import compiled, model_path, read_model
-from candata.scenes.pointers import refuse_pointers
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
@@ -233,17 +232,16 @@ def load_scene(name: str | Path) -> Scene:
 def _no_scene(path: Path) -> UsageError:
     """Return the error of a path that leads to a model, a folder or anything else but a scene file."""
     beside = (path if path.is_dir() else path.parent) / "scene.yaml"
-    give = f"give {beside}" if beside.is_file() else ""
-    if path.is_file():
-        draft = f"candata scene init {path}, then give the scene file that it writes"
-        what, fix = (
-            "is a model, which does not say which part plays which role",
-            f"{give}, or: {draft}" if give else draft,
-        )
-    else:
-        what, fix = "is a folder" if path.is_dir() else "does not exist", give
+    ways = [f"give {beside}"] if beside.is_file() else []
+    what = "is a folder" if path.is_dir() else "is no scene file" if path.exists() else "does not exist"
+    if path.is_file() and path.suffix.lower() in _MODELS:
+        what = "is a model, which does not say which part plays which role"
+        ways.append(f"candata scene init {path}, then give the scene file that it writes")
     return UsageError(
-        f"{path} {what}", expected="a scene.yaml, or the name of a built-in scene", where=Where(path=str(path)), fix=fix
+        f"{path} {what}",
+        expected="a scene.yaml, or the name of a built-in scene",
+        where=Where(path=str(path)),
+        fix=", or: ".join(ways),
     )
 
 
@@ -262,7 +260,6 @@ def _from_file(path: Path) -> Scene:
     source = model_path(path, file.model)
     if not source.is_file():
         raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
-    refuse_pointers(source)
     return assemble(str(path), file, read_model(source))
 
 

@@ -1,4 +1,4 @@
-"""A first scene file of a model: proposed, checked, and written where none stands."""
+"""A first scene file of a model: proposed, checked, and written."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from candata.schema.scene import SceneFile
 from candata.schema.yaml_text import parse_yaml
 
 
-def write_draft(model: Path, out: Path, overwrite: bool = False) -> tuple[Scene, Proposal]:
+def write_draft(model: Path, out: Path) -> tuple[Scene, Proposal]:
     """Return the scene that a drafted scene file at `out` describes, and the proposal that it is made of.
 
     The file is written last, once it has been read as any scene is.
@@ -22,13 +22,16 @@ def write_draft(model: Path, out: Path, overwrite: bool = False) -> tuple[Scene,
     Raises
     ------
     UsageError
-        When the model does not exist, or `out` is a folder, no YAML file, or exists and is not to be overwritten.
+        When the model does not exist, or `out` does not end as scene files do.
+    DataError
+        When the model, or a file that it names, is a Git LFS pointer.
     SceneError
         When the model cannot be read or does not compile, or holds nothing that a scene can be made of.
     """
     if not model.is_file():
         raise UsageError(f"model {model} does not exist", expected="an MJCF or a URDF", where=Where(path=str(model)))
-    _check_out(out, overwrite)
+    if out.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{out} is no scene file", expected="a name that ends in .yaml", where=Where(path=str(out)))
     spec = read_model(model)
     # Links that are fixed to others are told apart: a fingertip is often one.
     spec.compiler.fusestatic = False
@@ -45,17 +48,6 @@ def write_draft(model: Path, out: Path, overwrite: bool = False) -> tuple[Scene,
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
     return scene, proposal
-
-
-def _check_out(out: Path, overwrite: bool) -> None:
-    """Refuse a place where no scene file can be, or where one stands."""
-    where = Where(path=str(out))
-    if out.is_dir():
-        raise UsageError(f"--out {out} is a folder", expected="a file", where=where, fix=f"--out {out / 'scene.yaml'}")
-    if out.suffix not in (".yaml", ".yml"):
-        raise UsageError(f"--out {out} is no scene file", expected="a name that ends in .yaml", where=where)
-    if out.exists() and not overwrite:
-        raise UsageError(f"{out} exists", where=where, fix="name another --out, or overwrite it with --force")
 
 
 def _from(out: Path, model: Path) -> str:

@@ -10,6 +10,7 @@ import mujoco
 from candata.errors import SceneError, Where
 from candata.scenes.mesh_paths import resolve_meshes
 from candata.scenes.model_text import check_text
+from candata.scenes.pointers import refuse_pointers
 
 #: What MuJoCo raises of a model that it cannot read or compile; too little memory is a RuntimeError.
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
@@ -45,9 +46,12 @@ def read_model(path: Path) -> mujoco.MjSpec:
 
     Raises
     ------
+    DataError
+        When it, or a file that it names, is a Git LFS pointer.
     SceneError
         When the file is no model, cannot be read, holds names that are no UTF-8, or names meshes that are not there.
     """
+    refuse_pointers(path)
     check_text(path)
     try:
         spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -27,11 +27,9 @@ _NOISE = """\
 
 def scene_text(proposal: Proposal, model: str) -> str:
     """Return the text of a scene file with proposed roles, whose model is at `model` from there."""
+    about = f"Drafted by `candata scene init` from {Path(model).name}: check every line, then `candata scene show`."
     parts = [
-        _comment(
-            f"Drafted by `candata scene init` from {Path(model).name}: check every line, then `candata scene show`."
-        )
-        + f"\nmodel: {quoted(model)}",
+        f"{_comment(about)}\nmodel: {quoted(model)}",
         _rate(proposal),
         _joints(proposal),
         _actuators(proposal),
@@ -50,7 +48,7 @@ def quoted(name: str) -> str:
         plain = parse_yaml(f"[{name}]") == [name] and "#" not in name and name == name.strip()
     except yaml.YAMLError:
         plain = False
-    return name if plain else json.dumps(name, ensure_ascii=False)
+    return name if plain else json.dumps(name, ensure_ascii=not name.isprintable())
 
 
 def _comment(text: str) -> str:
@@ -71,11 +69,6 @@ def _named(key: str, names: Sequence[str], indent: str = "") -> str:
     return "\n".join([*lines, line if names else f"{begin}]"])
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return names for a comment."""
-    return ", ".join(names)
-
-
 def _rate(proposal: Proposal) -> str:
     """Return the part on the rate."""
     rates = ", ".join(f"{rate:g}" for rate in proposal.rates_hz)
@@ -87,7 +80,7 @@ def _joints(proposal: Proposal) -> str:
     """Return the part on joints."""
     lines = ["# Joints whose positions are recorded, in the order of `joint_position`: hinges [rad] and slides [m]."]
     if proposal.other_joints:
-        lines.append(_comment(f"Nothing drives these; add those that are recorded: {_listed(proposal.other_joints)}"))
+        lines.append(_comment(f"Nothing drives these; add those that are recorded: {', '.join(proposal.other_joints)}"))
     lines += [_comment(note) for note in proposal.notes if "joint" in note]
     return "\n".join([*lines, _named("joints", proposal.joints)])
 
@@ -121,7 +114,7 @@ def _fingertips(proposal: Proposal) -> str:
     )
     lines = [_comment(about)]
     if proposal.other_tips:
-        lines.append(_comment(f"Other ends of chains: {_listed(proposal.other_tips)}"))
+        lines.append(_comment(f"Other ends of chains: {', '.join(proposal.other_tips)}"))
     lines.append(_named("fingertips", proposal.fingertips))
     commented = _named("fingertip_frames", proposal.fingertip_frames or ("SITE",) * len(proposal.fingertips))
     return "\n".join([*lines, *(f"# {line}" for line in commented.splitlines())])
@@ -132,11 +125,9 @@ def _object(proposal: Proposal) -> str:
     about = ["Body with a free joint whose pose is tracked: `object_pose`, position [m] and quaternion w x y z."]
     about += [note for note in proposal.notes if "free bod" in note]
     if proposal.other_objects:
-        about.append(f"Several bodies are free: this one seems the likeliest of {_listed(proposal.free_bodies)}.")
+        about.append(f"Several bodies are free: this one seems the likeliest of {', '.join(proposal.free_bodies)}.")
     if proposal.floating and proposal.object == proposal.floating:
-        about.append(
-            "It is the floating base of the robot: record its pose, or hold it in the model and leave this out."
-        )
+        about.append("It is the floating base of the robot: record its pose, or hold it in the model and leave it out.")
     elif proposal.floating:
         about.append(f"The base of the robot, {proposal.floating}, floats: hold it in the model where yours is held.")
     if proposal.object is None:
@@ -155,15 +146,8 @@ def _support(proposal: Proposal) -> str:
 
 def _groups(proposal: Proposal) -> str:
     """Return the part on groups."""
-    about = (
-        "# Joints that may be at fault together: fingers, a wrist. The diagnosis looks at each group as a whole too."
-    )
+    about = _comment("Joints that may be at fault together: fingers, a wrist. The diagnosis looks at each group too.")
     if not proposal.groups:
         return f"{about}\n# groups:\n#   index: [JOINT, JOINT]"
-    return "\n".join([about, "groups:", *_members(proposal)])
-
-
-def _members(proposal: Proposal) -> Iterator[str]:
-    """Yield the lines of the groups."""
-    for name, joints in proposal.groups.items():
-        yield _named(quoted(name), joints, "  ")
+    members = (_named(quoted(name), joints, "  ") for name, joints in proposal.groups.items())
+    return "\n".join([about, "groups:", *members])

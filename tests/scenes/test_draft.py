@@ -222,11 +222,7 @@ def test_the_model_may_lie_elsewhere(tmp_path):
     assert load_scene(tmp_path / "scenes" / "deep" / "mine.yaml").digest == scene.digest
 
 
-def test_a_scene_file_is_not_overwritten_unless_asked(tmp_path):
-    drafted(tmp_path, models.TIP_BODIES)
-    (tmp_path / "scene.yaml").write_text("mine")
-    with pytest.raises(UsageError, match=r"scene\.yaml exists"):
-        write_draft(tmp_path / "hand.xml", tmp_path / "scene.yaml")
-    assert (tmp_path / "scene.yaml").read_text() == "mine"
-    write_draft(tmp_path / "hand.xml", tmp_path / "scene.yaml", overwrite=True)
-    assert load_scene(tmp_path / "scene.yaml").file.fingertips == TIPS
+def test_a_scene_file_ends_as_one(tmp_path):
+    (tmp_path / "hand.xml").write_text(models.TIP_BODIES)
+    with pytest.raises(UsageError, match=r"expected: a name that ends in \.yaml"):
+        write_draft(tmp_path / "hand.xml", tmp_path / "scene.txt")
