@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from candata.datasets import durable
+from candata.datasets.bounded import read_parquet
 from candata.datasets.versions import read_dataset_file
 from candata.errors import DataError, Where
 
@@ -66,7 +67,7 @@ def get_cloud(path: str | Path, sha: str) -> NDArray[np.float32]:
     """
     target = cloud_path(Path(path), sha)
     try:
-        table = pq.read_table(target, use_threads=False, partitioning=None)
+        table = read_parquet(target)
         cloud = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
         raise durable.damaged(target, durable.reason(error)) from None

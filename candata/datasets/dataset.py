@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from candata.datasets import durable, encode
+from candata.datasets.bounded import read_parquet
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
 from candata.datasets.versions import find_version, read_dataset_file
@@ -153,11 +154,9 @@ class Dataset:
                 raise UnknownNameError("column of the catalog", name, known, Where(path=str(self.path)))
         path = catalog_path(self.path, self.digest)
         try:
-            with pq.ParquetFile(path) as file:
-                if (file.schema_arrow.metadata or {}).get(_MADE_FROM) == self._parts_key():
-                    table = file.read(None if columns is None else list(columns), use_threads=False)
-                    return table.replace_schema_metadata(None)
-        except (pa.ArrowException, OSError):
+            if (pq.read_schema(path).metadata or {}).get(_MADE_FROM) == self._parts_key():
+                return read_parquet(path, columns).replace_schema_metadata(None)
+        except (pa.ArrowException, OSError, DataError):
             pass  # made from the parts, so it can be made again
         table = self._build_catalog()
         _keep(self.path, path, table.replace_schema_metadata({_MADE_FROM: self._parts_key()}))

@@ -199,15 +199,33 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
     """
     raw = read_bytes(path) if data is None else data
     try:
-        return kind.model_validate_json(raw)
-    except ValidationError:
-        pass  # asked again for words that name the field
-    try:
-        return kind.parse(json.loads(raw), path)
+        return decode_record(kind, raw, path)
     except ValueError as error:
         raise damaged(path, f"no valid JSON: {error}") from None
     except UsageError as error:
         raise damaged(path, error.problem) from None
+
+
+def decode_record(kind: type[SomeRecord], data: bytes, path: str | Path) -> SomeRecord:
+    """Return the record in JSON bytes that came from `path`.
+
+    Raises
+    ------
+    ValueError
+        When they are no JSON, or hold text that no file can.
+    UsageError
+        When they hold no such record; names the field.
+    """
+    try:
+        return kind.model_validate_json(data)
+    except ValidationError:
+        pass  # asked again for words that name the field, and for a lineage that is nested deep
+    try:
+        value = json.loads(data)
+        json.dumps(value, ensure_ascii=False).encode()  # raises for half of a surrogate pair
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    return kind.parse(value, path)
 
 
 def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:
