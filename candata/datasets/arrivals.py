@@ -19,7 +19,7 @@ from candata.datasets.parts import EPISODES, EPISODES_PER_ROW_GROUP, MANIFEST, S
 from candata.datasets.pull_plan import Plan
 from candata.datasets.remotes import Bar, Store, corrupted, object_key, version_key
 from candata.datasets.tags import read_tags, tag_path
-from candata.datasets.versions import DATASET, read_version, version_path
+from candata.datasets.versions import DATASET, create_version, read_version
 from candata.errors import DataError, UsageError, Where
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import PartFile, VersionFile
@@ -166,18 +166,18 @@ def keep(root: Path, plan: Plan) -> tuple[str, ...]:
     wait, version = waiting(root), plan.record.version
     for cloud in plan.record.clouds:
         if (wait / cloud.path).is_file():
-            durable.ensure_folder((root / cloud.path).parent)
+            durable.ensure_below(root, (root / cloud.path).parent)
             (wait / cloud.path).replace(root / cloud.path)
             durable.sync((root / cloud.path).parent)
-    for part_id in arriving(root, plan):
+    added = arriving(root, plan)
+    for part_id in added:
         _commit(root, part_id, plan.parts[part_id][0])
     for split, file in plan.splits.items():
         path, arrived = split_path(root, split), split_path(wait, split)
         made = arrived.is_file() and durable.create_once(root, path, arrived.read_bytes())
         if not made and durable.file_sha256(path) != file.sha256:
             raise other_split(path)
-    made = durable.create_once(root, version_path(root, version.number), durable.encode_record(version))
-    if not made and read_version(root, version.number) != version:
+    if not create_version(root, version, added) and read_version(root, version.number) != version:
         raise diverged(root, version, read_version(root, version.number))
     notes = _keep_tags(root, plan)
     shutil.rmtree(wait, ignore_errors=True)
@@ -191,7 +191,7 @@ def _commit(root: Path, part_id: str, manifest: bytes) -> None:
     durable.sync(folder / MANIFEST)
     for path in [*(p for p in folder.rglob("*") if p.is_dir()), folder]:
         durable.sync(path)
-    durable.ensure_folder(target.parent)
+    durable.ensure_below(root, target.parent)
     try:
         os.rename(folder, target)
     except OSError:

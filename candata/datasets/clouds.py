@@ -44,16 +44,17 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
         )  # fmt: skip
     name = cloud_hash(cloud)
     target = cloud_path(root, name)
-    if not target.is_file():
-        durable.ensure_folder(target.parent)
-        with durable.staged(root) as folder:
-            table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
-            pq.write_table(table, folder / target.name, compression="zstd")
-            durable.sync(folder / target.name)
-            (folder / target.name).replace(target)
-        durable.sync(target.parent)
-    else:
-        durable.touch(target)
+    with durable.publishing(root):
+        if target.is_file():
+            durable.touch(target)
+            return name
+    durable.ensure_below(root, target.parent)
+    with durable.staged(root) as folder:
+        table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
+        pq.write_table(table, folder / target.name, compression="zstd")
+        durable.sync(folder / target.name)
+        (folder / target.name).replace(target)
+    durable.sync(target.parent)
     return name
 
 

@@ -18,7 +18,7 @@ from candata.datasets.bounded import read_parquet
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
 from candata.datasets.versions import find_version, read_dataset_file, version_path
-from candata.errors import DataError, UnknownNameError, Where
+from candata.errors import DataError, SetupError, UnknownNameError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
@@ -216,11 +216,11 @@ def catalog_path(root: Path, digest: str) -> Path:
 def _keep(root: Path, path: Path, table: pa.Table) -> None:
     """Store a table that can be made again; a folder that cannot be written is no error."""
     try:
-        durable.ensure_folder(path.parent)
+        durable.ensure_below(root, path.parent)
         with durable.staged(root) as folder:
             pq.write_table(table, folder / path.name, compression="zstd")
             (folder / path.name).replace(path)
-    except OSError:
+    except (OSError, SetupError):
         return
 
 

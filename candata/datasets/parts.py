@@ -45,6 +45,8 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
     ------
     DataError
         When there are no episodes, an id comes twice, or the channels differ.
+    SetupError
+        When the folder of the dataset was moved away.
     """
     root = Path(path)
     with durable.staged(root) as folder:
@@ -65,11 +67,13 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
 
 def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
     """Move a finished staging folder among the parts; return the manifest that stands there."""
-    parts = durable.ensure_folder(root / "parts")
+    parts = durable.ensure_below(root, root / "parts")
     target = parts / manifest.id
     try:
         os.rename(folder, target)
     except OSError:
+        if not root.is_dir():
+            raise durable.gone(root) from None
         if not target.is_dir():
             raise
         manifest = durable.read_record(PartFile, target / MANIFEST)

@@ -232,7 +232,7 @@ def _fetch_one(store: Store, key: str, root: Path, one: _File, advance: Callable
     one.target.parent.mkdir(parents=True, exist_ok=True)
     if not one.target.parent.resolve().is_relative_to(root.resolve()):
         raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(one.target.parent)))
-    draft = durable.ensure_folder(waiting(root)) / uuid.uuid4().hex  # no part can take what a killed pull left
+    draft = durable.ensure_below(root, waiting(root)) / uuid.uuid4().hex  # no part can take what a killed pull left
     try:
         with draft.open("xb") as file:
             digest = _copy(store, key, one.bytes, file.write, advance)
