@@ -105,12 +105,17 @@ def staged(root: Path) -> Iterator[Path]:
     Raises
     ------
     SetupError
-        When there is no `root`.
+        When there is no `root`, or it was moved away in the block and that made it fail.
     """
     folder = ensure_below(root, root / STAGING) / uuid.uuid4().hex
     folder.mkdir()
     with passing(folder):
-        yield folder
+        try:
+            yield folder
+        except OSError:
+            if not root.is_dir():
+                raise gone(root) from None
+            raise
 
 
 @contextmanager

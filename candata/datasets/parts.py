@@ -72,8 +72,6 @@ def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
     try:
         os.rename(folder, target)
     except OSError:
-        if not root.is_dir():
-            raise durable.gone(root) from None
         if not target.is_dir():
             raise
         manifest = durable.read_record(PartFile, target / MANIFEST)

@@ -55,13 +55,15 @@ def create_dataset(path: str | Path, name: str | None = None, exist_ok: bool = F
 
 
 def refuse_foreign(root: Path) -> None:
-    """Refuse a path that is a file, or a folder with other things in it.
+    """Refuse a path that is a file, a link that leads nowhere, or a folder with other things in it.
 
     Raises
     ------
     UsageError
         When it is one.
     """
+    if root.is_symlink() and not root.exists():
+        raise UsageError("a link that leads nowhere", where=Where(path=str(root)), fix="mount or make what it leads to")
     if root.exists() and not root.is_dir():
         raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
     if not root.is_dir():
