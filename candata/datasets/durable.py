@@ -105,7 +105,7 @@ def staged(root: Path) -> Iterator[Path]:
     Raises
     ------
     SetupError
-        When there is no `root`, or it was moved away in the block and that made it fail.
+        When there is no `root`, or the block failed because root or folder were taken away.
     """
     folder = ensure_below(root, root / STAGING) / uuid.uuid4().hex
     folder.mkdir()
@@ -115,6 +115,12 @@ def staged(root: Path) -> Iterator[Path]:
         except OSError:
             if not root.is_dir():
                 raise gone(root) from None
+            if not folder.is_dir():
+                raise SetupError(
+                    "what was being written was collected as garbage",
+                    where=Where(path=str(root)),
+                    fix="run this again; give candata gc a --grace longer than any job takes",
+                ) from None
             raise
 
 
