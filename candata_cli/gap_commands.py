@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -122,7 +122,7 @@ def bench(
 
     asked = asked_for(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
     beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with console.stoppable(lambda: _kept(out), goes_on=True), crew_of(jobs, ray, out) as crew:
+    with console.stoppable(lambda: _kept(out), goes_on=True), _alone(out), crew_of(jobs, ray, out) as crew:
         make(out, asked, crew)
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
@@ -149,8 +149,15 @@ def score(
     from candata.gap.blind.cluster import crew_of
 
     beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with console.stoppable(lambda: _kept(out), goes_on=True), crew_of(jobs, ray, out) as crew:
+    with console.stoppable(lambda: _kept(out), goes_on=True), _alone(out), crew_of(jobs, ray, out) as crew:
         _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases, until), json)
+
+
+def _alone(out: Path) -> AbstractContextManager[None]:
+    """Refuse a folder in which another run is at work: both would write the same results."""
+    from candata.datasets.durable import alone, ensure_folder
+
+    return alone(ensure_folder(out), "another gap bench or gap score works in this folder")
 
 
 @dataclass(frozen=True)

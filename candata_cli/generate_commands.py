@@ -70,7 +70,7 @@ def generate_sim(
         version = generate(
             out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
             policies=tuple(policies.split(",")) if policies else (), policy_file=policy_file,
-            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance,
+            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance, note=console.note,
         )  # fmt: skip
     if hidden:
         console.note(f"withheld effect sealed in {hidden.seal}")

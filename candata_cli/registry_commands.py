@@ -212,16 +212,28 @@ def _shares(text: str, groups: tuple[str, ...]) -> dict[str, float]:
 def diff(
     first: Annotated[str, typer.Argument(metavar="A", help="Name or folder, @ and a version if not the newest.")],
     second: Annotated[str, typer.Argument(metavar="B", help="The same.")],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Believe the hashes of the manifests; read no episode.")
+    ] = False,
     json: Json = False,
 ) -> None:
-    """Compare two versions by episode id and content hash; exit 1 when they differ."""
+    """Compare two versions by episode id and content; exit 1 when they differ.
+
+    Episodes of one id are read and hashed anew, but for those that lie in the same files.
+    """
     from dataclasses import asdict
 
     from candata.datasets.diff import diff as difference
     from candata.datasets.history import label_of
 
     one, two = console.opened(first), console.opened(second)
-    found = difference(one, two)
+    with console.progress("episodes compared", len(one.places.keys() & two.places.keys())) as advance:
+        found = difference(one, two, quick, advance)
+    if found.misstated:
+        names, more = ", ".join(found.misstated[:5]), len(found.misstated) - 5
+        console.note(
+            f"not what manifests claim: {names}{f' and {more} more' if more > 0 else ''}; see candata validate"
+        )
     if json:
         console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.equal, **asdict(found)})
     else:
@@ -273,6 +285,7 @@ def merge(
 ) -> None:
     """Make one dataset of several; equal episodes count once, one id for two contents is refused.
 
+    Episodes of one id are read and compared. The others are taken as their manifests claim: candata validate --deep.
     A split is carried where all of them store one of its name that holds all their episodes. With --append the splits
     that stand there stay as they are.
     """

@@ -87,7 +87,10 @@ def pull(
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="New folder, or one pulled to before.")],
     json: Json = False,
 ) -> None:
-    """Fetch a version of a dataset, every file checked by its hash. A killed pull goes on when run again."""
+    """Fetch a version of a dataset; every file and episode is hashed anew, and no claim of the remote is believed.
+
+    What does not fit is refused before anything is written. A killed pull goes on when run again.
+    """
     from candata.datasets.pull import pull as fetch
     from candata.datasets.registry import find_remote
     from candata.datasets.remotes import open_remote
@@ -96,7 +99,7 @@ def pull(
     called, _, version = name.partition("@")
     with console.stoppable(f"what was fetched whole is kept in {out}", goes_on=True):
         store = open_remote(find_remote(remote))
-        done = fetch(store, called, out, console.number(version or None), _bar("fetching"))
+        done = fetch(store, called, out, console.number(version or None), _bar("fetching"), _bar("checking"))
     for line in done.notes:
         console.note(line)
     if json:

@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from candata.datasets import durable
+from candata.datasets.bounded import read_parquet
 from candata.datasets.versions import read_dataset_file
 from candata.errors import DataError, Where
 
@@ -43,16 +44,17 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
         )  # fmt: skip
     name = cloud_hash(cloud)
     target = cloud_path(root, name)
-    if not target.is_file():
-        durable.ensure_folder(target.parent)
-        with durable.staged(root) as folder:
-            table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
-            pq.write_table(table, folder / target.name, compression="zstd")
-            durable.sync(folder / target.name)
-            (folder / target.name).replace(target)
-        durable.sync(target.parent)
-    else:
-        durable.touch(target)
+    with durable.publishing(root):
+        if target.is_file():
+            durable.touch(target)
+            return name
+    durable.ensure_below(root, target.parent)
+    with durable.staged(root) as folder:
+        table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
+        pq.write_table(table, folder / target.name, compression="zstd")
+        durable.sync(folder / target.name)
+        (folder / target.name).replace(target)
+    durable.sync(target.parent)
     return name
 
 
@@ -66,7 +68,7 @@ def get_cloud(path: str | Path, sha: str) -> NDArray[np.float32]:
     """
     target = cloud_path(Path(path), sha)
     try:
-        table = pq.read_table(target, use_threads=False, partitioning=None)
+        table = read_parquet(target)
         cloud = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
         raise durable.damaged(target, durable.reason(error)) from None

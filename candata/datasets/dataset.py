@@ -14,10 +14,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from candata.datasets import durable, encode
+from candata.datasets.bounded import read_parquet
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
-from candata.datasets.versions import find_version, read_dataset_file
-from candata.errors import DataError, UnknownNameError, Where
+from candata.datasets.versions import find_version, read_dataset_file, version_path
+from candata.errors import DataError, SetupError, UnknownNameError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
@@ -119,6 +120,28 @@ class Dataset:
         """
         return next(self.episodes([id]))
 
+    def contents(self, ids: Iterable[str]) -> Iterator[tuple[str, str]]:
+        """Yield id and content hash of episodes as they lie there now, whatever manifests claim; by part, not by id.
+
+        Raises
+        ------
+        UnknownNameError
+            When an id is not in this version.
+        DataError
+            When a part does not decode, or another episode lies in the place of one; names the file.
+        """
+        groups: dict[str, dict[int, list[str]]] = {}
+        for name in sorted(ids, key=lambda name: self._place(name).position):
+            place = self.places[name]
+            groups.setdefault(place.part.entry.id, {}).setdefault(place.group, []).append(name)
+        for by_group in groups.values():
+            rows = None
+            for number, names in by_group.items():
+                part = self.places[names[0]].part
+                rows = part.rows() if rows is None else rows
+                group = part.group(number, rows)
+                yield from ((name, _raw(group, self.places[name], name).content_hash()) for name in names)
+
     def _place(self, name: str) -> Place:
         """Return where an episode lies."""
         if name not in self.places:
@@ -153,11 +176,9 @@ class Dataset:
                 raise UnknownNameError("column of the catalog", name, known, Where(path=str(self.path)))
         path = catalog_path(self.path, self.digest)
         try:
-            with pq.ParquetFile(path) as file:
-                if (file.schema_arrow.metadata or {}).get(_MADE_FROM) == self._parts_key():
-                    table = file.read(None if columns is None else list(columns), use_threads=False)
-                    return table.replace_schema_metadata(None)
-        except (pa.ArrowException, OSError):
+            if (pq.read_schema(path).metadata or {}).get(_MADE_FROM) == self._parts_key():
+                return read_parquet(path, columns).replace_schema_metadata(None)
+        except (pa.ArrowException, OSError, DataError):
             pass  # made from the parts, so it can be made again
         table = self._build_catalog()
         _keep(self.path, path, table.replace_schema_metadata({_MADE_FROM: self._parts_key()}))
@@ -195,31 +216,40 @@ def catalog_path(root: Path, digest: str) -> Path:
 def _keep(root: Path, path: Path, table: pa.Table) -> None:
     """Store a table that can be made again; a folder that cannot be written is no error."""
     try:
-        durable.ensure_folder(path.parent)
+        durable.ensure_below(root, path.parent)
         with durable.staged(root) as folder:
             pq.write_table(table, folder / path.name, compression="zstd")
             (folder / path.name).replace(path)
-    except OSError:
+    except (OSError, SetupError):
         return
+
+
+def _raw(group: list[RawEpisode], place: Place, name: str) -> RawEpisode:
+    """Return an episode of a row group as it lies there, with its dense channels."""
+    offset = place.position % EPISODES_PER_ROW_GROUP
+    if offset >= len(group) or group[offset].id != name:
+        raise durable.damaged(place.part.folder / STEPS, f"another episode at position {place.position}", name)
+    return place.part.whole(group[offset])
 
 
 def _episode(group: list[RawEpisode], place: Place, name: str) -> Episode:
     """Return the episode, checked against the hash its part was published with."""
-    path = place.part.folder / STEPS
-    offset = place.position % EPISODES_PER_ROW_GROUP
-    if offset >= len(group) or group[offset].id != name:
-        raise durable.damaged(path, f"another episode at position {place.position}", name)
-    raw = place.part.whole(group[offset])
+    raw = _raw(group, place, name)
     found = raw.content_hash()
     if found != place.content_hash:
-        raise DataError(
-            "damaged dataset: the content of an episode has changed",
-            expected=f"content {place.content_hash[:12]}",
-            found=f"content {found[:12]}",
-            where=Where(path=str(path), episode=name),
-            fix="restore the file from a copy; candata validate lists everything that is damaged",
-        )
+        raise changed(place, name, found)
     return Episode(raw.meta(), raw.arrays)
+
+
+def changed(place: Place, name: str, found: str) -> DataError:
+    """Return the error for an episode whose content is not what its part was published with."""
+    return DataError(
+        "damaged dataset: the content of an episode has changed",
+        expected=f"content {place.content_hash[:12]}",
+        found=f"content {found[:12]}",
+        where=Where(path=str(place.part.folder / STEPS), episode=name),
+        fix="restore the file from a copy; candata validate lists everything that is damaged",
+    )
 
 
 def open_dataset(path: str | Path, version: int | str | None = None, *, partial: bool = False) -> Dataset:
@@ -245,6 +275,7 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
     name = read_dataset_file(root).name
     file = find_version(root, version)
     places: dict[str, Place] = {}
+    excluded = frozenset(file.exclusions)
     for part in (RawPart(root, entry) for entry in file.parts):
         try:
             pairs = _intact(part)
@@ -253,8 +284,11 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
                 raise
             continue
         for position, (episode, digest) in enumerate(pairs):
-            places.setdefault(episode, Place(part, position, digest))
-    for episode in file.exclusions:
+            standing = places.setdefault(episode, Place(part, position, digest))
+            if standing.content_hash != digest and not partial and episode not in excluded:
+                two = f"{standing.content_hash[:12]} and {digest[:12]} of {episode}"
+                raise durable.damaged(version_path(root, file.number), f"two contents: {two}", "one")
+    for episode in excluded:
         places.pop(episode, None)
     return Dataset(root, name, file, places)
 

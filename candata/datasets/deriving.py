@@ -64,7 +64,7 @@ def link_part(part: RawPart, root: Path) -> PartEntry:
         raise problem
     target = part_folder(root, part.entry.id)
     if not target.is_dir():
-        durable.ensure_folder(target.parent)
+        durable.ensure_below(root, target.parent)
         with durable.staged(root) as folder:
             for name in (MANIFEST, *(file.path for file in manifest.files)):
                 _link(part.folder / name, folder / name)
@@ -120,7 +120,7 @@ def link_clouds(dataset: Dataset, root: Path) -> None:
         if not source.is_file():
             raise durable.damaged(source, "no such file")
         if not target.is_file():
-            durable.ensure_folder(target.parent)
+            durable.ensure_below(root, target.parent)
             _link(source, target)
 
 

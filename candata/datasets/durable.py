@@ -57,6 +57,36 @@ def ensure_folder(path: Path) -> Path:
     return path
 
 
+def ensure_below(root: Path, path: Path) -> Path:
+    """Return `path` as an existing folder in `root` or deeper; a root that was moved away is not made anew.
+
+    Raises
+    ------
+    SetupError
+        When there is no `root`.
+    """
+    below = path.relative_to(root)
+    if not root.is_dir():
+        raise gone(root)
+    for folder in (root / one for one in [*list(below.parents)[-2::-1], below] if one != Path()):
+        if not folder.is_dir():
+            try:
+                folder.mkdir(exist_ok=True)
+            except FileNotFoundError:
+                raise gone(root) from None
+            sync(folder.parent)
+    return path
+
+
+def gone(root: Path) -> SetupError:
+    """Return the error for a dataset that was moved away while it was written to."""
+    return SetupError(
+        "the folder of the dataset has gone",
+        where=Where(path=str(root)),
+        fix="bring it back and run this again: what was published stands, and what was stopped goes on",
+    )
+
+
 def touch(path: Path) -> None:
     """Let the age of what stands count from now, so that gc leaves it alone; that of other users stays as it is.
 
@@ -71,11 +101,28 @@ def touch(path: Path) -> None:
 
 @contextmanager
 def staged(root: Path) -> Iterator[Path]:
-    """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed."""
-    folder = ensure_folder(root / STAGING) / uuid.uuid4().hex
+    """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed.
+
+    Raises
+    ------
+    SetupError
+        When there is no `root`, or the block failed because root or folder were taken away.
+    """
+    folder = ensure_below(root, root / STAGING) / uuid.uuid4().hex
     folder.mkdir()
     with passing(folder):
-        yield folder
+        try:
+            yield folder
+        except OSError:
+            if not root.is_dir():
+                raise gone(root) from None
+            if not folder.is_dir():
+                raise SetupError(
+                    "what was being written was collected as garbage",
+                    where=Where(path=str(root)),
+                    fix="run this again; give candata gc a --grace longer than any job takes",
+                ) from None
+            raise
 
 
 @contextmanager
@@ -96,15 +143,55 @@ def passing(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Wait until no other process is in this block for the same folder; where folders cannot be locked, go on."""
+def alone(folder: Path, busy: str | None = None) -> Iterator[None]:
+    """Wait until no other process is in this block for the same folder; where folders cannot be locked, go on.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing folder.
+    busy : str, optional
+        What the other process does: then nothing is waited for.
+
+    Raises
+    ------
+    UsageError
+        When `busy` is given and another process is in the block.
+    """
+    with _locked(folder, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0), busy):
+        yield
+
+
+@contextmanager
+def _locked(folder: Path, how: int, busy: str | None = None) -> Iterator[None]:
+    """Hold a lock of the system on a folder, which releases it even when the process is killed."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)  # released by the system, even when the process is killed
+        try:
+            fcntl.flock(handle, how)
+        except BlockingIOError:
+            raise UsageError(
+                str(busy), where=Where(path=str(folder)), fix="wait until it has ended, or choose another --out"
+            ) from None
+        except OSError:
+            pass  # a file system without locks
         yield
     finally:
         os.close(handle)
+
+
+@contextmanager
+def publishing(root: Path) -> Iterator[None]:
+    """Hold what is published from the last look at it on: garbage is removed before or after, not meanwhile."""
+    with _locked(ensure_below(root, root / STAGING), fcntl.LOCK_SH):
+        yield
+
+
+@contextmanager
+def removing(root: Path) -> Iterator[None]:
+    """Remove garbage while nothing is published."""
+    with _locked(ensure_below(root, root / STAGING), fcntl.LOCK_EX):
+        yield
 
 
 @contextmanager
@@ -135,9 +222,9 @@ def create_once(root: Path, target: Path, data: bytes) -> bool:
     Raises
     ------
     SetupError
-        When the file system has no hard links.
+        When the file system has no hard links, or there is no `root`.
     """
-    ensure_folder(target.parent)
+    ensure_below(root, target.parent)
     with staged(root) as folder:
         draft = folder / target.name
         draft.write_bytes(data)
@@ -200,15 +287,33 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
     """
     raw = read_bytes(path) if data is None else data
     try:
-        return kind.model_validate_json(raw)
-    except ValidationError:
-        pass  # asked again for words that name the field
-    try:
-        return kind.parse(json.loads(raw), path)
+        return decode_record(kind, raw, path)
     except ValueError as error:
         raise damaged(path, f"no valid JSON: {error}") from None
     except UsageError as error:
         raise damaged(path, error.problem) from None
+
+
+def decode_record(kind: type[SomeRecord], data: bytes, path: str | Path) -> SomeRecord:
+    """Return the record in JSON bytes that came from `path`.
+
+    Raises
+    ------
+    ValueError
+        When they are no JSON, or hold text that no file can.
+    UsageError
+        When they hold no such record; names the field.
+    """
+    try:
+        return kind.model_validate_json(data)
+    except ValidationError:
+        pass  # asked again for words that name the field, and for a lineage that is nested deep
+    try:
+        value = json.loads(data)
+        json.dumps(value, ensure_ascii=False).encode()  # raises for half of a surrogate pair
+    except RecursionError:
+        raise ValueError("nested too deep") from None
+    return kind.parse(value, path)
 
 
 def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:

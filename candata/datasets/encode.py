@@ -78,7 +78,11 @@ class RawEpisode:
         ValueError, UsageError
             When the stored text is no JSON, or no such record.
         """
-        return EpisodeMeta.parse(json.loads(self.meta_json), f"meta of {self.id}")
+        try:
+            fields = json.loads(self.meta_json)
+        except RecursionError:
+            raise ValueError("the record is nested too deep") from None
+        return EpisodeMeta.parse(fields, f"meta of {self.id}")
 
 
 def meta_json(meta: EpisodeMeta) -> str:
@@ -179,19 +183,35 @@ def steps_batch(episode: Episode, schema: pa.Schema) -> pa.RecordBatch:
     return pa.RecordBatch.from_arrays(columns, schema=schema)
 
 
-def episode_row(episode: Episode, digest: str, row_group: int) -> dict[str, object]:
-    """Return the episode's row of `episodes.parquet`; a seed beyond int64 stands in `meta` only."""
-    meta = episode.meta
+def episode_row(meta: EpisodeMeta, time_ns: NDArray[np.int64], digest: str, row_group: int) -> dict[str, object]:
+    """Return an episode's row of `episodes.parquet`; a seed beyond int64 stands in `meta` only."""
     effects = None if meta.effects is None else [e.model_dump(mode="json") for e in meta.effects]
     seed = meta.seed if meta.seed is not None and abs(meta.seed) < 2**63 else None
+    duration_s = (time_ns[-1:] - time_ns[:1]) * 1e-9
     return {
         "id": meta.id, "source": meta.source, "scene": meta.scene, "object": meta.object, "task": meta.task,
         "seed": seed, "effects": None if effects is None else json.dumps(effects),
-        "outcome": meta.outcome, "rate_hz": meta.rate_hz, "rows": len(episode),
-        "duration_s": float(episode.time_s[-1]), "joint_names": meta.joint_names,
-        "actuator_names": meta.actuator_names, "fingertip_names": meta.fingertip_names,
+        "outcome": meta.outcome, "rate_hz": meta.rate_hz, "rows": len(time_ns),
+        "duration_s": float(duration_s[0]), "joint_names": list(meta.joint_names),
+        "actuator_names": list(meta.actuator_names), "fingertip_names": list(meta.fingertip_names),
         "content_hash": digest, "row_group": row_group, "meta": meta_json(meta),
     }  # fmt: skip
+
+
+def episode_table(stored: pa.Table) -> pa.Table:
+    """Return a stored table with the columns of `EPISODE_COLUMNS`, those that it lacks without values.
+
+    Raises
+    ------
+    pyarrow.ArrowException
+        When a column is of another type.
+    """
+    lacking = {name for name in EPISODE_COLUMNS.names if name not in stored.column_names}
+    columns = [
+        pa.nulls(len(stored), field.type) if field.name in lacking else stored[field.name].cast(field.type)
+        for field in EPISODE_COLUMNS
+    ]
+    return pa.table(columns, EPISODE_COLUMNS)
 
 
 def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_row: int = 0) -> list[RawEpisode]:

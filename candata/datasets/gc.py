@@ -117,8 +117,7 @@ def collect_garbage(
     with durable.writing(root):
         before = _clock(root) - grace_s
         versions = {version_path(root, number).name: read_version(root, number) for number in numbers(root)}
-        retired = _retired(root, keep, before)
-        _remove(root, retired, dry_run)
+        retired = _retire(root, keep, before, dry_run)
         gone = {Path(one.path).name for one in retired}
         reach = _reach(version for name, version in versions.items() if name not in gone)
         found = [*_parts(root, reach), *_staging(root), *_catalogs(root, reach), *_caches(root, reach)]
@@ -138,7 +137,14 @@ def collect_staging(root: Path, grace_s: float = GRACE_S) -> None:
 
 def _collect(root: Path, found: list[Garbage], before: float, dry_run: bool) -> list[Garbage]:
     """Remove what has not changed since `before`; return what went."""
-    return [one for one in found if _changed(root / one.path) < before and _remove(root, [one], dry_run, before)]
+    if dry_run:
+        return [one for one in found if _changed(root / one.path) < before]
+    removed = []
+    for one in found:
+        with durable.removing(root):  # what is published meanwhile is seen here, or its publishing fails
+            if _changed(root / one.path) < before and _remove(root, [one], before):
+                removed.append(one)
+    return removed
 
 
 def _clock(root: Path) -> float:
@@ -148,6 +154,16 @@ def _clock(root: Path) -> float:
             return folder.stat().st_mtime
     except OSError:
         return time.time()
+
+
+def _retire(root: Path, keep: int | None, before: float, dry_run: bool) -> list[Garbage]:
+    """Return the versions that were, or would be, removed."""
+    if dry_run or keep is None:
+        return _retired(root, keep, before)
+    with durable.removing(root):
+        retired = _retired(root, keep, before)
+        _remove(root, retired)
+    return retired
 
 
 def _retired(root: Path, keep: int | None, before: float) -> list[Garbage]:
@@ -210,6 +226,8 @@ def _clouds(root: Path, reach: _Reach, gone: set[str]) -> tuple[list[Garbage], t
     clouds = [path for path in _entries(root / "objects") if _HASHED_TABLE.fullmatch(path.name)]
     if not clouds:
         return [], ()
+    if (root / "parts").is_symlink():
+        return [], ("point clouds stay: the folder of the parts is a link, which is not followed",)
     standing = {path.name for path in _entries(root / "parts") if (path / MANIFEST).is_file()} - gone
     named: set[str] = set()
     try:
@@ -256,13 +274,12 @@ def _garbage(root: Path, kind: Kind, path: Path) -> Garbage:
     return Garbage(kind, path.relative_to(root).as_posix(), sum(state.st_size for state in files))
 
 
-def _remove(root: Path, garbage: Iterable[Garbage], dry_run: bool, before: float = float("inf")) -> bool:
+def _remove(root: Path, garbage: Iterable[Garbage], before: float = float("inf")) -> bool:
     """Take things out of the way, then delete them; return whether all of them went.
 
-    A part or cloud that somebody touched since it was judged is put back: it is being published.
+    A part or cloud that somebody touched since it was judged is put back: it is being published, where folders cannot
+    be locked.
     """
-    if dry_run:
-        return True
     went = True
     with durable.staged(root) as folder:
         for number, one in enumerate(garbage):

@@ -31,6 +31,8 @@ from candata.schema.manifest import Lineage
 
 #: Longest wait for one acknowledgement [s]; a share far away needs some tenths of a second.
 PATIENCE_S = 60.0
+#: How often an episode is written before its writer gives up.
+_TRIES = 20
 
 
 @dataclass(frozen=True)
@@ -205,7 +207,13 @@ def _appending(root: Path, name: str, _grace_s: float) -> Iterator[str]:
     for number in itertools.count():
         arrays = {"time_ns": np.arange(50) * 12_500_000, "joint_position": rng.normal(size=(50, 15))}
         episode = Episode(EpisodeMeta(id=f"{name}-{number:04d}", source="sim", rate_hz=80), arrays)
-        append(root, [episode], Lineage(operation="kill test"))
+        for left in range(_TRIES - 1, -1, -1):
+            try:
+                append(root, [episode], Lineage(operation="kill test"))
+                break
+            except (DataError, SetupError):  # a grace period shorter than the writing: its part was collected
+                if not left:
+                    raise
         yield f"{episode.meta.id} {content_hash(episode)}"
 
 

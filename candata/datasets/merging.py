@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from candata.datasets.adding import write_parts
-from candata.datasets.dataset import Dataset
+from candata.datasets.dataset import Dataset, changed, open_dataset
 from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
+from candata.datasets.diff import apart
 from candata.datasets.history import derived
 from candata.datasets.parts import RawPart, entry_of, write_part
-from candata.datasets.versions import advance, digest_of, index_of, members_of, newest, publish, read_dataset_file
+from candata.datasets.versions import advance, digest_of, index_of, newest, publish, read_dataset_file
 from candata.errors import DataError, UsageError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, PartEntry, VersionFile
@@ -23,7 +25,8 @@ _LISTED = 10
 def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False, finish: Finish = nothing_more) -> VersionFile:
     """Return the version of a new dataset `out` that holds the episodes of all of `datasets`.
 
-    Parts are shared with them, not rewritten. The lineage names all of them and keeps theirs.
+    Parts are shared with them, not rewritten. The lineage names all of them and keeps theirs. Episodes of one id that
+    lie in different files are read, and compared by what they hold.
 
     Parameters
     ----------
@@ -48,6 +51,7 @@ def merge(datasets: Sequence[Dataset], out: Path, prefix: bool = False, finish: 
     lineage = derived(_OPERATION, datasets, {"prefix": True} if prefix else {})
     if prefix:
         return _merge_prefixed(datasets, out, lineage, finish)
+    _require_as_claimed(datasets)
     members = _members(datasets)
     with new_dataset(out, finish) as root:
         entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, members, root)}
@@ -73,6 +77,7 @@ def merge_into(datasets: Sequence[Dataset], out: Path) -> VersionFile:
     if not datasets:
         raise UsageError("nothing to merge", expected="a dataset or more", found="0")
     current = newest(out)
+    _require_as_claimed([*([open_dataset(out)] if current else []), *datasets])
     _members(datasets, index_of(out, current.parts) if current else None)
     entries = {entry.id: entry for dataset in datasets for entry in _entries(dataset, None, out)}
     for dataset in datasets:
@@ -103,13 +108,26 @@ def _joined(
     )
 
 
+def _require_as_claimed(datasets: Sequence[Dataset]) -> None:
+    """Refuse episodes whose content is not what manifests claim, among ids that stand in different files of several."""
+    doubtful: list[set[str]] = [set() for _ in datasets]
+    for (i, one), (j, other) in itertools.combinations(enumerate(datasets), 2):
+        ids = apart(one, other)
+        doubtful[i] |= ids
+        doubtful[j] |= ids
+    for dataset, ids in zip(datasets, doubtful, strict=True):
+        for name, digest in dataset.contents(ids):
+            if digest != dataset.places[name].content_hash:
+                raise changed(dataset.places[name], name, digest)
+
+
 def _members(datasets: Sequence[Dataset], standing: dict[str, str] | None = None) -> dict[str, str]:
     """Return id to content hash of all; refuse ids that stand for different content."""
     members: dict[str, str] = dict(standing or {})
     clashes: dict[str, None] = {}
     for dataset in datasets:
-        for name, digest in members_of(dataset.path, dataset.file).items():
-            if members.setdefault(name, digest) != digest:
+        for name, place in dataset.places.items():
+            if members.setdefault(name, place.content_hash) != place.content_hash:
                 clashes[name] = None
     if clashes:
         listed = ", ".join(list(clashes)[:_LISTED]) + (", ..." if len(clashes) > _LISTED else "")

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from candata.datasets import dense, durable, encode
+from candata.datasets.bounded import read_parquet
 from candata.errors import DataError, UsageError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import FileEntry, PartEntry, PartFile
@@ -44,6 +45,8 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
     ------
     DataError
         When there are no episodes, an id comes twice, or the channels differ.
+    SetupError
+        When the folder of the dataset was moved away.
     """
     root = Path(path)
     with durable.staged(root) as folder:
@@ -64,7 +67,7 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
 
 def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
     """Move a finished staging folder among the parts; return the manifest that stands there."""
-    parts = durable.ensure_folder(root / "parts")
+    parts = durable.ensure_below(root, root / "parts")
     target = parts / manifest.id
     try:
         os.rename(folder, target)
@@ -92,7 +95,7 @@ def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple
             batches = [encode.steps_batch(episode, schema) for episode in group]
             steps = pa.Table.from_batches(batches)
             writer.write_table(steps, row_group_size=max(1, steps.num_rows))
-            table += [encode.episode_row(e, encode.content_hash(e), number) for e in group]
+            table += [encode.episode_row(e.meta, e["time_ns"], encode.content_hash(e), number) for e in group]
             for store, episode in itertools.product(stores, group):
                 store.add(episode)
     pq.write_table(pa.Table.from_pylist(table, encode.EPISODE_COLUMNS), folder / EPISODES, compression="zstd")
@@ -243,11 +246,11 @@ class RawPart:
         Raises
         ------
         DataError
-            When the file is missing or unreadable; names it.
+            When the file is missing, unreadable, or unfolds to more than is read at once; names it.
         """
         path = self.folder / EPISODES
         try:
-            return pq.read_table(path, schema=encode.EPISODE_COLUMNS, use_threads=False, partitioning=None)
+            return encode.episode_table(read_parquet(path))
         except UNREADABLE as error:
             raise durable.damaged(path, durable.reason(error)) from None
 
@@ -283,8 +286,7 @@ class RawPart:
         rows = self.rows() if rows is None else rows
         path = self.folder / STEPS
         try:
-            with pq.ParquetFile(path) as file:
-                steps = file.read_row_group(number, use_threads=False)
+            steps = read_parquet(path, group=number)
             before = sum(int(row["rows"]) for row in rows if row["row_group"] < number)
             return encode.decode_group(steps, [row for row in rows if row["row_group"] == number], before)
         except UNREADABLE as error:

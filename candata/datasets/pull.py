@@ -1,4 +1,4 @@
-"""Pulling a dataset: everything is checked by hash, and the version is published last."""
+"""Pulling a dataset: everything is checked by its contents, and the version is published last."""
 
 from __future__ import annotations
 
@@ -6,14 +6,24 @@ import hashlib
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from candata.datasets import durable
+from candata.datasets.arrivals import (
+    arriving,
+    check,
+    diverged,
+    keep,
+    leave_nothing,
+    other_split,
+    split_path,
+    waiting,
+)
 from candata.datasets.names import require_name
-from candata.datasets.parts import MANIFEST, RawPart, part_folder
+from candata.datasets.parts import RawPart, part_folder
 from candata.datasets.pull_plan import Plan, number_of, plan_of
 from candata.datasets.remotes import (
     Bar,
@@ -22,20 +32,10 @@ from candata.datasets.remotes import (
     move,
     no_bar,
     object_key,
-    read_object,
     read_remote_version,
     remote_numbers,
 )
-from candata.datasets.tags import read_tags, tag_path
-from candata.datasets.versions import (
-    DATASET,
-    newest,
-    numbers,
-    read_dataset_file,
-    read_version,
-    refuse_foreign,
-    version_path,
-)
+from candata.datasets.versions import DATASET, newest, numbers, read_dataset_file, read_version, refuse_foreign
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.manifest import VersionFile
 
@@ -88,10 +88,19 @@ class _File:
     sha256: str
 
 
-def pull(store: Store, name: str, out: str | Path, version: int | str | None = None, bar: Bar = no_bar) -> Pulled:
+def pull(
+    store: Store,
+    name: str,
+    out: str | Path,
+    version: int | str | None = None,
+    bar: Bar = no_bar,
+    checking: Bar = no_bar,
+) -> Pulled:
     """Return what was fetched so that `out` holds a version of a dataset, by default the newest.
 
-    A pull that was killed goes on where it stopped. Nothing is written outside `out`, whatever the remote holds.
+    Nothing is believed that the remote claims: each file is hashed as it arrives, each episode of a part that arrives
+    is decoded and hashed anew, and what does not fit is refused before anything but `staging` is written. A pull that
+    was killed goes on where it stopped. Nothing is written outside `out`, whatever the remote holds.
 
     Parameters
     ----------
@@ -103,8 +112,8 @@ def pull(store: Store, name: str, out: str | Path, version: int | str | None = N
         Folder: missing, empty, or one that this dataset was pulled to before.
     version : int or str, optional
         Number, start of the digest, or tag.
-    bar : callable
-        Shows the progress in bytes.
+    bar, checking : callable
+        Show the progress in bytes of fetching and of checking.
 
     Raises
     ------
@@ -113,43 +122,43 @@ def pull(store: Store, name: str, out: str | Path, version: int | str | None = N
     UsageError
         When there is no such version, or the folder holds something else.
     DataError
-        When a file of the remote is damaged or has a name that cannot be kept; when `out` has another history.
+        When a file of the remote is damaged, claims what is not so, or has a name that cannot be kept; when `out` has
+        another history.
     SetupError
         When the remote cannot be used, or the disk has no room.
     """
     root = Path(out)
     require_name("dataset", name)
     plan = plan_of(store, name, number_of(store, name, version))
-    _prepare(root, store, name, plan)
+    _require_fits(root, store, name, plan)
+    made = not root.exists()
+    durable.ensure_folder(root)
     with durable.alone(root):  # a second pull waits, and finds what the first has fetched
-        return _pull(store, name, root, plan, bar)
-
-
-def _pull(store: Store, name: str, root: Path, plan: Plan, bar: Bar) -> Pulled:
-    """Fetch what the folder lacks and publish the version."""
-    files = _missing(root, plan)
-    todo = [one for one in files if not _stands(one)]
-    _require_room(root, sum(one.bytes for one in todo))
-    _fetch(store, name, root, todo, bar)
-    for entry in plan.record.version.parts:
-        _commit(root, entry.id, plan.parts[entry.id][0])
-    splits = tuple(_keep_splits(root, store, name, plan))
-    _publish(root, plan.record.version)
-    tags, notes = _keep_tags(root, plan)
-    shutil.rmtree(_waiting(root), ignore_errors=True)
-    found = plan.record.version
+        todo = [one for one in _missing(root, plan) if not _stands(one)]
+        _require_room(root, sum(one.bytes for one in todo))
+        _fetch(store, name, root, todo, bar)
+        try:
+            check(store, name, root, plan, checking)
+        except DataError:
+            leave_nothing(root, made)
+            raise
+        notes = keep(root, plan)
+    published = plan.record.version
     return Pulled(
-        path=root, version=found.number, digest=found.digest, episodes=plan.episodes, objects=len(todo),
-        bytes=sum(one.bytes for one in todo), standing=_count(plan) - len(todo), splits=splits, tags=tags, notes=notes,
+        path=root, version=published.number, digest=published.digest, episodes=plan.episodes, objects=len(todo),
+        bytes=sum(one.bytes for one in todo), standing=_count(plan) - len(todo), splits=tuple(plan.splits),
+        tags=tuple(sorted(plan.tags)), notes=notes,
     )  # fmt: skip
 
 
-def _prepare(root: Path, store: Store, name: str, plan: Plan) -> None:
-    """Make the folder, or refuse one that holds something else or another history."""
+def _require_fits(root: Path, store: Store, name: str, plan: Plan) -> None:
+    """Refuse a folder that holds something else, another history, or another split of a name that is asked for."""
     refuse_foreign(root)
     for folder in ("parts", "versions", "objects", "splits", "tags", durable.STAGING):
         if (root / folder).is_symlink():
             raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(root / folder)))
+    if (root / DATASET).exists():
+        read_dataset_file(root)
     _require_history(root, store, name, plan.record.version)
     for entry in plan.record.version.parts:
         if part_folder(root, entry.id).is_dir():
@@ -157,9 +166,10 @@ def _prepare(root: Path, store: Store, name: str, plan: Plan) -> None:
             problem = part.size_problem(part.manifest())
             if problem:
                 raise problem
-    durable.ensure_folder(root)
-    durable.create_once(root, root / DATASET, plan.head)
-    read_dataset_file(root)
+    for split, file in plan.splits.items():
+        path = split_path(root, split)
+        if path.exists() and durable.file_sha256(path) != file.sha256:
+            raise other_split(path)
 
 
 def _require_history(root: Path, store: Store, name: str, version: VersionFile) -> None:
@@ -169,42 +179,28 @@ def _require_history(root: Path, store: Store, name: str, version: VersionFile) 
     if common:
         known = version if version.number == common[-1] else read_remote_version(store, name, common[-1]).version
         if read_version(root, common[-1]) != known:
-            raise _diverged(root, known, read_version(root, common[-1]))
+            raise diverged(root, known, read_version(root, common[-1]))
     last = newest(root)
     if last and not common and (last.number + 1, last.digest) != (version.number, version.parent):
-        raise _diverged(root, version, last)
-
-
-def _diverged(root: Path, there: VersionFile, here: VersionFile) -> DataError:
-    """Return the error for a folder with another history."""
-    return DataError(
-        "the folder has another history of this dataset",
-        expected=f"version {there.number}, digest {there.digest[:12]} (on the remote)",
-        found=f"version {here.number}, digest {here.digest[:12]}",
-        where=Where(path=str(root)),
-        fix="pull to another folder; `candata registry merge` joins the two",
-    )
-
-
-def _waiting(root: Path) -> Path:
-    """Return the folder where files wait until their part is whole; the same for each pull, so that it goes on."""
-    return root / durable.STAGING / durable.PULLING
+        raise diverged(root, version, last)
 
 
 def _missing(root: Path, plan: Plan) -> list[_File]:
     """Return the files that the folder lacks."""
-    files = []
-    for entry in plan.record.version.parts:
-        if not part_folder(root, entry.id).is_dir():
-            folder = _waiting(root) / entry.id
-            files += [_File(folder / one.path, one.bytes, one.sha256) for one in plan.parts[entry.id][1].files]
-    clouds = [_File(root / one.path, one.bytes, one.sha256) for one in plan.record.clouds]
-    return files + [one for one in clouds if not one.target.is_file()]
+    wait = waiting(root)
+    files = [
+        _File(part_folder(wait, part_id) / file.path, file.bytes, file.sha256)
+        for part_id in arriving(root, plan)
+        for file in plan.parts[part_id][1].files
+    ]
+    files += [_File(wait / c.path, c.bytes, c.sha256) for c in plan.record.clouds if not (root / c.path).is_file()]
+    lacking = {name: file for name, file in plan.splits.items() if not split_path(root, name).exists()}
+    return files + [_File(split_path(wait, name), file.bytes, file.sha256) for name, file in lacking.items()]
 
 
 def _count(plan: Plan) -> int:
     """Return how many files the version has, manifests left out."""
-    return sum(len(part.files) for _, part in plan.parts.values()) + len(plan.record.clouds)
+    return sum(len(part.files) for _, part in plan.parts.values()) + len(plan.record.clouds) + len(plan.splits)
 
 
 def _stands(one: _File) -> bool:
@@ -236,7 +232,7 @@ def _fetch_one(store: Store, key: str, root: Path, one: _File, advance: Callable
     one.target.parent.mkdir(parents=True, exist_ok=True)
     if not one.target.parent.resolve().is_relative_to(root.resolve()):
         raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(one.target.parent)))
-    draft = durable.ensure_folder(_waiting(root)) / uuid.uuid4().hex  # no part can take what a killed pull left
+    draft = durable.ensure_below(root, waiting(root)) / uuid.uuid4().hex  # no part can take what a killed pull left
     try:
         with draft.open("xb") as file:
             digest = _copy(store, key, one.bytes, file.write, advance)
@@ -265,53 +261,3 @@ def _copy(store: Store, key: str, size: int, write: Callable[[bytes], int], adva
     if found != size:
         raise corrupted(store, key, f"{'more than ' if found > size else ''}{min(found, size)} bytes of {size}")
     return digest.hexdigest()
-
-
-def _commit(root: Path, part_id: str, manifest: bytes) -> None:
-    """Move a part among the others once it is whole, `part.json` written last."""
-    folder, target = _waiting(root) / part_id, part_folder(root, part_id)
-    if target.is_dir():
-        return
-    (folder / MANIFEST).write_bytes(manifest)
-    durable.sync(folder / MANIFEST)
-    for path in [*(p for p in folder.rglob("*") if p.is_dir()), folder]:
-        durable.sync(path)
-    durable.ensure_folder(target.parent)
-    try:
-        os.rename(folder, target)
-    except OSError:
-        if not target.is_dir():
-            raise
-    durable.sync(target.parent)
-
-
-def _keep_splits(root: Path, store: Store, name: str, plan: Plan) -> Iterator[str]:
-    """Keep the splits, byte for byte; yield their names."""
-    for split, entry in plan.splits.items():
-        data = read_object(store, name, entry.sha256)
-        path = root / "splits" / f"{split}.json"
-        if not durable.create_once(root, path, data) and durable.read_bytes(path) != data:
-            raise DataError(
-                f"another split is called {split}", where=Where(path=str(path)),
-                fix="pull to another folder: a split that models were trained on must not change",
-            )  # fmt: skip
-        yield split
-
-
-def _publish(root: Path, version: VersionFile) -> None:
-    """Create the version's file, the last thing of all."""
-    made = durable.create_once(root, version_path(root, version.number), durable.encode_record(version))
-    if not made and read_version(root, version.number) != version:
-        raise _diverged(root, version, read_version(root, version.number))
-
-
-def _keep_tags(root: Path, plan: Plan) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Keep the tags of the version that was pulled; one that stands for another version stays, with a note."""
-    standing = read_tags(root)
-    notes = []
-    for name, tag in plan.tags.items():
-        if name not in standing:
-            durable.create_once(root, tag_path(root, name), durable.encode_record(tag))
-        elif standing[name] != tag:
-            notes.append(f"the tag {name} stands for version {standing[name].version} here and was left so")
-    return tuple(sorted(plan.tags)), tuple(notes)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from candata.datasets.names import is_name, require_files, require_hash, require_name, require_part
-from candata.datasets.parts import MANIFEST
+from candata.datasets.parts import EPISODES, MANIFEST, STEPS, part_id_of
 from candata.datasets.remotes import (
     Store,
     corrupted,
@@ -21,7 +21,7 @@ from candata.datasets.remotes import (
 )
 from candata.datasets.versions import DATASET, digest_of
 from candata.errors import DataError, UnknownNameError, UsageError, Where
-from candata.schema.manifest import FORMAT_VERSION, DatasetFile, FileEntry, PartFile, TagFile
+from candata.schema.manifest import FORMAT_VERSION, DatasetFile, FileEntry, PartEntry, PartFile, TagFile, VersionFile
 from candata.schema.registry import RemoteVersion
 
 #: Splits and tags that are looked at; a remote with more is not one of candata's.
@@ -93,25 +93,68 @@ def plan_of(store: Store, name: str, number: int) -> Plan:
     Raises
     ------
     DataError
-        When a file is damaged, of a newer format, or has a name or size that cannot be.
+        When a file is damaged, of another format, has a name or size that cannot be, or claims what others deny.
     """
+    head = _head(store, name)
     record = read_remote_version(store, name, number)
     where = f"{store.url}/{version_key(name, number)}"
     parts: dict[str, tuple[bytes, PartFile]] = {}
     for entry in record.version.parts:
         require_part(entry.id, where)
         require_hash("a part", entry.sha256, where)
-        parts[entry.id] = _part(store, name, entry.id, entry.sha256)
+        if entry.id in parts:
+            raise corrupted(store, version_key(name, number), f"the part {entry.id} twice")
+        parts[entry.id] = _part(store, name, entry)
     for cloud in record.clouds:
         _require_cloud(cloud, where)
-    members = {episode: digest for _, part in parts.values() for episode, digest in part.episodes}
-    for episode in record.version.exclusions:
-        members.pop(episode, None)
+    _require_parent(store, name, record.version)
+    members = _members(store, name, record.version, [part for _, part in parts.values()])
+    splits = _splits(store, name)
+    _require_sizes(store, name, [*(file for _, part in parts.values() for file in part.files), *record.clouds,
+                                 *splits.values()])  # fmt: skip
+    tags = {tag: one for tag, one in _tags(store, name).items() if one.version == number}
+    for tag, one in tags.items():
+        if one.digest != record.version.digest:
+            raise corrupted(store, f"{name}/tags/{tag}.json", f"digest {one.digest[:12]!r} of version {number}")
+    return Plan(head, record, parts, splits, tags, len(members))
+
+
+def _members(store: Store, name: str, version: VersionFile, parts: Sequence[PartFile]) -> dict[str, str]:
+    """Return id to content hash of a version's episodes, whose digest and exclusions fit its parts."""
+    key = version_key(name, version.number)
+    excluded = set(version.exclusions)
+    unknown = excluded - {episode for part in parts for episode, _ in part.episodes}
+    if unknown or len(excluded) < len(version.exclusions):
+        raise corrupted(store, key, f"exclusions of {len(unknown)} unknown episodes, or one twice")
+    members: dict[str, str] = {}
+    for episode, digest in (pair for part in parts for pair in part.episodes if pair[0] not in excluded):
+        if members.setdefault(episode, digest) != digest:
+            raise corrupted(store, key, f"two contents of one episode {episode!r}"[:200])
     found = digest_of(members)
-    if found != record.version.digest:
-        raise corrupted(store, version_key(name, number), f"digest {found[:12]} of its episodes")
-    tags = {tag: one for tag, one in _tags(store, name).items() if one.digest == record.version.digest}
-    return Plan(_head(store, name), record, parts, _splits(store, name), tags, len(members))
+    if found != version.digest:
+        raise corrupted(store, key, f"digest {found[:12]} of its episodes")
+    return members
+
+
+def _require_parent(store: Store, name: str, version: VersionFile) -> None:
+    """Refuse a version that names another one than stands before it."""
+    key, before = version_key(name, version.number), version.number - 1
+    if (version.parent is None) != (before == 0):
+        raise corrupted(store, key, f"parent {version.parent!r} of version {version.number}"[:200])
+    if before in remote_numbers(store, name):
+        parent = read_remote_version(store, name, before).version.digest
+        if version.parent != parent:
+            raise corrupted(store, key, f"parent {version.parent!r}; version {before} is {parent[:12]}"[:200])
+
+
+def _require_sizes(store: Store, name: str, files: Iterable[FileEntry]) -> None:
+    """Refuse sizes that are not those of the remote's files."""
+    there = store.sizes(f"{name}/objects")
+    for file in files:
+        if there.get(file.sha256) != file.bytes:
+            size = there.get(file.sha256)
+            found = "no such object" if size is None else f"{size} bytes, not {file.bytes}"
+            raise corrupted(store, object_key(name, file.sha256), found)
 
 
 def _head(store: Store, name: str) -> bytes:
@@ -121,30 +164,46 @@ def _head(store: Store, name: str) -> bytes:
     if data is None:
         raise corrupted(store, key, "no such file")
     try:
-        version = json.loads(data).get("format_version")
-    except (ValueError, AttributeError, RecursionError):
-        version = None
-    if isinstance(version, int) and version > FORMAT_VERSION:
+        found = json.loads(data)["format_version"]
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise corrupted(store, key, "no format version") from None
+    if not isinstance(found, int) or isinstance(found, bool):
+        raise corrupted(store, key, f"format version {found!r}"[:200])
+    if found != FORMAT_VERSION:
+        newer = found > FORMAT_VERSION
         raise DataError(
-            "the dataset has a newer format", expected=f"format {FORMAT_VERSION} or older", found=f"format {version}",
-            where=Where(path=f"{store.url}/{key}"), fix="install a newer candata",
+            f"the dataset has {'a newer' if newer else 'an older'} format",
+            expected=f"format {FORMAT_VERSION}", found=f"format {found}"[:200], where=Where(path=f"{store.url}/{key}"),
+            fix="install a newer candata" if newer else "push it again from a copy that candata migrate made",
         )  # fmt: skip
     parse(DatasetFile, store, key, data)
     return data
 
 
-def _part(store: Store, name: str, part_id: str, sha256: str) -> tuple[bytes, PartFile]:
-    """Return the manifest of a part, whose files have plain names, hashes and sizes."""
-    data = read_object(store, name, sha256)
-    key = object_key(name, sha256)
+def _part(store: Store, name: str, entry: PartEntry) -> tuple[bytes, PartFile]:
+    """Return the manifest of a part, whose files have plain names, hashes and sizes, and whose counts add up."""
+    data = read_object(store, name, entry.sha256)
+    key = object_key(name, entry.sha256)
     part = parse(PartFile, store, key, data)
-    if part.id != part_id:
+    if part.id != entry.id:
         raise corrupted(store, key, f"part {part.id!r}"[:200])
     where = f"{store.url}/{key}"
     require_files([MANIFEST, *(file.path for file in part.files)], where)
+    lacking = {STEPS, EPISODES} - {file.path for file in part.files}
+    if lacking:
+        raise corrupted(store, key, f"a part without {', '.join(sorted(lacking))}")
     for file in part.files:
         require_hash("a file", file.sha256, where)
         _require_size(file, where)
+    for _, digest in part.episodes:
+        require_hash("an episode", digest, where)
+    counts, held = (entry.rows, entry.episodes), (part.rows, len(part.episodes))
+    if counts != held:
+        raise corrupted(store, key, f"{held[0]} rows, {held[1]} episodes; its version claims {counts[0]}, {counts[1]}")
+    if len(dict(part.episodes)) < len(part.episodes):
+        raise corrupted(store, key, "an episode twice")
+    if part_id_of(list(part.episodes)) != part.id:
+        raise corrupted(store, key, f"other episodes than those of part {part.id}")
     return data, part
 
 

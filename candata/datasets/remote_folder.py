@@ -90,6 +90,7 @@ class FolderStore:
         """Keep a file unless one stands; return whether this call made it."""
         self._require_there(key)
         try:
+            durable.ensure_folder((self._root / key).parent)
             made = durable.create_once(self._dataset(key), self._root / key, data)
         except OSError as error:
             raise self._failed(error, key) from None

@@ -10,7 +10,6 @@ NAME/tags/<name>.json       as in the dataset
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -19,12 +18,14 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 from urllib.parse import unquote, urlsplit
 
+from candata.datasets import durable
 from candata.errors import DataError, UsageError, Where
 from candata.schema.record import Record
 from candata.schema.registry import RemoteEntry, RemoteVersion
 
-#: Most bytes of one JSON file that are read: what is larger is no file of candata's.
-LIMIT_BYTES = 256 * 2**20
+#: Most bytes of one JSON file that are read. Source: measured, the worst of them take 54 times as much once parsed, and
+#: a version that names 85,000 parts is smaller.
+LIMIT_BYTES = 16 * 2**20
 CHUNK_BYTES = 2**20
 #: Files that are moved at the same time: small ones wait for the network most of the time.
 MOVERS = 4
@@ -145,8 +146,9 @@ def read_key(store: Store, key: str, limit: int = LIMIT_BYTES) -> bytes | None:
             data += chunk
             if len(data) > limit:
                 raise DataError(
-                    "a file of the remote is too large", expected=f"{limit} bytes at most", where=_at(store, key)
-                )
+                    "a file of the remote is too large", expected=f"{limit} bytes at most", where=_at(store, key),
+                    fix="if it is yours: run candata compact on the dataset and push it under another name",
+                )  # fmt: skip
     except FileNotFoundError:
         return None
     return bytes(data)
@@ -177,8 +179,8 @@ def parse(kind: type[SomeRecord], store: Store, key: str, data: bytes) -> SomeRe
         When it holds no such record.
     """
     try:
-        return kind.parse(json.loads(data), key)
-    except (ValueError, RecursionError) as error:
+        return durable.decode_record(kind, data, key)
+    except ValueError as error:
         raise corrupted(store, key, f"no valid JSON: {error}") from None
     except UsageError as error:
         raise corrupted(store, key, error.problem) from None

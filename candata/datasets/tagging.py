@@ -8,7 +8,7 @@ from pathlib import Path
 from candata.datasets import durable
 from candata.datasets.names import require_name
 from candata.datasets.tags import read_tags, tag_path
-from candata.datasets.versions import find_version
+from candata.datasets.versions import find_version, read_dataset_file
 from candata.errors import UnknownNameError, UsageError, Where
 from candata.schema.manifest import TagFile
 
@@ -38,6 +38,13 @@ def set_tag(path: str | Path, name: str, version: int | str | None = None, move:
     require_name("tag", name)
     if name.isdigit() or re.fullmatch(r"[0-9a-f]{6,}", name):
         raise UsageError("a tag must not read as a version or a digest", found=name, fix="choose another name")
+    read_dataset_file(root)
+    with durable.publishing(root):
+        return _set(root, name, version, move)
+
+
+def _set(root: Path, name: str, version: int | str | None, move: bool) -> TagFile:
+    """Return the tag, which now names a version that stands."""
     found = find_version(root, version)
     tag = TagFile(name=name, version=found.number, digest=found.digest)
     data = durable.encode_record(tag)

@@ -55,13 +55,15 @@ def create_dataset(path: str | Path, name: str | None = None, exist_ok: bool = F
 
 
 def refuse_foreign(root: Path) -> None:
-    """Refuse a path that is a file, or a folder with other things in it.
+    """Refuse a path that is a file, a link that leads nowhere, or a folder with other things in it.
 
     Raises
     ------
     UsageError
         When it is one.
     """
+    if root.is_symlink() and not root.exists():
+        raise UsageError("a link that leads nowhere", where=Where(path=str(root)), fix="mount or make what it leads to")
     if root.exists() and not root.is_dir():
         raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
     if not root.is_dir():
@@ -270,18 +272,41 @@ def advance(root: Path, change: Callable[[VersionFile | None], VersionFile]) -> 
     DataError
         When a version file is damaged.
     SetupError
-        When the file system has no hard links.
+        When the file system has no hard links, or the dataset was moved away.
     """
     while True:
         base = newest(root)
         version = change(base)
         if version is base:
             return version
-        target = version_path(root, version.number)
-        for part_id in {entry.id for entry in version.parts} - {entry.id for entry in (base.parts if base else ())}:
-            hold(root, part_id)
-        if durable.create_once(root, target, durable.encode_record(version)):
+        added = {entry.id for entry in version.parts} - {entry.id for entry in (base.parts if base else ())}
+        if create_version(root, version, added):
             return version
+
+
+def create_version(root: Path, version: VersionFile, added: Iterable[str]) -> bool:
+    """Create a version's file unless one stands; return whether this call made it.
+
+    Parameters
+    ----------
+    root : Path
+        Dataset.
+    version : VersionFile
+        The version.
+    added : iterable of str
+        Parts that no version has named yet: they are held, so that garbage collection leaves them.
+
+    Raises
+    ------
+    DataError
+        When one of these has gone.
+    SetupError
+        When the file system has no hard links, or the dataset was moved away.
+    """
+    with durable.publishing(root):
+        for part_id in added:
+            hold(root, part_id)
+        return durable.create_once(root, version_path(root, version.number), durable.encode_record(version))
 
 
 def _next(root: Path, base: VersionFile | None, new: list[PartEntry], lineage: Lineage) -> VersionFile:

@@ -81,7 +81,9 @@ def prune(root: Path) -> None:
                     size[folder] += file.stat().st_size
     total = sum(size.values())
     for folder in sorted(last, key=lambda folder: last[folder]):
-        if total <= LIMIT_BYTES or time.time() - last[folder] < IN_USE_S:
+        if total <= LIMIT_BYTES:
             break
+        if abs(time.time() - last[folder]) < IN_USE_S:  # one of a later time is of a clock that was set back
+            continue
         shutil.rmtree(folder, ignore_errors=True)
         total -= size[folder]

@@ -197,6 +197,7 @@ def _hash(file: CacheFile) -> str:
 
 def _make(dataset: Dataset, shapes: Shapes, clouds: bool, target: Path, progress: Progress) -> Cache:
     """Return the cache at `target`, built aside and given its name when whole."""
+    durable.ensure_folder(target.parent)
     with durable.staged(target.parent) as folder:
         draft = folder / target.name
         draft.mkdir()

@@ -57,6 +57,7 @@ def generate(
     withheld: Withheld | None = None,
     workers: int | None = None,
     progress: Callable[[int], None] = lambda _count: None,
+    note: Callable[[str], None] = lambda _words: None,
 ) -> VersionFile:
     """Return the version that holds the set; bit-identical for a seed whatever the number of workers.
 
@@ -87,6 +88,8 @@ def generate(
         Processes; as many as there are cores by default.
     progress : callable
         Called with the number of episodes just done.
+    note : callable
+        Called with words for people where a run that was stopped goes on.
 
     Raises
     ------
@@ -111,7 +114,7 @@ def generate(
     root = create_dataset(out, exist_ok=True)
     if model.object_id is not None:
         recipe = recipe.model_copy(update={"point_cloud": put_cloud(root, surface_cloud(model))})
-    return _complete(root, recipe, episodes, history, workers, progress)
+    return _complete(root, recipe, episodes, history, workers, progress, note)
 
 
 def _complete(
@@ -121,6 +124,7 @@ def _complete(
     history: Lineage,
     workers: int | None,
     progress: Callable[[int], None],
+    note: Callable[[str], None],
 ) -> VersionFile:
     """Make what is missing of the set and publish it."""
     standing = set(_index(root))
@@ -129,7 +133,10 @@ def _complete(
     done = standing | {name for part in ours for name, _ in part.episodes}
     wanted = [tuple(n for n in c if episode_id(recipe, n) not in done) for c in chunks(episodes)]
     missing = [Chunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in wanted if numbers]
-    progress(episodes - sum(len(c.numbers) for c in missing))
+    stand = episodes - sum(len(c.numbers) for c in missing)
+    if 0 < stand < episodes:
+        note(f"going on: {stand} of {episodes} episodes stand already")
+    progress(stand)
     made = run_chunks(missing, workers or len(os.sched_getaffinity(0)), progress)
     return publish(root, [*(part.id for part in ours), *made], history)
 

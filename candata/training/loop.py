@@ -124,7 +124,7 @@ def train(
     Raises
     ------
     UsageError
-        When the folder holds another run.
+        When the folder holds another run, or another process trains into it.
     DataError
         When the loss or its gradient is not finite `bad_limit` times in a row; the last checkpoint stays.
     SetupError

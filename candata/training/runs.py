@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from candata.datasets.durable import encode_record, ensure_folder, sync
+from candata.datasets.durable import alone, encode_record, ensure_folder, sync
 from candata.errors import SetupError, UsageError, Where
 from candata.loaders import Split, split_digest
 from candata.schema.record import Record
@@ -27,12 +27,12 @@ class Splits(Record):
 
 
 def begin(folder: Path, run: Run, split: Record | None = None) -> None:
-    """Make the run's folder, or see that the one that stands holds this very run.
+    """Begin a run in its folder, or see that the folder holds this very run.
 
     Parameters
     ----------
     folder : Path
-        Where.
+        Where; it stands.
     run : Run
         The run.
     split : Record, optional
@@ -48,7 +48,6 @@ def begin(folder: Path, run: Run, split: Record | None = None) -> None:
     if path.is_file():
         _refuse_other(read_run(folder), run, path)
         return
-    ensure_folder(folder)
     if split is not None:
         _write(folder / SPLIT, split)
     _write(path, run)  # last: with it the run stands
@@ -79,15 +78,20 @@ def refuse_foreign(folder: Path) -> None:
 
 @contextmanager
 def writing(folder: Path) -> Iterator[None]:
-    """Do what writes to the run's folder.
+    """Do what writes to the run's folder, which is made when missing; one process does so at a time.
 
     Raises
     ------
+    UsageError
+        When it is a file, or another process trains into it.
     SetupError
         When the disk is full or cannot be written.
     """
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
     try:
-        yield
+        with alone(ensure_folder(folder), "another process trains into this folder"):
+            yield
     except OSError as error:
         raise SetupError(
             "the run cannot be written", found=error.strerror or str(error), where=Where(path=str(folder)),

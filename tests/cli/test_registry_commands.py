@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import shutil
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
@@ -12,6 +14,8 @@ from candata.errors import CandataError, DataError, UnknownNameError, UsageError
 from candata.loaders.splits import load_split, make_split, split_digest, split_names
 from candata.schema.manifest import Lineage
 from candata_cli.main import build
+
+from ..datasets.forging import forge, nudged, rewrite
 
 
 @pytest.fixture(autouse=True)
@@ -103,6 +107,15 @@ def test_diff_says_what_changed_and_exits_1(day1, episode):
     assert (result.exit_code, result.stdout) == (1, "added   d\n1 added, 0 removed, 0 changed, 3 the same\n")
     same = run("registry", "diff", "first", day1, "--json")
     assert (same.exit_code, json.loads(same.stdout)["equal"], json.loads(same.stdout)["same"]) == (0, True, 4)
+
+
+def test_diff_reads_contents_and_only_when_quick_what_manifests_claim(day1):
+    shutil.copytree(day1, "forged")
+    forge(Path("forged"), lambda folder, _: rewrite(folder / "steps.parquet", "joint_position", nudged))
+    result = run("registry", "diff", "first", "forged")
+    assert (result.exit_code, result.stdout) == (1, "changed a\n0 added, 0 removed, 1 changed, 2 the same\n")
+    assert "not what manifests claim: a; see candata validate\n" in result.stderr
+    assert run("registry", "diff", "first", "forged", "--quick").exit_code == 0
 
 
 def test_filter_prints_ids_or_makes_a_dataset(day1):

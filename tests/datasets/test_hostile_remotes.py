@@ -146,7 +146,10 @@ def test_a_hash_or_size_that_is_none(pushed, tmp_path, field, value):
 
 
 def test_a_size_beyond_the_disk_is_said_before_anything_is_fetched(pushed, tmp_path):
-    change_part(pushed, lambda part: part["files"][0].update(bytes=10**18))
+    size = shutil.disk_usage(tmp_path).free
+    files: list[dict] = []
+    change_part(pushed, lambda part: (part["files"][0].update(bytes=size), files.extend(part["files"])))
+    os.truncate(tmp_path / "share" / object_key(NAME, files[0]["sha256"]), size)  # a hole: it takes no room
     with pytest.raises(SetupError, match="no room"):
         pull(pushed, NAME, tmp_path / "out")
 

@@ -38,6 +38,24 @@ def test_writers_compaction_and_gc_at_once_under_kills(tmp_path):
     soak(tmp_path, kills=3, seed=1)
 
 
+def short_grace(folder, kills, seed):
+    """A second is less than a job may take: that job fails and is done again, and nothing that it told is lost."""
+    roles = ("append", "append", "append", "collect")
+    done = kill_test.kill_test(folder, kills=kills, roles=roles, grace_s=1.0, seed=seed)
+    assert (done.lost, done.doubled, done.damage) == (0, 0, ())
+    assert check(open_dataset(folder / "dataset"), rules=WHOLE, deep=True) == ()
+
+
+def test_gc_with_a_grace_of_a_second_beside_writers(tmp_path):
+    short_grace(tmp_path, kills=4, seed=2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(2))
+def test_gc_with_a_grace_of_a_second_beside_writers_for_long(tmp_path, seed):
+    short_grace(tmp_path, kills=40, seed=seed)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_soak(tmp_path, seed):

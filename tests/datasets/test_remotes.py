@@ -196,7 +196,7 @@ def test_a_corrupted_object_is_refused_by_name_and_what_was_good_is_kept(rich, s
     tamper(store, key, change)
     with pytest.raises(DataError, match=sha):
         pull(store, "rich", tmp_path / "copy")
-    with pytest.raises(DataError, match="empty dataset"):
+    with pytest.raises(CandataError):
         open_dataset(tmp_path / "copy")
     assert not (tmp_path / "copy" / "parts" / part.id).exists()
     store.write(key, [good], len(good))

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import time
+
 import numpy as np
 import pytest
 
@@ -53,3 +56,13 @@ def test_files_of_others_are_misses(tmp_path):
     (tmp_path / "text.npz").write_text("version https://git-lfs.github.com/spec/v1\n")
     for name in ("plain.npz", "objects.npz", "one.npy", "text.npz", "missing.npz", "."):
         assert kept.read(tmp_path / name) is None
+
+
+def test_sets_dated_by_a_clock_that_was_set_back_go_too(tmp_path, monkeypatch):
+    for name, age_s in (("old", 86_400.0), ("in-use", 60.0), ("future", -3e7)):
+        kept.keep(tmp_path / "signatures" / name / "x.npz", residual=np.zeros(1000))
+        stamp = time.time() - age_s
+        os.utime(tmp_path / "signatures" / name, (stamp, stamp))
+    monkeypatch.setattr(kept, "LIMIT_BYTES", 1000)
+    kept.prune(tmp_path)
+    assert [path.name for path in (tmp_path / "signatures").iterdir()] == ["in-use"]

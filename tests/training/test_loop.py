@@ -210,3 +210,21 @@ def test_a_torn_log_is_whole_again(tmp_path):
     assert [json.loads(line) for line in path.read_text().splitlines()] == [
         {"step": 5, "loss": 0.5}, {"step": 10, "loss": None}, {"step": 12}
     ]  # fmt: skip
+
+
+def test_of_two_that_train_into_one_folder_the_second_is_refused_and_changes_nothing(tmp_path, job):
+    command = [sys.executable, str(WORKER), str(tmp_path / "run"), "10000"]
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(WORKER.parent)])}
+    with subprocess.Popen(command, env=env) as worker:
+        deadline = time.monotonic() + 60
+        while not (tmp_path / "run" / "last.safetensors").is_file():
+            assert worker.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        for other in (job(steps=10_000), job(steps=5)):
+            with pytest.raises(UsageError, match="another process trains into this folder"):
+                train(other, tmp_path / "run")
+        assert json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["steps"] == 10_000
+        worker.kill()
+    answers = iter([False, True])  # the system has released the lock of the killed one
+    assert train(job(steps=10_000), tmp_path / "run", stopped=lambda: next(answers)).step > 1
