@@ -79,7 +79,6 @@ def test_what_stands_is_overwritten_only_by_force(folder):
         (("hand.xml", "--out", "."), "the output exists already"),
         (("hand.xml", "--out", ".", "--force"), "--out . is a folder"),
         (("hand.xml", "--out", "scene.txt"), "scene.txt is no scene file"),
-        (("hand.xml", "--out", "hand.xml/scene.yaml"), "--out hand.xml/scene.yaml would lie in a file"),
         (("pointer.xml",), "pointer.xml is a Git LFS pointer, which stands in place of the file"),
         (("text.xml",), "model text.xml is not XML"),
     ],
@@ -92,6 +91,12 @@ def test_a_wrong_word_is_a_usage_error(folder, words, first):
     done = run("scene", "init", *words)
     assert (done.code, done.err.splitlines()[0]) == (2, first)
     assert sorted(os.listdir()) == before
+
+
+def test_a_place_where_no_file_can_be(folder):
+    Path("hand.xml").write_text(models.TIP_BODIES)
+    done = run("scene", "init", "hand.xml", "--out", "hand.xml/scene.yaml")
+    assert (done.code, done.err.splitlines()[0]) == (3, "--out hand.xml/scene.yaml cannot be written")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
