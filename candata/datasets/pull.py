@@ -223,8 +223,11 @@ def _require_room(root: Path, size: int) -> None:
 
 def _fetch(store: Store, name: str, root: Path, todo: list[_File], bar: Bar) -> None:
     """Fetch files, a few at a time."""
-    with bar(sum(one.bytes for one in todo)) as advance:
-        move(partial(_fetch_one, store, object_key(name, one.sha256), root, one, advance) for one in todo)
+    move(
+        lambda advance: (partial(_fetch_one, store, object_key(name, one.sha256), root, one, advance) for one in todo),
+        sum(one.bytes for one in todo),
+        bar,
+    )
 
 
 def _fetch_one(store: Store, key: str, root: Path, one: _File, advance: Callable[[int], None]) -> None:

@@ -199,8 +199,13 @@ def _splits(root: Path) -> dict[str, _Object]:
 
 def _send(store: Store, name: str, todo: list[_Object], bar: Bar) -> None:
     """Send files, a few at a time."""
-    with bar(sum(one.bytes for one in todo)) as advance:
-        move(partial(store.write, object_key(name, one.sha256), _checked(one, advance), one.bytes) for one in todo)
+    move(
+        lambda advance: (
+            partial(store.write, object_key(name, one.sha256), _checked(one, advance), one.bytes) for one in todo
+        ),
+        sum(one.bytes for one in todo),
+        bar,
+    )
 
 
 def _checked(one: _Object, advance: Callable[[int], None]) -> Iterator[bytes]:

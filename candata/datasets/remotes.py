@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from threading import Event
 from typing import Protocol, TypeVar
 from urllib.parse import unquote, urlsplit
 
@@ -41,16 +42,42 @@ def no_bar(_total: int) -> AbstractContextManager[Callable[[int], None]]:
     return nullcontext(lambda _bytes: None)
 
 
-def move(tasks: Iterable[Callable[[], object]]) -> None:
-    """Run the tasks, a few at a time; the first error ends it, and what has not begun is dropped."""
-    with ThreadPoolExecutor(MOVERS) as pool:
-        jobs = [pool.submit(task) for task in tasks]
+def move(tasks: Callable[[Callable[[int], None]], Iterable[Callable[[], object]]], total: int, bar: Bar) -> None:
+    """Run tasks under a bar of `total` bytes, a few at a time.
+
+    The first error, or Ctrl-C, ends it: what has not begun is dropped, and what runs ends with its next piece.
+
+    Parameters
+    ----------
+    tasks : callable
+        Given `advance(bytes)`, which each task calls for each piece that it moves.
+    total : int
+        Bytes in all.
+    bar : callable
+        Shows the progress in bytes.
+    """
+    ended = Event()
+    with bar(total) as advance, ThreadPoolExecutor(MOVERS) as pool:
+
+        def told(count: int) -> None:
+            if ended.is_set():
+                raise _Ended
+            advance(count)
+
+        jobs = [pool.submit(task) for task in tasks(told)]
         try:
             for job in jobs:
                 job.result()
+        except BaseException:
+            ended.set()
+            raise
         finally:
             for job in jobs:
                 job.cancel()
+
+
+class _Ended(Exception):
+    """Ends a task beside one that failed; nobody hears it."""
 
 
 class Store(Protocol):

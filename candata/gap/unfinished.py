@@ -110,9 +110,9 @@ def _looked_at(problem: Problem) -> tuple[Stage, tuple[str, ...]]:
     part, index = brief(problem)
     asked = unheld(problem, ())
     settings = {c.label: [part.setting([(c, u)]) for u in screening(c, part)] for c in asked}
-    known = [] if problem.plays_all else [
-        c for c in asked if all(part.library.knows(s) or not needs_simulation(s) for s in settings[c.label])
-    ]  # fmt: skip
+    known = [c for c in asked if all(part.library.knows(s) or not needs_simulation(s) for s in settings[c.label])]
+    if problem.plays_all:  # what was simulated of tosses is kept once all of it is
+        known = []
     base = part.score.loss(part.nominal)
     responses, dead = respond(part, problem.nominal[index], known) if known else ([], [])
     fits = [fit_one(part, c, response, base) for c, response in responses]

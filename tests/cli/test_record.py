@@ -104,6 +104,21 @@ def test_a_signal_finishes_the_file_and_prints_the_report(port, tmp_path, number
     assert facts["sha256"] == read.sha256
 
 
+def test_a_recording_that_was_to_last_longer_says_what_is_kept_and_what_goes_on(port, tmp_path):
+    log = tmp_path / "my log.mcap"
+    process = start("record-real", "--port", port, "--out", log, "--no-calibrate", "--duration", 60, "--reserve-mb", 0)
+    grown(log)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    read = read_log(log)
+    assert process.returncode == 130
+    assert f"ended      stopped\nsha256     {read.sha256}\nnext       candata import log '{log}' --out DATASET\n" in out
+    assert re.search(
+        rf"^stopped: {len(read.joint_position)} states over \d+\.\d s are kept in {log}, whole$", err, re.M
+    )
+    assert err.endswith(f"  to go on: candata import log '{log}' --out DATASET\n")
+
+
 def grown(log) -> None:
     """Wait until a log holds some states."""
     until = time.monotonic() + 20

@@ -16,7 +16,7 @@ from candata.checks import check
 from candata.datasets import open_dataset
 from candata.datasets.pull import pull
 from candata.datasets.push import push
-from candata.datasets.remotes import object_key, open_remote, read_key
+from candata.datasets.remotes import move, no_bar, object_key, open_remote, read_key
 from candata.datasets.tags import read_tags
 from candata.datasets.versions import numbers
 from candata.errors import CandataError, DataError, SetupError, UnknownNameError, UsageError
@@ -395,3 +395,25 @@ def test_a_share_that_goes_midway_is_said_and_never_made_anew(rich, tmp_path, le
     back()
     pull(whole, "x", tmp_path / "out")
     assert open_dataset(tmp_path / "out").digest == open_dataset(rich).digest
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, UsageError("no")])
+def test_what_moves_beside_a_failure_ends_with_its_next_piece(error):
+    moved: list[int] = []
+
+    def tasks(advance):
+        def slow() -> None:
+            for _ in range(1000):
+                time.sleep(0.01)
+                advance(1)
+                moved.append(1)
+
+        def failing() -> None:
+            time.sleep(0.05)
+            raise error
+
+        return [failing, slow, slow]
+
+    with pytest.raises(error if isinstance(error, type) else type(error)):
+        move(tasks, 2000, no_bar)
+    assert len(moved) < 1000
