@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import google_crc32c
@@ -19,11 +16,11 @@ from candata.datasets import append, create_dataset, put_cloud
 from candata.datasets.clouds import cloud_path
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
+from tests.memory import GIGABYTE, memory_and_words
 
 from .forging import forge, lay
 
-GIGABYTE = 2**30
-#: Reads a dataset whole, as `candata validate` does, or pulls one; then says how much memory that took [kB].
+#: Reads a dataset whole, as `candata validate` does, or pulls one.
 READ = """
 import sys
 from candata.datasets import get_cloud, open_dataset
@@ -47,20 +44,7 @@ try:
     print("read")
 except CandataError as error:
     print(error)
-(peak,) = [line.split()[1] for line in open("/proc/self/status") if line.startswith("VmHWM")]
-print(peak)
 """
-
-
-def memory_and_words(*words: object) -> tuple[int, str]:
-    """Return the most memory [bytes] that a process needed, and what it said."""
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    done = subprocess.run(
-        [sys.executable, "-c", READ, *map(str, words)], capture_output=True, text=True, env=env, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
-    *said, peak_kb = done.stdout.splitlines()
-    return int(peak_kb) * 1024, "\n".join(said)
 
 
 def repeated(value: object, count: int, kind: pa.DataType) -> pa.DictionaryArray:
@@ -118,11 +102,11 @@ def test_a_table_that_unfolds_without_end(root, tmp_path, bomb):
     forge(root, bomb)
     size = sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
     assert size < 2_000_000
-    peak, said = memory_and_words("read", root)
+    peak, said = memory_and_words(READ, "read", root)
     assert peak < GIGABYTE
     assert said.startswith("a file unfolds to more than is read at once\n  expected: at most 537 MB of ")
     lay(root, tmp_path / "share", "x")
-    peak, said = memory_and_words("pull", tmp_path / "share", tmp_path / "out")
+    peak, said = memory_and_words(READ, "pull", tmp_path / "share", tmp_path / "out")
     assert peak < GIGABYTE
     assert "the remote is damaged" in said
     assert not (tmp_path / "out").exists()
@@ -171,7 +155,7 @@ def test_a_store_that_unfolds_without_end(tmp_path, bomb):
     root = create_dataset(tmp_path / "ds")
     append(root, [taxels(20)], Lineage(operation="test"))
     forge(root, bomb)
-    peak, said = memory_and_words("read", root)
+    peak, said = memory_and_words(READ, "read", root)
     assert peak < GIGABYTE
     assert "taxels.zarr" in said
     assert said != "read"
@@ -181,6 +165,6 @@ def test_a_cloud_that_unfolds_without_end(root):
     sha = put_cloud(root, np.eye(3))
     zeros = repeated(0.0, 30_000_000, pa.float32())
     pq.write_table(pa.table({axis: zeros for axis in "xyz"}), cloud_path(root, sha), compression="zstd")
-    peak, said = memory_and_words("cloud", root, sha)
+    peak, said = memory_and_words(READ, "cloud", root, sha)
     assert peak < GIGABYTE
     assert "a file unfolds to more than is read at once" in said

@@ -228,3 +228,18 @@ def test_of_two_that_train_into_one_folder_the_second_is_refused_and_changes_not
         worker.kill()
     answers = iter([False, True])  # the system has released the lock of the killed one
     assert train(job(steps=10_000), tmp_path / "run", stopped=lambda: next(answers)).step > 1
+
+
+def test_a_run_that_is_renamed_in_mid_run_is_said_and_not_made_anew(tmp_path, job, batch):
+    train(job(steps=60), tmp_path / "whole")
+
+    def draw(step):
+        if step == 25:
+            (tmp_path / "run").rename(tmp_path / "away")
+        return batch(step)
+
+    with pytest.raises(SetupError, match=r"the run cannot be written\n\s+found: No such file"):
+        train(job(steps=60, draw=draw), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+    assert train(job(steps=60), tmp_path / "away").step == 60
+    assert same(tmp_path / "whole" / "last.safetensors", tmp_path / "away" / "last.safetensors")
