@@ -54,13 +54,14 @@ def asked_for(
     UnknownNameError
         When a name is unknown.
     """
+    from candata.effects import effect_names
     from candata.errors import UsageError
     from candata.gap.blind.draws import COUNTS
 
     if world is None:
         if traits:
             raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
-        wanted, given = _counts(kinds, counts, COUNTS), console.words(only)
+        wanted, given = _counts(kinds, counts, COUNTS), known(only, effect_names(), "effect")
         return Asked(
             scene or SCENE,
             (),

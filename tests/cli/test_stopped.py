@@ -30,7 +30,9 @@ def stop(command: tuple[object, ...], when: Callable[[], bool], then_s: float = 
     words = [sys.executable, "-m", "candata_cli.main", *map(str, command)]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(words, text=True, start_new_session=True, env=env, **pipes) as process:
+    # A job in the background of a shell ignores Ctrl-C, and so would what it starts.
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    with subprocess.Popen(words, text=True, start_new_session=True, env=env, **pipes, **heard) as process:
         until = time.monotonic() + 60
         while not when():
             assert process.poll() is None, process.stderr.read()

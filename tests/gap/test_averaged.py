@@ -310,6 +310,6 @@ def test_a_dataset_without_a_faint_effect_keeps_its_notes(null, gripper, played,
 def test_steps_are_told(hidden):
     problem, first = hidden
     said = []
-    problem = replace(problem, pace=SimpleNamespace(say=lambda text, span: said.append(text)))
+    problem = replace(problem, pace=SimpleNamespace(say=lambda text, span, **planned: said.append(text)))
     faint(problem, replace(first, rough=()))
     assert said == ["looking for what contact hides, in the mean over many replays"]

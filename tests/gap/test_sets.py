@@ -16,7 +16,7 @@ from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
-from candata.gap.search import Fit, Problem
+from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.stage import look
 from tests.gap.conftest import members
 
@@ -57,7 +57,8 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
     sharp, in_its_own = fit(0.001), fit(0.3)
     score = SimpleNamespace(loss=lambda z: np.full(12, z))
     world = SimpleNamespace(score=score, nominal=6.0, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
-    world.pace = SimpleNamespace(say=lambda *a: None, told=lambda *a: None)
+    world.pace = SimpleNamespace(say=lambda *a, **planned: None, told=lambda *a: None)
+    world.sofar = SoFar()
     looked: list[object] = []
     monkeypatch.setattr(sets, "rescored", lambda problem, best: (world, in_its_own))
     monkeypatch.setattr(sets, "leaves", lambda problem, best: best is in_its_own)
