@@ -8,12 +8,13 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt
 PINS := pyproject.toml constraints.txt
 
-.PHONY: help demo test test-slow check format bench schemas clean
+.PHONY: help demo test test-slow test-hard check format bench schemas clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo       plant a hidden effect, diagnose it, compare (SEED=2 takes another); see out/demo"
 	@echo "make test       the fast suite;  make test-slow: the long statistical tests"
+	@echo "make test-hard  hostile input, kills, races and bombs: the tests marked hard, then kills of every command"
 	@echo "make check      lint, formatting and types;  make format: mend the first two"
 	@echo "make bench      the measured promises, printed beside their targets"
 	@echo "make schemas    write schemas/ from the records"
@@ -27,6 +28,10 @@ test: $(VENV)/test.stamp
 
 test-slow: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -n auto --dist loadfile -m slow
+
+test-hard: $(VENV)/test.stamp
+	$(BIN)/python -m pytest -n auto --dist loadfile -m hard
+	$(BIN)/python benchmarks/kills.py --kills 42
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

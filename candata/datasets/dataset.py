@@ -17,7 +17,7 @@ from candata.datasets import durable, encode
 from candata.datasets.bounded import read_parquet
 from candata.datasets.encode import RawEpisode
 from candata.datasets.parts import EPISODES_PER_ROW_GROUP, STEPS, RawPart
-from candata.datasets.versions import find_version, read_dataset_file, version_path
+from candata.datasets.versions import digest_of, find_version, read_dataset_file, version_path
 from candata.errors import DataError, SetupError, UnknownNameError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
@@ -269,27 +269,32 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
     UsageError
         When there is no dataset or no such version.
     DataError
-        When the dataset is empty, or a part lacks a file or has one of the wrong size; names the file.
+        When the dataset is empty, a part lacks a file or has one of the wrong size, or the version's digest is not that
+        of its episodes; names the file.
     """
     root = Path(path)
     name = read_dataset_file(root).name
     file = find_version(root, version)
     places: dict[str, Place] = {}
-    excluded = frozenset(file.exclusions)
+    excluded, where, whole = frozenset(file.exclusions), version_path(root, file.number), True
     for part in (RawPart(root, entry) for entry in file.parts):
         try:
             pairs = _intact(part)
         except DataError:
             if not partial:
                 raise
+            whole = False
             continue
         for position, (episode, digest) in enumerate(pairs):
             standing = places.setdefault(episode, Place(part, position, digest))
             if standing.content_hash != digest and not partial and episode not in excluded:
                 two = f"{standing.content_hash[:12]} and {digest[:12]} of {episode}"
-                raise durable.damaged(version_path(root, file.number), f"two contents: {two}", "one")
+                raise durable.damaged(where, f"two contents: {two}", "one")
     for episode in excluded:
         places.pop(episode, None)
+    found = digest_of({episode: place.content_hash for episode, place in places.items()}) if whole else file.digest
+    if found != file.digest:
+        raise durable.damaged(where, f"digest {file.digest[:12]}", f"digest {found[:12]} of its episodes")
     return Dataset(root, name, file, places)
 
 

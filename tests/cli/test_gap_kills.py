@@ -17,6 +17,8 @@ import pytest
 from candata.gap import kept
 from tests.cli.command import run
 
+pytestmark = pytest.mark.hard
+
 SCENE = ("--scene", "gripper_tabletop")
 #: The fewest recordings that are diagnosed, short ones.
 RECORDED = ("--episodes", 8, "--duration-s", 0.8, "--seed", 5, "--jobs", 1)

@@ -20,6 +20,8 @@ from tests.memory import GIGABYTE, memory_and_words
 
 from .forging import forge, lay
 
+pytestmark = pytest.mark.hard
+
 #: Reads a dataset whole, as `candata validate` does, or pulls one.
 READ = """
 import sys

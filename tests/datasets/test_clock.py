@@ -21,6 +21,8 @@ from tests.conftest import WHOLE
 
 from .conftest import add
 
+pytestmark = pytest.mark.hard
+
 LINEAGE = Lineage(operation="test")
 YEAR_S = 365 * 86_400.0
 

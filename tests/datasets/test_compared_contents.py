@@ -17,6 +17,8 @@ from candata.errors import DataError
 from .conftest import add
 from .forging import forge, nudged, rewrite
 
+pytestmark = pytest.mark.hard
+
 
 def other_cell(folder: Path, _: dict) -> None:
     """Change a number; hash and digest go on to claim the old content."""

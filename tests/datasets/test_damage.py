@@ -75,6 +75,16 @@ def test_a_damaged_version_is_named(root):
         open_dataset(root)
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_version_of_another_digest_is_named(root, partial):
+    path = root / "versions" / "000001.json"
+    digest = open_dataset(root).digest
+    path.write_text(path.read_text().replace(digest, "0" * 64))
+    with pytest.raises(DataError, match=rf"000001\.json\n  expected: digest {digest[:12]} of its episodes") as error:
+        open_dataset(root, partial=partial)
+    assert error.value.found == "digest 000000000000"
+
+
 def test_partial_opens_what_is_intact(root, episode):
     first = only(root, "parts/*/part.json")
     append(root, [episode("later", seed=7)], Lineage(operation="more"))

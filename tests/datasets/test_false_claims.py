@@ -23,6 +23,8 @@ from candata.schema.registry import RemoteEntry
 from .conftest import s3_entry
 from .forging import forge, nudged, rewrite
 
+pytestmark = pytest.mark.hard
+
 NAME = "rich"
 
 

@@ -22,6 +22,8 @@ from candata.schema.registry import RemoteEntry
 
 from .conftest import s3_entry
 
+pytestmark = pytest.mark.hard
+
 NAME = "rich"
 
 

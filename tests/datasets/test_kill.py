@@ -12,6 +12,8 @@ from candata.errors import SetupError
 from candata.schema.manifest import Lineage
 from tests.conftest import WHOLE
 
+pytestmark = pytest.mark.hard
+
 
 def test_every_acknowledged_episode_is_found_once_and_intact(tmp_path):
     done = kill_test.kill_test(tmp_path, kills=4)

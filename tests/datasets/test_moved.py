@@ -30,6 +30,8 @@ from tests.conftest import WHOLE
 
 from .conftest import add
 
+pytestmark = pytest.mark.hard
+
 LINEAGE = Lineage(operation="test")
 #: Eight chunks, one after another.
 SET = ("--scene", "cube_toss", "--episodes", "128", "--seed", "7", "--duration-s", "0.4", "--jobs", "1")

@@ -12,6 +12,8 @@ import zstandard
 from candata.formats._mcap_scan import MAGIC
 from tests.memory import GIGABYTE, memory_and_words
 
+pytestmark = pytest.mark.hard
+
 #: Scans a file and keeps every record, as the readers of recordings do.
 SCAN = """
 import sys

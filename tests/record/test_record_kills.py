@@ -19,6 +19,8 @@ from candata.errors import DataError
 from candata.record.logs import read_log
 from candata.record.recover import recover
 
+pytestmark = pytest.mark.hard
+
 #: 0.25 s lie between two flushes, and the rest is room for a busy machine; `benchmarks/record.py` holds it to 0.3 s.
 LOST_S = 1.0
 

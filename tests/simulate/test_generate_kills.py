@@ -15,6 +15,8 @@ from candata.datasets import open_dataset
 from candata.errors import CandataError
 from candata.simulate.generate import generate
 
+pytestmark = pytest.mark.hard
+
 #: Six chunks: enough to be killed between two of them.
 SET = ("--scene", "cube_toss", "--episodes", "96", "--seed", "7", "--duration-s", "0.4", "--jobs", "2")
 #: What a dataset may consist of before its first version, as seen from it.

@@ -212,6 +212,7 @@ def test_a_torn_log_is_whole_again(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.hard
 def test_of_two_that_train_into_one_folder_the_second_is_refused_and_changes_nothing(tmp_path, job):
     command = [sys.executable, str(WORKER), str(tmp_path / "run"), "10000"]
     env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(WORKER.parent)])}
@@ -230,6 +231,7 @@ def test_of_two_that_train_into_one_folder_the_second_is_refused_and_changes_not
     assert train(job(steps=10_000), tmp_path / "run", stopped=lambda: next(answers)).step > 1
 
 
+@pytest.mark.hard
 def test_a_run_that_is_renamed_in_mid_run_is_said_and_not_made_anew(tmp_path, job, batch):
     train(job(steps=60), tmp_path / "whole")
 
