@@ -10,8 +10,9 @@ from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.compare import UNSURE, is_tied, null_level, tied_with
 from candata.gap.fewer import by_choice, completed, merged, simplified, widened
 from candata.gap.mending import Doubt, Mended
+from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged
-from candata.gap.pace import AGAIN, ANOTHER, REST, SHARPEN
+from candata.gap.pace import AGAIN, REST, SHARPEN
 from candata.gap.refine import polished
 from candata.gap.score import Score
 from candata.gap.search import Fit, Members, Problem
@@ -21,7 +22,7 @@ from candata.gap.stage import Stage, as_simulated, look, look_again, narrowed, s
 from candata.gap.starts import is_toss
 from candata.gap.together import Responses
 from candata.gap.uneven import alone, recentred
-from candata.gap.worth import LARGEST, LEFT, MOST, leaves, left_by
+from candata.gap.worth import LEFT, MOST, leaves, left_by
 
 #: Share of the gap that the best effect alone must leave for several to be tried before that effect is compared sharply
 #: with its rivals, and that a set must leave for episodes to be counted. Chosen: a sharper fit seldom gains as much.
@@ -248,7 +249,9 @@ def _search(problem: Problem, first: Stage, doubt: Doubt | None = None) -> Attri
     is_far = left_by(best) > FAR * float((first.base - 1).mean())
     several = together(problem, best, as_simulated(problem, first)) if is_far else None
     if several is None:
-        problem.pace.say("comparing what is best so far", SHARPEN, after=(LARGEST - 1) * ANOTHER.most + REST.most)
+        # Of tosses it takes up to twice as long.
+        longer = SHARPEN.most if is_toss(problem.replayer.scene) else 0.0
+        problem.pace.say("comparing what is best so far", SHARPEN, after=further(problem, 1) + longer)
         first = problem.sofar.first = sharpened(problem, narrowed(problem, nominal, first))
     best, rough = first.fits[0], as_simulated(problem, first)
     tied = tied_with(best, first.fits, first.reachable) if several is None else [best]

@@ -135,7 +135,7 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
     found = with_names_tested(problem, with_sizes(problem, attribute(problem)))
     # What no effect explains is described as a force in the end.
     described = found.remains and not is_toss(scene)
-    problem.pace.say("measuring on held-out episodes", REST, after=FORCE.most if described else 0.0)
+    problem.pace.say("measuring on held-out episodes", REST, after=FORCE.most + REST.most if described else 0.0)
     world = replace(problem, score=found.score)
     held = held_out(world, found.chosen)
     if found.mean and found.chosen:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from candata.gap.pace import ANOTHER, MEAN, ONE, REST, SIGNATURE, Span
+from candata.gap.pace import ANOTHER, MEAN, ONE, REST, SHARPEN, SIGNATURE, Span
 from candata.gap.screen import screening
 from candata.gap.search import Problem
 from candata.gap.stage import unheld
@@ -13,26 +13,41 @@ from candata.gap.worth import LARGEST
 #: Signatures of all episodes that a first search came to need beside its first look: probes of a shortlist, and
 #: variants on one element.
 LATER = 80
-#: Replays of all episodes that are planned after a first cause: all others that are searched for, or, where there is
-#: no gap, a look at the mean over many replays, and what comes after the search.
-FURTHER = max((LARGEST - 1) * ANOTHER.most, MEAN.most) + REST.most
 
 
 def say_outlook(problem: Problem) -> None:
     """Tell that the search begins and what it takes, with signatures that are not kept yet, one cause and more."""
-    further = problem.pace.range_of(ANOTHER)
-    more = f"; each further cause {further} more" if further else ""
+    each = problem.pace.range_of(ANOTHER)
+    more = f"; each further cause {each} more" if each else ""
     lacking = _lacking(problem)
     if lacking:
         more += f"; {lacking} effects to simulate first"
-    problem.pace.say("searching effects", first_cause(problem), more, after=FURTHER)
+    # Where there is no gap, a look at the mean over many replays takes the place of other causes.
+    faint = 0.0 if is_toss(problem.replayer.scene) else MEAN.most + REST.most
+    problem.pace.say("searching effects", first_cause(problem), more, after=max(further(problem, 1), faint))
+
+
+def further(problem: Problem, found: int) -> float:
+    """Return how many replays are planned at most once so many causes are found: for others, and after the search.
+
+    Of tosses each takes a look of its own at all effects, and one other is planned at a time.
+    """
+    others = max(LARGEST - found, 0)
+    if is_toss(problem.replayer.scene):
+        return min(others, 1) * (_looks(problem) + ANOTHER.most) + REST.most
+    return others * ANOTHER.most + REST.most
+
+
+def _looks(problem: Problem) -> float:
+    """Return how many replays a look at all effects takes where each is simulated on every episode."""
+    return float(sum(len(screening(c, problem)) for c in unheld(problem, ())))
 
 
 def first_cause(problem: Problem) -> Span:
     """Return how many replays of all episodes the search for one cause takes, what is simulated first included."""
     if is_toss(problem.replayer.scene):
-        looks = float(sum(len(screening(c, problem)) for c in unheld(problem, ())))
-        return Span(ONE.least + looks, ONE.most + looks)
+        looks = _looks(problem)
+        return Span(ONE.least + looks, ONE.most + SHARPEN.most + looks)
     each = 1.0 if problem.library.seen else SIGNATURE
     asked = [part for part, some in wanted(problem, "first") if part.library.lacks(some)]
     looks = each * sum(len(part.recs) for part in asked) / len(problem.recs)

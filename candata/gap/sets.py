@@ -13,6 +13,7 @@ from candata.gap.candidates import Candidate
 from candata.gap.compare import RIVALS, UNSURE, is_near, is_tied, standard_error
 from candata.gap.elsewhere import moved
 from candata.gap.mending import Doubt
+from candata.gap.outlook import further
 from candata.gap.own_floor import Grown, judged, refitted, rescored
 from candata.gap.pace import ANOTHER, BESIDE, JOINT, REST
 from candata.gap.refine import WIDTHS, joint
@@ -92,9 +93,8 @@ def forward(
         seems = has_room(best) or gains_share(world, here_of(world, best), unheld(world, best.members), best.members)
         if not seems and world.plays_all:
             return best, world, remains
-        others = max(LARGEST - len(best.members) - 1, 0) * ANOTHER.most
         found = f"{', '.join(best.labels)} found, looking for what is beside"
-        world.pace.say(found, ANOTHER, after=others + REST.most)
+        world.pace.say(found, ANOTHER, after=max(further(world, len(best.members)) - ANOTHER.most, REST.most))
         full = is_full(best.members, problem.measured)
         grown = None if full else _next(world, best, seems, doubt)
         if doubt and (doubt.stands or (full and is_doubted(world, best, doubt))):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from candata.gap.averaged import Averaged, faint, placed
 from candata.gap.candidates import candidate, local_candidates
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import CrossFit
+from candata.gap.pace import Pace
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
@@ -310,6 +310,6 @@ def test_a_dataset_without_a_faint_effect_keeps_its_notes(null, gripper, played,
 def test_steps_are_told(hidden):
     problem, first = hidden
     said = []
-    problem = replace(problem, pace=SimpleNamespace(say=lambda text, span, **planned: said.append(text)))
+    problem = replace(problem, pace=Pace(said.append))
     faint(problem, replace(first, rough=()))
     assert said == ["looking for what contact hides, in the mean over many replays"]

@@ -12,6 +12,7 @@ from candata.gap import elsewhere, own_floor, sets, trials, worth
 from candata.gap.candidates import candidate
 from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
+from candata.gap.pace import Pace
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
@@ -42,7 +43,7 @@ def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, 
 
 
 @pytest.mark.parametrize(("left", "again"), [(-0.05, True), (0.05, False)])
-def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkeypatch, left, again):
+def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkeypatch, arm, left, again):
     """Its slopes were not simulated: blunt, it leaves what every further effect would seem to take."""
 
     names = ("object_com", "contact_compliance")
@@ -57,8 +58,7 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
     sharp, in_its_own = fit(0.001), fit(0.3)
     score = SimpleNamespace(loss=lambda z: np.full(12, z))
     world = SimpleNamespace(score=score, nominal=6.0, measured=(), plays_all=False, recs=SimpleNamespace(tasks=()))
-    world.pace = SimpleNamespace(say=lambda *a, **planned: None, told=lambda *a: None)
-    world.sofar = SoFar()
+    world.pace, world.sofar, world.replayer = Pace(), SoFar(), Replayer(arm)
     looked: list[object] = []
     monkeypatch.setattr(sets, "rescored", lambda problem, best: (world, in_its_own))
     monkeypatch.setattr(sets, "leaves", lambda problem, best: best is in_its_own)
