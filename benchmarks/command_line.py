@@ -14,7 +14,7 @@ import statistics
 import subprocess
 import sys
 
-#: CPU seconds that `--help` may take (ARCHITECTURE.md).
+#: CPU seconds that `--help` may take (docs/decisions/0020-files-and-commands.md).
 TARGET_S = 0.3
 #: What is run, as the arguments of an interpreter.
 RUNS = {

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 TINY = 1e-12
 #: Share of a joint's error that its average takes up each control step, and the part of the encoders' noise up to which
 #: an average says nothing. The average holds a third of the noise, so this is one and a half of its standard errors.
-#: Chosen on seven hands: see ARCHITECTURE.md.
+#: Chosen on seven hands: see docs/decisions/0010-observer.md.
 AVERAGED, HEARD = 0.2, 0.5
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -96,6 +97,12 @@ def test_a_command_file_imports_nothing_heavy_before_a_command_runs(path):
     for name in modules_imported(path, top_level(ast.parse(path.read_text(encoding="utf-8")))):
         known = name.split(".")[0] in light or any(name.startswith(f"{module}.") for module in light)
         assert known, f"import {name} inside the command that needs it"
+
+
+def test_the_architecture_lists_the_rooms_from_the_top_down():
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    rows = text.split("\n| room |", 1)[1].split("\n\n", 1)[0].splitlines()[2:]
+    assert [tuple(re.findall(r"`(\w+)`", row.split("|")[1])) for row in rows] == list(LAYERS)
 
 
 def test_the_rule_sees_a_wrong_import():
