@@ -84,7 +84,7 @@ def train(
     tried(out, "folder")
     refuse_foreign(out)
     _need_torch()
-    from candata.training import Ask, prepare
+    from candata.training import TrainRequest, prepare
     from candata.training import train as run
 
     _set_threads(threads)
@@ -92,11 +92,11 @@ def train(
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
+    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
     with console.stoppable(lambda: _saved(out), goes_on=True), console.stages() as stage:
         stage("reading the dataset")
         opened = {name: console.opened(path, version) for name, path in paths.items()}
-        job = prepare(opened if mixture else opened[""], ask, settings, device)
+        job = prepare(opened if mixture else opened[""], request, settings, device)
         _tell_clipped(job, stage)
         if init is not None:
             stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
@@ -133,13 +133,13 @@ def evaluate(
     tried(folder, "folder")
     _need_torch()
     from candata.reports.evaluation import summary, write_evaluation
-    from candata.training import Manner
+    from candata.training import EvaluationSettings
     from candata.training import evaluate as judge
 
     _set_threads(threads)
     with console.stages() as stage:
-        manner = Manner(split, samples, steps, execute, seed, device)
-        found, tracks = judge(run, console.opened(data, version), manner, stage)
+        evaluation_settings = EvaluationSettings(split, samples, steps, execute, seed, device)
+        found, tracks = judge(run, console.opened(data, version), evaluation_settings, stage)
         stage("writing the page")
         page = write_evaluation(found, tracks, folder)
     console.out(found.model_dump_json(indent=2) if json else summary(found))
@@ -155,9 +155,9 @@ def _tell_clipped(job: Job, stage: Callable[[str], None]) -> None:
 
 def _saved(out: Path) -> str:
     """Return what a run that was stopped outside of its loop has saved, as a clause."""
-    from candata.training.checkpoint import LAST
+    from candata.training.checkpoint import LAST_FILE
 
-    return f"the last checkpoint stands in {out}" if (out / LAST).is_file() else "nothing was trained yet"
+    return f"the last checkpoint stands in {out}" if (out / LAST_FILE).is_file() else "nothing was trained yet"
 
 
 def _need_torch() -> None:

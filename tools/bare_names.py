@@ -56,20 +56,23 @@ signed typed unsigned drawing scaling sampling spelling masked polling forecasti
 TERMS = frozenset({"expected", "fit", "free", "masked", "out", "predicted", "real", "run", "sealed", "true"})
 #: Words above that are verbs as well: a function may be called so.
 VERBS = frozenset(
-    {"close", "clean", "clear", "cut", "empty", "free", "let", "lead", "open", "put", "read", "run", "set", "shut"}
+    {"close", "clean", "clear", "cut", "empty", "forward", "let", "lead", "open", "put", "read", "set", "shut"}
 )
-BARE = frozenset(" ".join((PRONOUNS, NUMERALS, ADVERBS, ADJECTIVES, PARTICIPLES)).split()) - TERMS
+BARE = frozenset(" ".join((PRONOUNS, NUMERALS, ADVERBS, ADJECTIVES, PARTICIPLES)).split())
 ALLOWED = frozenset(NOUNS.split())
 
 
 def is_bare(name: str, is_function: bool = False) -> bool:
     """Tell whether a name is one bare word."""
-    word = name.strip("_").lower()
+    stripped = name.strip("_")
+    word = stripped.lower()
+    if word != stripped and stripped not in (word.upper(), word.capitalize()):
+        return False
     if (
         name.startswith("__")
         or not word.isalpha()
         or len(word) < 2
-        or word in ALLOWED
+        or word in ALLOWED | TERMS
         or (is_function and word in VERBS)
     ):
         return False

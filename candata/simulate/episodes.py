@@ -97,11 +97,12 @@ def make_episodes(
             step_ms = 1000 * scene.model.opt.timestep
             failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
             raise DataError(
-                "the simulation is unstable", expected=f"a finite state after every step of {step_ms:g} ms",
+                "the simulation is unstable",
+                expected=f"a finite state after every step of {step_ms:g} ms",
                 found=f"{job.policy} {_in_words(job)}: none {failure_time}",
                 where=Where(path=scene.name, episode=job.id),
                 fix="give the model a smaller time step, more damping or armature, or milder effects",
-            )  # fmt: skip
+            )
     return episodes
 
 

@@ -101,9 +101,13 @@ def generate(
     model = load_scene(scene)
     _check_count(episodes, seed, workers)
     recipe = Recipe(
-        scene=scene, seed=seed, effects=tuple(effects), policies=tuple(policies) or possible_policies(model),
-        duration_s=duration_s, noise=noise,
-    )  # fmt: skip
+        scene=scene,
+        seed=seed,
+        effects=tuple(effects),
+        policies=tuple(policies) or possible_policies(model),
+        duration_s=duration_s,
+        noise=noise,
+    )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
     check(recipe, model)
@@ -158,9 +162,11 @@ def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, se
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
     if (out / DATASET).exists() and not withheld.seal.exists():
         raise UsageError(
-            "the dataset stands, its sealed file does not", expected="the sealed file of the first run",
-            where=Where(path=str(withheld.seal)), fix="name it with --seal, or choose another --out",
-        )  # fmt: skip
+            "the dataset stands, its sealed file does not",
+            expected="the sealed file of the first run",
+            where=Where(path=str(withheld.seal)),
+            fix="name it with --seal, or choose another --out",
+        )
     seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
     secret = {"seed": seal.stream, "effects": (seal.effect,), "sealed": seal.sealed}
     return recipe.model_copy(update=secret)
@@ -191,9 +197,11 @@ def _refuse_other(root: Path, recipe: Recipe, episodes: int, history: Lineage) -
     theirs_text, ours_text = _difference(earlier, history)
     raise UsageError(
         "the dataset holds episodes of these ids, made from another configuration",
-        expected=theirs_text, found=ours_text, where=Where(path=str(root), episode=taken_id),
+        expected=theirs_text,
+        found=ours_text,
+        where=Where(path=str(root), episode=taken_id),
         fix="choose another --seed or another --out",
-    )  # fmt: skip
+    )
 
 
 def _difference(earlier: Sequence[Lineage], lineage: Lineage) -> tuple[str, str]:

@@ -60,9 +60,11 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
     scene = _scene(plan.scene)
     motions = motions_of(plan, scene)
     episodes = make_episodes(
-        scene, [job(plan, n, motions) for n in numbers], duration_s=plan.duration_s,
+        scene,
+        [job(plan, n, motions) for n in numbers],
+        duration_s=plan.duration_s,
         noise=scene.file.noise if plan.noise else None,
-    )  # fmt: skip
+    )
     return write_part(out, episodes, producer(config)).id
 
 

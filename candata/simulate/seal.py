@@ -77,9 +77,10 @@ def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
     possible_effects = [drawn_name for drawn_name in effect_names() if effect(drawn_name).possible(scene)]
     if effect_name != ANY_EFFECT and not effect(effect_name).possible(scene):
         raise UsageError(
-            f"effect {effect_name} cannot act in scene {scene.name}", expected=f"one of {', '.join(possible_effects)}",
+            f"effect {effect_name} cannot act in scene {scene.name}",
+            expected=f"one of {', '.join(possible_effects)}",
             found=effect_name,
-        )  # fmt: skip
+        )
     drawn_name = str(rng.choice(possible_effects)) if effect_name == ANY_EFFECT else effect_name
     values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(drawn_name).parameters])
     label = canonical(setting(drawn_name, values, scene))
@@ -139,8 +140,9 @@ def keep(path: Path, scene: Scene, effect_name: str, seed: int, salt: str | None
         if getattr(seal, name) != value:
             raise UsageError(
                 f"the sealed file belongs to another set: its {name.split('_')[0]} differs",
-                where=Where(path=str(path)), fix="give another --seal and --out, or repeat the first command",
-            )  # fmt: skip
+                where=Where(path=str(path)),
+                fix="give another --seal and --out, or repeat the first command",
+            )
     return seal
 
 
@@ -182,10 +184,12 @@ def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
     commitments = [step.sealed for step in dataset.lineage if step.sealed]
     if own_commitment not in commitments:
         raise DataError(
-            "the seal does not fit the dataset", expected=f"sealed {', '.join(k[:12] for k in commitments) or '-'}",
-            found=f"sealed {own_commitment[:12]}", where=Where(path=str(path)),
+            "the seal does not fit the dataset",
+            expected=f"sealed {', '.join(k[:12] for k in commitments) or '-'}",
+            found=f"sealed {own_commitment[:12]}",
+            where=Where(path=str(path)),
             fix="give the sealed file that was written beside this dataset",
-        )  # fmt: skip
+        )
     return seal.effect
 
 
