@@ -15,7 +15,7 @@ from candata_cli import console
 from candata_cli.outputs import tried
 
 if TYPE_CHECKING:
-    from candata.record.emulate import Sent
+    from candata.record.emulate import Transmission
     from candata.record.emulate_faults import Faults
     from candata.record.emulate_script import Script
     from candata.schema.episode import Episode
@@ -162,7 +162,7 @@ def _simulated(scene_name: str, policy: str | None, seed: int, duration_s: float
     return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
 
 
-def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Sent:
+def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Transmission:
     """Return what was sent on a fresh port, which is printed first."""
     import numpy as np
 

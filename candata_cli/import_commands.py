@@ -14,7 +14,7 @@ from candata_cli.outputs import tried
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from candata.record.importing import Imported, Recipe
+    from candata.record.importing import ImportedLog, Recipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
@@ -236,7 +236,7 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
     _publish(out, append, episodes(), "import log", lineage, part_size=1)
 
 
-def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[Imported]:
+def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[ImportedLog]:
     """Yield what each log becomes; only one is held."""
     from candata.record.companions import read_companion
     from candata.record.importing import import_log

@@ -131,7 +131,7 @@ class Follower:
         qpos[:, at + 3 : at + 7] = normalise(product(part, now))
 
     def _error_beyond_noise(self, error: Array, is_seen: NDArray[np.bool_]) -> Array:
-        """Return what noise cannot explain of the joints' errors `(n, J)`, averaged over the rows that are `is_seen`."""
+        """Return the averaged errors `(n, J)` of the joints beyond their noise; rows that were not seen add nothing."""
         noise = self._observer.joint_noise
         if not np.any(noise):
             return error

@@ -16,7 +16,7 @@ from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
 from candata.training.settings import Progress, Run, Settings
-from candata.training.state import State, initial_state, generator
+from candata.training.state import State, generator, initial_state
 from candata.training.steplog import StepLog
 
 #: Second part of the key of a noise stream: each use has its own.

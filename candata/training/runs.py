@@ -183,7 +183,8 @@ def _refuse_other(stored_run: Run, requested_run: Run, path: Path) -> None:
             expected=_version(stored_run),
             found=_version(requested_run),
             where=Where(path=str(path)),
-            fix=f"add --version {stored_run.digest[:12]} to go on, or begin another run: --init {path.parent} --out NEW",
+            fix=f"add --version {stored_run.digest[:12]} to go on, or begin another run: "
+            f"--init {path.parent} --out NEW",
         )
     raise UsageError(
         "the folder holds a run with other settings",
