@@ -83,7 +83,7 @@ def has_hand_and_object(scene: Scene) -> bool:
 
 
 def shift(commands: Array, rail: d.Rail | None, distance: Array | float) -> None:
-    """Move a rail by `distance`, (T,) or a number [m], in place, in the direction of its name; nothing without a rail."""
+    """Move a rail by `distance`, (T,) or a number [m], in place, as its name says; nothing without a rail."""
     if rail is not None:
         commands[:, rail.column] += rail.sign * distance
 

@@ -73,17 +73,43 @@ def trip(tmp_path_factory) -> Trip:
     """Five seconds of a grasp at a scale that clips what presses, listened to from the still stretch to the end."""
     folder = tmp_path_factory.mktemp("trip")
     hand = start(
-        folder, "emulate", "xhand", "--link", "hand", "--with-table", "poses/poses.parquet", "--truth", "truth.npz",
-        "--newton-per-count", SCALE, "--still", 1.6, "--hold", "--json",
-    )  # fmt: skip
+        folder,
+        "emulate",
+        "xhand",
+        "--link",
+        "hand",
+        "--with-table",
+        "poses/poses.parquet",
+        "--truth",
+        "truth.npz",
+        "--newton-per-count",
+        SCALE,
+        "--still",
+        1.6,
+        "--hold",
+        "--json",
+    )
     try:
         until = time.monotonic() + 60
         while not (folder / "hand").exists() and hand.poll() is None and time.monotonic() < until:
             time.sleep(0.05)
         recorded = run(
-            folder, "record-real", "--port", "hand", "--out", "hand.mcap", "--calibrate-s", 1, "--duration", 4,
-            "--newton-per-count", SCALE, "--reserve-mb", 0, "--json",
-        )  # fmt: skip
+            folder,
+            "record-real",
+            "--port",
+            "hand",
+            "--out",
+            "hand.mcap",
+            "--calibrate-s",
+            1,
+            "--duration",
+            4,
+            "--newton-per-count",
+            SCALE,
+            "--reserve-mb",
+            0,
+            "--json",
+        )
     finally:
         hand.send_signal(signal.SIGINT)
         out, err = hand.communicate(timeout=60)
