@@ -11,7 +11,7 @@ from importlib import metadata
 from pathlib import Path
 
 #: Extras for people who work on candata itself.
-_OURS = {"dev", "test"}
+_DEVELOPER_EXTRAS = {"dev", "test"}
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,13 @@ def version_of(package: str) -> str | None:
 
 def needs() -> dict[str | None, tuple[str, ...]]:
     """Return the packages that candata needs, by extra (None: always); empty where nothing tells."""
-    found: dict[str | None, list[str]] = {}
+    packages: dict[str | None, list[str]] = {}
     for line in _requirements():
         name = re.match(r"[A-Za-z0-9._-]+", line)
         extra = re.search(r"""extra\s*==\s*["']([^"']+)""", line)
         if name and name.group() != "candata":
-            found.setdefault(extra.group(1) if extra else None, []).append(name.group())
-    return {extra: tuple(names) for extra, names in found.items() if extra not in _OURS}
+            packages.setdefault(extra.group(1) if extra else None, []).append(name.group())
+    return {extra: tuple(names) for extra, names in packages.items() if extra not in _DEVELOPER_EXTRAS}
 
 
 def _requirements() -> list[str]:
@@ -62,20 +62,20 @@ def _requirements() -> list[str]:
     return [*project["dependencies"], *(f'{line}; extra == "{name}"' for name, lines in extras for line in lines)]
 
 
-def versions(wanted: dict[str | None, tuple[str, ...]]) -> dict[str, str | None]:
+def versions(packages_by_extra: dict[str | None, tuple[str, ...]]) -> dict[str, str | None]:
     """Return versions of candata, Python, the system, and all packages that may be needed; None: not there."""
     from candata import __version__
 
-    packages = dict.fromkeys(name for names in wanted.values() for name in names)
-    found = {"candata": __version__, "python": platform.python_version(), "system": platform.platform()}
-    return {**found, **{name: version_of(name) for name in packages}}
+    packages = dict.fromkeys(name for names in packages_by_extra.values() for name in names)
+    base_versions = {"candata": __version__, "python": platform.python_version(), "system": platform.platform()}
+    return {**base_versions, **{name: version_of(name) for name in packages}}
 
 
-def extras(wanted: dict[str | None, tuple[str, ...]]) -> list[Extra]:
+def extras(packages_by_extra: dict[str | None, tuple[str, ...]]) -> list[Extra]:
     """Return the extras and what each lacks."""
     return [
         Extra(name, packages, tuple(p for p in packages if version_of(p) is None))
-        for name, packages in sorted((n, p) for n, p in wanted.items() if n is not None)
+        for name, packages in sorted((n, p) for n, p in packages_by_extra.items() if n is not None)
     ]
 
 
@@ -118,7 +118,7 @@ def gpus() -> list[str] | None:
         import torch
     except ImportError:
         return None
-    found = (
+    names = (
         [torch.cuda.get_device_name(i) for i in range(torch.cuda.device_count())] if torch.cuda.is_available() else []
     )
-    return [*found, *(["Apple GPU (mps)"] if torch.backends.mps.is_available() else [])]
+    return [*names, *(["Apple GPU (mps)"] if torch.backends.mps.is_available() else [])]

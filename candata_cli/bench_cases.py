@@ -22,7 +22,7 @@ SCENE = "gripper_tabletop"
 
 
 @dataclass(frozen=True)
-class Asked:
+class BenchRequest:
     """Which cases a run is asked to make; `scene` is empty for random small scenes."""
 
     scene: str
@@ -34,7 +34,7 @@ class Asked:
     duration_s: float | None
 
 
-def asked_for(
+def bench_request(
     world: str | None,
     scene: str | None,
     traits: str,
@@ -44,7 +44,7 @@ def asked_for(
     seed: int,
     episodes: int | None,
     duration_s: float | None,
-) -> Asked:
+) -> BenchRequest:
     """Return what a bench is asked for.
 
     Raises
@@ -61,12 +61,12 @@ def asked_for(
     if world is None:
         if traits:
             raise UsageError("--traits is for random small scenes", found=traits, fix="add --world random-small")
-        wanted, given = _counts(kinds, counts, COUNTS), known(only, effect_names(), "effect")
-        return Asked(
+        case_counts, effect_list = _counts(kinds, counts, COUNTS), listed_words(only, effect_names(), "effect")
+        return BenchRequest(
             scene or SCENE,
             (),
-            wanted,
-            given,
+            case_counts,
+            effect_list,
             seed,
             episodes or IN_ONE[0],
             IN_ONE[1] if duration_s is None else duration_s,
@@ -76,106 +76,113 @@ def asked_for(
     from candata.gap.blind.rigs.causes import CAUSES
     from candata.gap.blind.rigs.design import all_traits
 
-    known(world, (RANDOM,), "world")
+    listed_words(world, (RANDOM,), "world")
     if scene is not None:
         raise UsageError(
             "--scene and --world exclude each other: each case of a random world brings its own scene",
             found=f"--scene {scene} --world {world}",
             fix="leave one of the two out",
         )
-    usual = kinds == ",".join(KINDS)
-    wanted = _counts(",".join(SMALL) if usual else kinds, counts, SMALL)
-    return Asked(
+    default_kinds = kinds == ",".join(KINDS)
+    case_counts = _counts(",".join(SMALL) if default_kinds else kinds, counts, SMALL)
+    return BenchRequest(
         "",
-        known(traits, all_traits(), "trait"),
-        wanted,
-        known(only, tuple(CAUSES), "planted cause"),
+        listed_words(traits, all_traits(), "trait"),
+        case_counts,
+        listed_words(only, tuple(CAUSES), "planted cause"),
         seed,
         episodes or IN_SMALL[0],
         duration_s,
     )
 
 
-def make(out: Path, asked: Asked, crew: Crew) -> None:
+def make(out: Path, request: BenchRequest, crew: Crew) -> None:
     """Seal the labels of a run's cases and make those that are missing."""
-    (_make_in_one if asked.scene else _make_small)(out, asked, crew)
+    (_make_in_one if request.scene else _make_small)(out, request, crew)
 
 
-def _make_in_one(out: Path, asked: Asked, crew: Crew) -> None:
+def _make_in_one(out: Path, request: BenchRequest, crew: Crew) -> None:
     """Seal the labels of cases in one scene, and make those that are missing."""
     from candata.gap.blind.cases import make_cases, missing_cases, seal_labels
     from candata.gap.blind.sanity import check_scene
     from candata.scenes import load_scene
 
-    world, seed, length = load_scene(asked.scene), asked.seed, asked.duration_s or 0.0
+    world, seed, length = load_scene(request.scene), request.seed, request.duration_s or 0.0
 
-    def live() -> tuple[str, ...]:
-        fit = check_scene(world, seed=seed, duration_s=length, only=asked.only)
+    def live_effects() -> tuple[str, ...]:
+        fit = check_scene(world, seed=seed, duration_s=length, only=request.only)
         for line in _fitness(fit):
             console.note(line)
         return fit.live
 
-    sealed = seal_labels(
-        out, world, asked.counts, seed=seed, episodes=asked.episodes, duration_s=length, only=asked.only, live=live
+    sealed_labels = seal_labels(
+        out,
+        world,
+        request.counts,
+        seed=seed,
+        episodes=request.episodes,
+        duration_s=length,
+        only=request.only,
+        live=live_effects,
     )
-    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+    with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_cases(
             out,
-            asked.scene,
-            sealed,
+            request.scene,
+            sealed_labels,
             seed=seed,
-            episodes=asked.episodes,
+            episodes=request.episodes,
             duration_s=length,
             crew=crew,
             told=lambda _name: advance(1),
         )
 
 
-def _make_small(out: Path, asked: Asked, crew: Crew) -> None:
+def _make_small(out: Path, request: BenchRequest, crew: Crew) -> None:
     """Seal the labels of cases in random small scenes, and make those that are missing."""
     from candata.gap.blind.cases import LABELS, missing_cases
     from candata.gap.blind.rigs.cases import make_rig_cases, seal_rig_labels
 
-    draws = 0 if (out / LABELS).exists() else sum(asked.counts.values())
+    draws = 0 if (out / LABELS).exists() else sum(request.counts.values())
     with console.progress("drawing cases", draws) as advance:
-        sealed = seal_rig_labels(
+        sealed_labels = seal_rig_labels(
             out,
-            asked.counts,
-            seed=asked.seed,
-            episodes=asked.episodes,
-            duration_s=asked.duration_s,
-            traits=asked.traits,
-            only=asked.only,
+            request.counts,
+            seed=request.seed,
+            episodes=request.episodes,
+            duration_s=request.duration_s,
+            traits=request.traits,
+            only=request.only,
             crew=crew,
             told=lambda _name: advance(1),
         )
-    with console.progress("making cases", len(missing_cases(out, sealed))) as advance:
+    with console.progress("making cases", len(missing_cases(out, sealed_labels))) as advance:
         make_rig_cases(
             out,
-            sealed,
-            episodes=asked.episodes,
-            duration_s=asked.duration_s,
+            sealed_labels,
+            episodes=request.episodes,
+            duration_s=request.duration_s,
             crew=crew,
             told=lambda _name: advance(1),
         )
 
 
-def _counts(kinds: str, counts: str, usual: dict[Kind, int]) -> dict[Kind, int]:
-    """Return how many cases of each kind are asked for; `usual` has the kinds there are, and their numbers."""
+def _counts(kinds: str, counts: str, default_counts: dict[Kind, int]) -> dict[Kind, int]:
+    """Return how many cases of each kind are asked for; `default_counts` has the kinds there are, and their numbers."""
     from candata.errors import UsageError
 
-    given: dict[str, int] = {}
+    stated_counts: dict[str, int] = {}
     for word in console.words(counts):
         name, _, number = word.partition("=")
         if not number.isdigit():
             raise UsageError("a count is not a number", expected="like one=120,null=40", found=word)
-        given[name] = int(number)
-    wanted = console.words(kinds)
-    known(",".join((*wanted, *given)), tuple(usual), "kind of case")
-    return {kind: given.get(kind, number) for kind, number in usual.items() if kind in wanted}
+        stated_counts[name] = int(number)
+    kind_names = console.words(kinds)
+    listed_words(",".join((*kind_names, *stated_counts)), tuple(default_counts), "kind of case")
+    return {kind: stated_counts.get(kind, number) for kind, number in default_counts.items() if kind in kind_names}
 
 
-def known(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:
+def listed_words(text: str, names: Sequence[str], kind: str) -> tuple[str, ...]:
     """Return the words of a comma-separated list, each one of `names`."""
     from candata.errors import UnknownNameError
 
@@ -191,9 +198,9 @@ def _fitness(fit: Fitness) -> list[str]:
     if fit.moving:
         lines.append(f"{fit.moving} joints follow their targets, correlation at least {fit.follows:.3f} ({fit.worst})")
     if fit.live:
-        least = min(fit.live, key=lambda name: fit.moved[name])
-        lines.append(f"{len(fit.live)} effects move a channel, the least {least} ({fit.moved[least]:.2g})")
+        slightest = min(fit.live, key=lambda name: fit.moved[name])
+        lines.append(f"{len(fit.live)} effects move a channel, the least {slightest} ({fit.moved[slightest]:.2g})")
     if fit.dead:
-        why = "in these motions they move nothing, or too much to be simulated"
-        lines.append(f"not drawn, since {why}: {', '.join(fit.dead)}")
+        reason = "in these motions they move nothing, or too much to be simulated"
+        lines.append(f"not drawn, since {reason}: {', '.join(fit.dead)}")
     return lines

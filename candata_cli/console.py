@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from candata.datasets import Dataset
 
 #: Exit code of a command that Ctrl-C ended: 128 + SIGINT, as shells have it.
-STOPPED = 130
+EXIT_STOPPED = 130
 
 #: Seconds between lines of progress where stderr is no terminal.
 EVERY_S = 30.0
@@ -25,17 +25,17 @@ GAP = "Check the diagnosis itself, and what it found."
 RAY = "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT."
 
 
-def group(app: typer.Typer, name: str, about: str) -> typer.Typer:
+def group(app: typer.Typer, name: str, help_text: str) -> typer.Typer:
     """Return the command group `name` of the application, added if no file has added it yet."""
     for info in app.registered_groups:
         if info.name == name and info.typer_instance is not None:
             return info.typer_instance
-    made = typer.Typer(help=about, no_args_is_help=True, rich_markup_mode=None)
-    app.add_typer(made, name=name)
-    return made
+    new_group = typer.Typer(help=help_text, no_args_is_help=True, rich_markup_mode=None)
+    app.add_typer(new_group, name=name)
+    return new_group
 
 
-def opened(dataset: str, version: str | None = None, partial: bool = False) -> Dataset:
+def open_named(dataset: str, version: str | None = None, partial: bool = False) -> Dataset:
     """Return the version of a dataset that a folder or a registered name means, `@` and a tag or version after it.
 
     `version` is a number, the start of a digest or a tag, and stands above what follows the `@`.
@@ -43,8 +43,8 @@ def opened(dataset: str, version: str | None = None, partial: bool = False) -> D
     from candata.datasets import open_dataset
     from candata.datasets.registry import resolve
 
-    path, wanted = resolve(dataset)
-    return open_dataset(path, number(version) if version else wanted, partial=partial)
+    path, named_version = resolve(dataset)
+    return open_dataset(path, number(version) if version else named_version, partial=partial)
 
 
 def number(text: str | None) -> int | str | None:
@@ -57,25 +57,25 @@ def words(text: str) -> tuple[str, ...]:
     return tuple(word.strip() for word in text.split(",") if word.strip())
 
 
-class Stopped(Exception):
+class StoppedRun(Exception):
     """Ctrl-C ended a command; says what is kept, and what to type next.
 
     That is the same command, which goes on from there or begins again, or the words of another one.
     """
 
-    def __init__(self, kept: str = "", goes_on: bool = False, other: Sequence[str] = ()) -> None:
+    def __init__(self, kept_text: str = "", goes_on: bool = False, next_command: Sequence[str] = ()) -> None:
         """Keep all three."""
-        super().__init__(kept)
-        self.kept, self.goes_on, self.other = kept, goes_on, other
+        super().__init__(kept_text)
+        self.kept, self.goes_on, self.other = kept_text, goes_on, next_command
 
 
 @contextmanager
-def stoppable(kept: str | Callable[[], str] = "nothing was written", goes_on: bool = False) -> Iterator[None]:
+def stoppable(kept_text: str | Callable[[], str] = "nothing was written", goes_on: bool = False) -> Iterator[None]:
     """Turn Ctrl-C in the block, or the function so decorated, into words on what is kept.
 
     Parameters
     ----------
-    kept : str or callable
+    kept_text : str or callable
         What is kept, as a clause; asked when it happens.
     goes_on : bool
         Whether the same command goes on from there; else it begins again.
@@ -88,10 +88,10 @@ def stoppable(kept: str | Callable[[], str] = "nothing was written", goes_on: bo
     try:
         yield
     except KeyboardInterrupt:
-        raise Stopped(kept if isinstance(kept, str) else kept(), goes_on) from None
+        raise StoppedRun(kept_text if isinstance(kept_text, str) else kept_text(), goes_on) from None
 
 
-def written(path: Path) -> str:
+def written_clause(path: Path) -> str:
     """Return whether an output that appears whole or not at all is there, as a clause for `stoppable`."""
     return f"{path} is written, whole" if path.exists() else "nothing was written"
 
@@ -146,17 +146,17 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
         Number of steps.
     """
     if not sys.stderr.isatty():
-        begun = told_s = time.monotonic()
-        done = 0
+        begin_s = told_s = time.monotonic()
+        done_count = 0
 
         def advance(steps: int) -> None:
-            nonlocal told_s, done
-            done += steps
-            now = time.monotonic()
-            if 0 < done < total and now - told_s >= EVERY_S:
-                told_s = now
-                left = duration((now - begun) / done * (total - done))
-                note(f"{label}: {done} of {total}, about {left} left")
+            nonlocal told_s, done_count
+            done_count += steps
+            now_s = time.monotonic()
+            if 0 < done_count < total and now_s - told_s >= EVERY_S:
+                told_s = now_s
+                left_text = duration((now_s - begin_s) / done_count * (total - done_count))
+                note(f"{label}: {done_count} of {total}, about {left_text} left")
 
         yield advance
         note(f"{label}: {total} done")
@@ -199,10 +199,10 @@ class Stages:
 
 
 @contextmanager
-def stages(timed: bool = False) -> Iterator[Stages]:
+def stages(with_bar: bool = False) -> Iterator[Stages]:
     """Yield what shows stages: a spinner with the time spent on a terminal, a line each elsewhere.
 
-    Where the command knows its latest end (`timed`), a terminal also shows a bar and the time left.
+    Where the command knows its latest end (`with_bar`), a terminal also shows a bar and the time left.
     """
     if not sys.stderr.isatty():
         yield Stages(note)
@@ -210,29 +210,29 @@ def stages(timed: bool = False) -> Iterator[Stages]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressBar, SpinnerColumn, Task, TextColumn, TimeElapsedColumn
 
-    left = TimeLeft()
+    time_left = TimeLeft()
 
     class Share(BarColumn):
         """A bar as long as the share of the time that has gone."""
 
         def render(self, task: Task) -> ProgressBar:
-            task.completed = left.gone_s
+            task.completed = time_left.gone_s
             return super().render(task)
 
     columns = [SpinnerColumn(), TextColumn("{task.description}")]
-    columns += [Share(20), TextColumn("{task.fields[left]}")] if timed else []
+    columns += [Share(20), TextColumn("{task.fields[left]}")] if with_bar else []
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task("starting", total=None, left=left)
+        task = bar.add_task("starting", total=None, left=time_left)
 
         def tell(name: str) -> None:
-            if left.grown:
-                left.grown = False
+            if time_left.grown:
+                time_left.grown = False
                 bar.console.print(name, markup=False, highlight=False)
-            bar.update(task, description=name.partition(" (")[0] if timed else name)
+            bar.update(task, description=name.partition(" (")[0] if with_bar else name)
 
         def ends(ends_s: float | None) -> None:
-            left.move(ends_s)
-            bar.update(task, total=left.total_s)
+            time_left.move(ends_s)
+            bar.update(task, total=time_left.total_s)
 
         yield Stages(tell, ends)
 
@@ -265,5 +265,5 @@ class TimeLeft:
         """Return `at most 2:05 left`; empty while nothing is known."""
         if self._ends_s is None:
             return ""
-        left = round(self._ends_s - self._clock())
-        return f"at most {left // 60}:{left % 60:02d} left" if left > 0 else "longer than planned"
+        left_s = round(self._ends_s - self._clock())
+        return f"at most {left_s // 60}:{left_s % 60:02d} left" if left_s > 0 else "longer than planned"

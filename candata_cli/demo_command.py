@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.schema.effect import EffectSetting
@@ -34,7 +34,7 @@ def demo(
     The salt of the seal follows from the seed here, so that a run can be repeated; `generate-sim --withhold`
     draws a secret one. The diagnosis reads the dataset and the nominal scene only.
     """
-    tried(out, "folder")
+    check_output(out, "folder")
     from candata.datasets import open_dataset
     from candata.gap import diagnose
     from candata.reports import write_diagnosis
@@ -47,13 +47,13 @@ def demo(
     note(f"two sets of {episodes} episodes in {SCENE}: nominal, and `real` with a hidden effect")
     _generate(folder, seal, seed, episodes, jobs)
     dataset = open_dataset(folder / "real")
-    with stages(timed=True) as stage:
-        found = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage, ends=stage.ends)
+    with stages(with_bar=True) as stage:
+        diagnosis = diagnose(dataset, scene, jobs=jobs or os.cpu_count() or 1, progress=stage, ends=stage.ends)
         stage.ends(None)
         stage("writing the report")
-        page = write_diagnosis(found, scene, folder / "report")
+        page = write_diagnosis(diagnosis, scene, folder / "report")
     truth = open_seal(seal, dataset)
-    (_print_json if json else _print)(found.report, truth, page)
+    (_print_json if json else _print)(diagnosis.report, truth, page)
 
 
 def _generate(folder: Path, seal: Path, seed: int, episodes: int, jobs: int | None) -> None:
@@ -64,61 +64,59 @@ def _generate(folder: Path, seal: Path, seed: int, episodes: int, jobs: int | No
     from candata_cli.console import progress
 
     salt = hashlib.sha256(f"candata demo {seed}".encode()).hexdigest()
-    hidden = Withheld("any", seal, salt)
-    for name, withheld in (("nominal", None), ("real", hidden)):
+    withheld_effect = Withheld("any", seal, salt)
+    for name, withheld in (("nominal", None), ("real", withheld_effect)):
         with progress(name, episodes) as advance:
-            generate(
-                folder / name, SCENE, episodes, seed, withheld=withheld, workers=jobs, progress=advance
-            )  # fmt: skip
+            generate(folder / name, SCENE, episodes, seed, withheld=withheld, workers=jobs, progress=advance)
 
 
-def judge(found: Report, truth: EffectSetting) -> str:
+def judge(report: Report, truth: EffectSetting) -> str:
     """Return `found`, `found in a class`, or `missed`: how the verdict stands to the truth."""
-    named = [effect.name for effect in found.effects]
-    if named == [truth.name]:
+    names = [effect.name for effect in report.effects]
+    if names == [truth.name]:
         return "found"
-    if truth.name in named:
+    if truth.name in names:
         return "found among others"
-    return "found in a class" if truth.name in found.ambiguous_class else "missed"
+    return "found in a class" if truth.name in report.ambiguous_class else "missed"
 
 
-def _print_json(found: Report, truth: EffectSetting, page: Path) -> None:
+def _print_json(report: Report, truth: EffectSetting, page: Path) -> None:
     """Print verdict and truth as one JSON object."""
     from candata_cli.console import out_json
 
     record = {
-        "verdict": found.verdict,
-        "effects": [effect.model_dump(mode="json") for effect in found.effects],
-        "class": list(found.ambiguous_class),
+        "verdict": report.verdict,
+        "effects": [effect.model_dump(mode="json") for effect in report.effects],
+        "class": list(report.ambiguous_class),
         "truth": truth.model_dump(mode="json"),
-        "outcome": judge(found, truth),
+        "outcome": judge(report, truth),
         "report": str(page),
     }
     out_json(record)
 
 
-def _print(found: Report, truth: EffectSetting, page: Path) -> None:
+def _print(report: Report, truth: EffectSetting, page: Path) -> None:
     """Print the summary, then verdict beside truth, then where the report lies."""
     from candata.reports import summary
     from candata_cli.console import out, out_table
 
-    out(summary(found))
+    out(summary(report))
     out("")
-    out(f"seal opened: {truth.name}, {judge(found, truth)}")
-    out_table(("", "hidden", "found", "90 % interval"), list(_rows(found, truth)))
+    out(f"seal opened: {truth.name}, {judge(report, truth)}")
+    out_table(("", "hidden", "found", "90 % interval"), list(_rows(report, truth)))
     out("")
     out(f"report: {page}")
 
 
-def _rows(found: Report, truth: EffectSetting) -> list[tuple[str, str, str, str]]:
+def _rows(report: Report, truth: EffectSetting) -> list[tuple[str, str, str, str]]:
     """Return a line a parameter of the hidden effect: its truth, and what the diagnosis says."""
-    named: dict[str, Any] = {}
-    for effect in found.effects:
+    estimates: dict[str, Any] = {}
+    for effect in report.effects:
         if effect.name == truth.name:
-            named = dict(effect.parameters)
+            estimates = dict(effect.parameters)
     lines = []
     for name, value in truth.parameters.items():
-        estimate = named.get(name)
+        estimate = estimates.get(name)
         if estimate is None:
             lines.append((name, _text(value), "-", "-"))
         else:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,8 +19,14 @@ if TYPE_CHECKING:
     from candata.scenes import Scene
 
 VERDICTS = (
-    "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
-)  # fmt: skip
+    "no_gap",
+    "explained",
+    "partly_explained",
+    "ambiguous",
+    "unknown_effect",
+    "too_little_data",
+    "out_of_budget",
+)
 
 
 def register(app: typer.Typer) -> None:
@@ -61,7 +67,7 @@ def diagnose(
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
-    refused, names = _verdicts(fail_on), console.words(only)
+    failing_verdicts, names = _verdicts(fail_on), console.words(only)
     _refuse_pairs(edit, edit_scene, cache_dir, keep)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as run
@@ -69,24 +75,24 @@ def diagnose(
     from candata.scenes import load_scene
 
     world = load_scene(scene)
-    other = None if edit is None else (console.opened(edit), load_scene(edit_scene) if edit_scene else world)
-    if other is not None:
-        _check_edit(*other)
-    kept = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
-    with console.stoppable(kept, goes_on=keep), console.stages(timed=True) as stage:
-        data = console.opened(dataset, version)
-        found = run(
+    edit_data = None if edit is None else (console.open_named(edit), load_scene(edit_scene) if edit_scene else world)
+    if edit_data is not None:
+        _check_edit(*edit_data)
+    kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
+    with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
+        data = console.open_named(dataset, version)
+        diagnosis = run(
             data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage, ends=stage.ends
         )
         stage.ends(None)
-        page = _written(found, world, out, stage)
-    if other is not None:
+        page = _write_report(diagnosis, world, out, stage)
+    if edit_data is not None:
         with console.stoppable(f"the report without its edit test stands in {out}"), console.stages() as stage:
-            found = _edited(found, *other, jobs, seed, stage)
-            page = _written(found, world, out, stage)
-    console.out(found.report.model_dump_json(indent=2) if json else summary(found.report))
+            diagnosis = _with_edit_test(diagnosis, *edit_data, jobs, seed, stage)
+            page = _write_report(diagnosis, world, out, stage)
+    console.out(diagnosis.report.model_dump_json(indent=2) if json else summary(diagnosis.report))
     console.note(f"report: {page}")
-    if found.report.verdict in refused:
+    if diagnosis.report.verdict in failing_verdicts:
         raise typer.Exit(1)
 
 
@@ -104,18 +110,18 @@ def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:
     """Return the folder of what is kept, None for none, once that and the report's are tried."""
     from candata.datasets.durable import user_cache
 
-    tried(out, "folder")
+    check_output(out, "folder")
     if cache_dir is not None:
-        tried(cache_dir, "folder", "--cache-dir")
+        check_output(cache_dir, "folder", "--cache-dir")
     return (cache_dir or user_cache()) if keep else None
 
 
-def _written(found: Diagnosis, scene: Scene, out: Path, stage: Callable[[str], None]) -> Path:
+def _write_report(diagnosis: Diagnosis, scene: Scene, out: Path, stage: Callable[[str], None]) -> Path:
     """Return the page of a report after writing its files."""
     from candata.reports import write_diagnosis
 
     stage("writing the report")
-    return write_diagnosis(found, scene, out)
+    return write_diagnosis(diagnosis, scene, out)
 
 
 def _verdicts(text: str) -> tuple[str, ...]:
@@ -135,19 +141,19 @@ def _check_edit(dataset: Dataset, scene: Scene) -> None:
     readable(dataset, scene)
 
 
-def _edited(
-    found: Diagnosis, dataset: Dataset, scene: Scene, jobs: int, seed: int, stage: Callable[[str], None]
+def _with_edit_test(
+    diagnosis: Diagnosis, dataset: Dataset, scene: Scene, jobs: int, seed: int, stage: Callable[[str], None]
 ) -> Diagnosis:
     """Return the diagnosis with its edit test, where it names effects; its report stands already, should this fail."""
     from dataclasses import replace
 
     from candata.gap.edit import edit_test
 
-    if not found.effects.effects:
+    if not diagnosis.effects.effects:
         console.note("no effect is named, so there is nothing to test on --edit")
-        return found
-    size = found.report.gap
+        return diagnosis
+    size = diagnosis.report.gap
     reference = size.closed if size is not None and size.closed is not None else 1.0
-    some = found.effects.effects
-    test = edit_test(dataset, scene, some, reference=reference, jobs=jobs, seed=seed, progress=stage)
-    return replace(found, report=found.report.model_copy(update={"edit": test}))
+    effects = diagnosis.effects.effects
+    test = edit_test(dataset, scene, effects, reference=reference, jobs=jobs, seed=seed, progress=stage)
+    return replace(diagnosis, report=diagnosis.report.model_copy(update={"edit": test}))

@@ -34,19 +34,19 @@ def doctor(
     writers again and again and counts whether anything they had acknowledged is lost. What it writes it removes.
     """
     probes = _probes(path, 0 if quick else kills)
-    wanted = _environment.needs()
+    packages = _environment.needs()
     report: dict[str, Any] = {
-        "versions": _environment.versions(wanted),
+        "versions": _environment.versions(packages),
         "extras": [
             {"name": e.name, "missing": list(e.missing), "hint": e.hint if e.missing else None}
-            for e in _environment.extras(wanted)
+            for e in _environment.extras(packages)
         ],
         "devices": {"serial_ports": _environment.serial_ports(), "gpus": _environment.gpus()},
         "machine": _environment.machine(),
         "folder": None if probes is None else [probe.__dict__ for probe in probes],
     }
-    lacking = [name for name in wanted.get(None, ()) if report["versions"][name] is None]
-    report["ok"] = not lacking and all(probe.ok is not False for probe in probes or ())
+    absent_packages = [name for name in packages.get(None, ()) if report["versions"][name] is None]
+    report["ok"] = not absent_packages and all(probe.ok is not False for probe in probes or ())
     if json:
         console.out_json(report)
     else:
@@ -67,7 +67,7 @@ def _probes(path: Path | None, kills: int) -> tuple[Probe, ...] | None:
 
 def _print(report: dict[str, Any], probes: tuple[Probe, ...] | None) -> None:
     """Print the report for people."""
-    rows = [(name, found or "missing") for name, found in report["versions"].items()]
+    rows = [(name, details or "missing") for name, details in report["versions"].items()]
     console.out_table(("what", "version"), rows)
     for extra in report["extras"]:
         lacks = f"lacks {', '.join(extra['missing'])}: {extra['hint']}" if extra["missing"] else "complete"
@@ -75,8 +75,8 @@ def _print(report: dict[str, Any], probes: tuple[Probe, ...] | None) -> None:
     if not report["extras"]:
         console.out("extras: unknown, as candata is neither installed nor a checkout")
     for label, key, package in (("serial ports", "serial_ports", "pyserial"), ("GPUs", "gpus", "torch")):
-        found = report["devices"][key]
-        console.out(f"{label}: " + (f"unknown without {package}" if found is None else ", ".join(found) or "none"))
+        details = report["devices"][key]
+        console.out(f"{label}: " + (f"unknown without {package}" if details is None else ", ".join(details) or "none"))
     machine = {key: "unknown" if value is None else value for key, value in report["machine"].items()}
     console.out(
         f"machine: {machine['processors']} processors, {machine['memory_gb']} GB memory ({machine['memory_free_gb']} "

@@ -39,19 +39,24 @@ def edit_test(
     from candata.reports.words import edit_words
     from candata.scenes import load_scene
 
-    given = read_effects(effects)
-    world = load_scene(scene or scene_of(given, effects))
+    effects_file = read_effects(effects)
+    world = load_scene(scene or scene_of(effects_file, effects))
     with console.stages() as stage:
-        found = run(
-            console.opened(dataset), world, given.effects, reference=_closed(effects.parent / "report.json"), jobs=jobs,
-            seed=seed, progress=stage,
-        )  # fmt: skip
-    console.out(found.model_dump_json(indent=2) if json else edit_words(found))
-    if found.kept is False:
+        result = run(
+            console.open_named(dataset),
+            world,
+            effects_file.effects,
+            reference=_closed_share(effects.parent / "report.json"),
+            jobs=jobs,
+            seed=seed,
+            progress=stage,
+        )
+    console.out(result.model_dump_json(indent=2) if json else edit_words(result))
+    if result.kept is False:
         raise typer.Exit(1)
 
 
-def _closed(path: Path) -> float:
+def _closed_share(path: Path) -> float:
     """Return the share that closed in the diagnosis, 1 where there is no report."""
     import json
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.record.emulate import Sent
+    from candata.record.emulate import Transmission
     from candata.record.emulate_faults import Faults
     from candata.record.emulate_script import Script
     from candata.schema.episode import Episode
@@ -40,7 +40,7 @@ EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="
 Rate = Annotated[
     float | None, typer.Option("--rate", metavar="HZ", help="Rows a second; the episode's own by default.")
 ]
-Still = Annotated[
+RestSeconds = Annotated[
     float, typer.Option("--still", metavar="S", help="First row held before, untouched: for calibration.")
 ]
 Scale = Annotated[float | None, typer.Option("--newton-per-count", metavar="N", help="Scale; the device's by default.")]
@@ -79,7 +79,7 @@ def emulate(
     dataset: DatasetPath = None,
     episode: EpisodeId = None,
     rate: Rate = None,
-    still: Still = 3.5,
+    rest_s: RestSeconds = 3.5,
     newton_per_count: Scale = None,
     link: Link = None,
     wait: Wait = True,
@@ -103,26 +103,28 @@ def emulate(
 
     for option, path in {"--with-table": with_table, "--truth": truth}.items():
         if path:
-            tried(path, "new", option)
-    model, wrong = device(device_name), parse_faults(faults)
+            check_output(path, "new", option)
+    model, fault_plan = device(device_name), parse_faults(faults)
     encoder_of(device_name)
-    _check(loop, seed, wrong, link)
+    _check(loop, seed, fault_plan, link)
     if episode is not None and dataset is None:
         raise UsageError("--episode names an episode of a dataset", fix="give --dataset")
-    played = _stored(dataset, episode) if dataset else _simulated(scene, policy, seed, duration_s)
+    episode_played = (
+        _stored_episode(dataset, episode) if dataset else _simulated_episode(scene, policy, seed, duration_s)
+    )
     script = write_script(
-        played, device_name, model, rate_hz=rate, still_s=still, newton_per_count=newton_per_count
-    )  # fmt: skip
+        episode_played, device_name, model, rate_hz=rate, still_s=rest_s, newton_per_count=newton_per_count
+    )
     if with_table:
         files.check_table(with_table, script)
     if truth:
         files.prepare(truth)
-    sent = _play(script, link, wait, as_json, seed=seed, faults=wrong, passes=loop, hold=hold)
+    transmission = _play(script, link, wait, as_json, seed=seed, faults=fault_plan, passes=loop, hold=hold)
     if with_table:
-        files.write_table(with_table, sent)
+        files.write_table(with_table, transmission)
     if truth:
-        files.write_truth(truth, sent)
-    _say_report(sent.report(), as_json)
+        files.write_truth(truth, transmission)
+    _say_report(transmission.report(), as_json)
 
 
 def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
@@ -135,21 +137,23 @@ def _check(loop: int, seed: int, faults: Faults, link: Path | None) -> None:
         raise UsageError("a port that comes back has another name", fix="give a --link: it will lead to the new one")
 
 
-def _stored(dataset: Path, name: str | None) -> Episode:
+def _stored_episode(dataset: Path, name: str | None) -> Episode:
     """Return the episode `name` of a dataset, or its only one."""
     from candata.datasets import open_dataset
     from candata.errors import UsageError, Where
 
-    opened = open_dataset(dataset)
-    if name is None and len(opened) != 1:
+    data = open_dataset(dataset)
+    if name is None and len(data) != 1:
         raise UsageError(
-            "which episode?", expected="--episode ID", found=f"{len(opened)}: {', '.join(opened.ids[:5])}, ...",
+            "which episode?",
+            expected="--episode ID",
+            found=f"{len(data)}: {', '.join(data.ids[:5])}, ...",
             where=Where(path=str(dataset)),
-        )  # fmt: skip
-    return opened.episode(name or opened.ids[0])
+        )
+    return data.episode(name or data.ids[0])
 
 
-def _simulated(scene_name: str, policy: str | None, seed: int, duration_s: float) -> Episode:
+def _simulated_episode(scene_name: str, policy: str | None, seed: int, duration_s: float) -> Episode:
     """Return a simulated episode with the scene's sensor noise."""
     from candata.scenes import load_scene
     from candata.simulate.episodes import make_episodes
@@ -162,14 +166,14 @@ def _simulated(scene_name: str, policy: str | None, seed: int, duration_s: float
     return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
 
 
-def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **how: Any) -> Sent:
+def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **options: Any) -> Transmission:
     """Return what was sent on a fresh port, which is printed first."""
     import numpy as np
 
     from candata.record.emulate import play, wait_for_reader
     from candata.record.emulate_line import Line
 
-    with _stopping() as stop, Line(link) as line:
+    with _stop_on_signal() as stop, Line(link) as line:
         head = {"port": line.port, "link": str(link) if link else None, "rate_hz": script.rate_hz, "rows": len(script)}
         console.out(json.dumps(head) if as_json else line.port)
         if wait:
@@ -177,23 +181,23 @@ def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed:
                 f"{len(script)} rows at {script.rate_hz:g} Hz; waiting for a program to open {link or line.port}"
             )
             wait_for_reader(line, stop)
-        again = "plugged in again: {}".format
+        plugged_text = "plugged in again: {}".format
         # Of the seed's streams 0 and 1 made the episode.
         rng = np.random.default_rng([seed, 0, 2])
-        return play(script, line, rng, stop=stop, on_port=lambda port: console.note(again(port)), **how)
+        return play(script, line, rng, stop=stop, on_port=lambda port: console.note(plugged_text(port)), **options)
 
 
 @contextmanager
-def _stopping() -> Iterator[Callable[[], bool]]:
+def _stop_on_signal() -> Iterator[Callable[[], bool]]:
     """Yield what tells whether SIGINT or SIGTERM came; a shell's background job ignores SIGINT unless asked."""
     came: list[int] = []
-    standing = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in standing:
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in handlers:
         signal.signal(number, lambda came_now, _frame: came.append(came_now))
     try:
         yield lambda: bool(came)
     finally:
-        for number, handler in standing.items():
+        for number, handler in handlers.items():
             signal.signal(number, handler)
 
 
@@ -203,12 +207,13 @@ def _say_report(report: dict[str, Any], as_json: bool) -> None:
         console.out(json.dumps(report, allow_nan=False))
         return
     faults = ", ".join(f"{name} {count}" for name, count in report["faults"].items()) or "none"
-    clipped = report["clipped"]
+    clip_counts = report["clipped"]
     console.out(
         f"{report['rows']} rows in {report['seconds']:g} s: {report['whole_commands']} requests and "
         f"{report['whole_states']} replies whole\n"
         f"dropped   {report['dropped_frames']} frames, {report['dropped_bytes']} bytes not taken in time\n"
-        f"clipped   {clipped['force_counts']} force counts, {clipped['taxel_counts']} taxel counts out of range\n"
+        f"clipped   {clip_counts['force_counts']} force counts, "
+        f"{clip_counts['taxel_counts']} taxel counts out of range\n"
         f"faults    {faults}\n"
         f"received  {report['received_bytes']} bytes from the reader\n"
         f"late      {report['late_s'] * 1e3:.1f} ms at most"

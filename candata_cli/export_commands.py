@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
@@ -46,28 +46,28 @@ def export(
     from candata.formats import Writing
     from candata.plugins import load, names
 
-    known = {name: load("candata.formats", "FORMAT", name) for name in names("candata.formats")}
-    able = [name for name, one in known.items() if one.write]
-    if format_name not in able:
-        raise UnknownNameError("format to export to", format_name, able)
-    if v21 and "v21" not in known[format_name].variants:
+    formats = {name: load("candata.formats", "FORMAT", name) for name in names("candata.formats")}
+    writable = [name for name, entry in formats.items() if entry.write]
+    if format_name not in writable:
+        raise UnknownNameError("format to export to", format_name, writable)
+    if v21 and "v21" not in formats[format_name].variants:
         raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
-    tried(out, "new")
-    data = console.opened(dataset, version)
+    check_output(out, "new")
+    data = console.open_named(dataset, version)
     writing = Writing(
         data.name, data.digest, data.lineage, "v21" if v21 else None, console.note, partial(get_cloud, data.path)
     )
-    with console.stoppable(lambda: console.written(out)), draft_beside(out) as folder:
-        staged = folder / "export"
-        staged.mkdir()
-        known[format_name].write(_Counted(data), staged, writing)
-        sync_tree(staged)
-        place(staged, out)
+    with console.stoppable(lambda: console.written_clause(out)), draft_beside(out) as folder:
+        export_folder = folder / "export"
+        export_folder.mkdir()
+        formats[format_name].write(_WithProgress(data), export_folder, writing)
+        sync_tree(export_folder)
+        place(export_folder, out)
     console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")
 
 
 @dataclass(frozen=True)
-class _Counted:
+class _WithProgress:
     """The episodes of a dataset, each reading of them under a progress bar."""
 
     data: Dataset

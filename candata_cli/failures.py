@@ -13,7 +13,7 @@ from concurrent.futures.process import BrokenProcessPool
 from candata.errors import CandataError, SetupError
 
 #: Exit code of a failure within candata: EX_SOFTWARE of BSD's sysexits.h.
-UNEXPECTED = 70
+EXIT_UNEXPECTED = 70
 
 
 def expected_as(error: Exception) -> CandataError | None:
@@ -45,15 +45,15 @@ def report(error: Exception, words: Sequence[str]) -> str:
     """
     from candata import __version__
 
-    about = f"candata {__version__}, Python {sys.version.split()[0]}, {platform.platform()}"
-    full = "".join(traceback.format_exception(error))
+    versions_text = f"candata {__version__}, Python {sys.version.split()[0]}, {platform.platform()}"
+    traceback_text = "".join(traceback.format_exception(error))
     lines = [f"candata failed: {type(error).__name__}: {str(error)[:300]}".rstrip(": ")]
     try:
         with tempfile.NamedTemporaryFile(
             "w", prefix="candata-failure-", suffix=".txt", delete=False, encoding="utf-8", errors="replace"
         ) as file:
-            file.write(f"{about}\n{shlex.join(['candata', *words])}\n\n{full}")
+            file.write(f"{versions_text}\n{shlex.join(['candata', *words])}\n\n{traceback_text}")
         lines += [f"  where: {file.name}", "  do: report it with that file; it is a fault of candata, not of your data"]
     except OSError:  # the disk is full
-        lines += ["  do: report it with this; it is a fault of candata, not of your data", full]
+        lines += ["  do: report it with this; it is a fault of candata, not of your data", traceback_text]
     return "\n".join(lines)

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.bench_cases import KINDS, SCENE, asked_for, known, make
-from candata_cli.outputs import tried
+from candata_cli.bench_cases import KINDS, SCENE, bench_request, listed_words, make
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.gap.blind.crew import Crew
@@ -54,7 +54,7 @@ commonest (the same answer always), oracle (told the cause). Not among them: muj
 which needs the packages of mujoco[sysid] and a parameter written for each effect.
 """
 #: Results whose pace tells the time left.
-LATEST = 21
+LATEST_RESULTS = 21
 FOLLOW = "Record the motion that an ambiguous case's report proposes in its world, and diagnose it again."
 MINUTES = "Begin no case after so many minutes and score what is done; 0 scores what a run left (default: go on)."
 RAY = f"{console.RAY} --out must be on a folder that all its machines share."
@@ -116,17 +116,17 @@ def bench(
     Kinds: one effect; a quarter of its size; null; pair and triple; outside (in no library); background (everything
     5 % wrong and one effect); solver (another simulator setting); local (one joint or fingertip).
     """
-    tried(out, "folder")
+    check_output(out, "folder")
     from candata.gap.blind.cases import CASES, LABELS
     from candata.gap.blind.cluster import crew_of
 
-    asked = asked_for(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
-    beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with console.stoppable(lambda: _kept(out), goes_on=True), _alone(out), crew_of(jobs, ray, out) as crew:
-        make(out, asked, crew)
+    request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
+    baseline_names, end_time = listed_words(baselines, BASELINES, "baseline"), _end_time(minutes)
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), _with_lock(out), crew_of(jobs, ray, out) as crew:
+        make(out, request, crew)
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, beside, baseline_cases, until, follow)
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, baseline_names, baseline_cases, end_time, follow)
         _diagnose_and_score(run, json)
 
 
@@ -145,15 +145,15 @@ def score(
     json: Annotated[bool, typer.Option("--json", help="Print the score as JSON.")] = False,
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
-    tried(out, "folder")
+    check_output(out, "folder")
     from candata.gap.blind.cluster import crew_of
 
-    beside, until = known(baselines, BASELINES, "baseline"), _until(minutes)
-    with console.stoppable(lambda: _kept(out), goes_on=True), _alone(out), crew_of(jobs, ray, out) as crew:
-        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, beside, baseline_cases, until), json)
+    baseline_names, end_time = listed_words(baselines, BASELINES, "baseline"), _end_time(minutes)
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), _with_lock(out), crew_of(jobs, ray, out) as crew:
+        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, end_time), json)
 
 
-def _alone(out: Path) -> AbstractContextManager[None]:
+def _with_lock(out: Path) -> AbstractContextManager[None]:
     """Refuse a folder in which another run is at work: both would write the same results."""
     from candata.datasets.durable import alone, ensure_folder
 
@@ -188,37 +188,39 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
 
     cases = read_cases(run.cases)
     places = [Place(path, run.scene or scene_of(path, case), case.sealed) for path, case in cases.items()]
-    standing = standing_results(run.out)
-    left = [p for p in places if p.sealed not in standing]
-    filled = _filled(run, left)
-    with _countdown(len(left)) as told:
-        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=told, until=run.until)
+    present_results = standing_results(run.out)
+    places_left = [p for p in places if p.sealed not in present_results]
+    cache_fill = _filled_cache(run, places_left)
+    with _countdown(len(places_left)) as tell:
+        results = run_cases(run.out, places, crew=run.crew, seed=run.seed, told=tell, until=run.until)
     labels = open_labels(cases, read_labels(run.labels))
-    done = [p for p in places if p.sealed in {r.sealed for r in results}]
-    if len(done) < len(places):
-        console.note(f"{len(done)} of {len(places)} cases in the time given; the same command goes on with the others")
-    hiding = sum(bool(labels[p.folder.name].effects) for p in done)
-    with console.progress("weighing true causes", hiding) as advance:
-        shares = measure_shares(run.out, done, labels, crew=run.crew, told=advance)
+    done_places = [p for p in places if p.sealed in {r.sealed for r in results}]
+    if len(done_places) < len(places):
+        console.note(
+            f"{len(done_places)} of {len(places)} cases in the time given; the same command goes on with the others"
+        )
+    case_count = sum(bool(labels[p.folder.name].effects) for p in done_places)
+    with console.progress("weighing true causes", case_count) as advance:
+        shares = measure_shares(run.out, done_places, labels, crew=run.crew, told=advance)
     outcomes = [Outcome(labels[r.case], r, shares.get(r.case)) for r in results]
-    followed = _followed(run, done, outcomes) if run.follow else []
+    follow_ups = _followed_outcomes(run, done_places, outcomes) if run.follow else []
     scenes = {p.scene for p in places}
     title = places[0].scene if len(scenes) == 1 else f"{len(scenes)} scenes"
-    found = score_run(outcomes, scene=title, cases=len(places), filled=filled, followed=followed)
+    bench_score = score_run(outcomes, scene=title, cases=len(places), filled=cache_fill, followed=follow_ups)
     if run.baselines:
-        found = found.model_copy(update={"baselines": _beside(run, done, outcomes)})
-    page = write_bench(found, run.out)
-    console.out(found.model_dump_json(indent=2) if json else bench_text(found))
+        bench_score = bench_score.model_copy(update={"baselines": _baseline_scores(run, done_places, outcomes)})
+    page = write_bench(bench_score, run.out)
+    console.out(bench_score.model_dump_json(indent=2) if json else bench_text(bench_score))
     console.note(f"score: {run.out / 'bench.json'}, {page}")
 
 
-def _filled(run: _Run, left: Sequence[Place]) -> list[Filled]:
+def _filled_cache(run: _Run, places: Sequence[Place]) -> list[Filled]:
     """Return what has been simulated into the cache that the cases share, after simulating what they will need."""
     from candata.gap.blind.filling import FILLED, keep_signature, shared_tasks
     from candata.gap.blind.running import CACHE, finished, spread
     from candata.schema.bench import Filled
 
-    tasks = shared_tasks(left, run.out / CACHE, run.seed)
+    tasks = shared_tasks(places, run.out / CACHE, run.seed)
     if tasks:
         with console.progress("simulating effects for all cases", len(tasks)) as advance:
             for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew, run.until):
@@ -226,50 +228,50 @@ def _filled(run: _Run, left: Sequence[Place]) -> list[Filled]:
     return finished(run.out / FILLED, Filled)
 
 
-def _followed(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:
+def _followed_outcomes(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:
     """Return the ambiguous cases diagnosed again, with what their reports proposed recorded in their worlds."""
     from candata.gap.blind.following import follow_up, proposes
 
-    asked = [o for o in outcomes if proposes(o.result)]
-    if not asked:
+    proposing = [o for o in outcomes if proposes(o.result)]
+    if not proposing:
         return []
     labels = {o.label.case: o.label for o in outcomes}
-    with console.progress("recording what was proposed", len(asked)) as advance:
-        found = follow_up(
-            run.out, places, [o.result for o in asked], labels, crew=run.crew, seed=run.seed, told=advance
-        )  # fmt: skip
-    return [replace(o, result=found[o.label.case]) for o in asked]
+    with console.progress("recording what was proposed", len(proposing)) as advance:
+        results = follow_up(
+            run.out, places, [o.result for o in proposing], labels, crew=run.crew, seed=run.seed, told=advance
+        )
+    return [replace(o, result=results[o.label.case]) for o in proposing]
 
 
-def _beside(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
+def _baseline_scores(run: _Run, places: list[Place], outcomes: list[Outcome]) -> tuple[BenchFile, ...]:
     """Return the score of the diagnosis and of each baseline on the first cases."""
     from candata.gap.blind.baselines import run_baselines
     from candata.gap.blind.scoring import score_run
 
-    some, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
+    first_outcomes, count = outcomes[: run.baseline_cases], len(places[: run.baseline_cases])
     labels = {o.label.case: o.label for o in outcomes}
     with console.progress("baselines", count) as advance:
-        found = run_baselines(
+        baseline_results = run_baselines(
             run.out, places[:count], labels, run.baselines, crew=run.crew, seed=run.seed, told=advance
-        )  # fmt: skip
-    scores = [score_run(some, scene=places[0].scene, cases=count)]
-    for method, results in found.items():
-        theirs = [replace(o, result=r) for o, r in zip(some, results, strict=True)]
-        scores.append(score_run(theirs, scene=places[0].scene, cases=count, method=method))
+        )
+    scores = [score_run(first_outcomes, scene=places[0].scene, cases=count)]
+    for method, results in baseline_results.items():
+        method_outcomes = [replace(o, result=r) for o, r in zip(first_outcomes, results, strict=True)]
+        scores.append(score_run(method_outcomes, scene=places[0].scene, cases=count, method=method))
     return tuple(scores)
 
 
-def _kept(out: Path) -> str:
+def _kept_text(out: Path) -> str:
     """Return what stands of a run, as a clause."""
     from candata.gap.blind.cases import CASE, CASES
     from candata.gap.blind.running import known as standing_results
 
-    made = len(list((out / CASES).glob(f"[!.]*/{CASE}")))
-    cases = f"{made} cases and " if made else ""
+    case_count = len(list((out / CASES).glob(f"[!.]*/{CASE}")))
+    cases = f"{case_count} cases and " if case_count else ""
     return f"{cases}{len(standing_results(out))} results are kept in {out}"
 
 
-def _until(minutes: float | None) -> float:
+def _end_time(minutes: float | None) -> float:
     """Return the time [s since the epoch] from which on no case is begun."""
     return inf if minutes is None else time.time() + 60 * minutes
 
@@ -280,14 +282,14 @@ def _countdown(total: int) -> Iterator[Callable[[CaseResult], None]]:
 
     The pace is that of the latest results: the first fill the cache and take longer.
     """
-    stamps, done = deque([time.monotonic()], maxlen=LATEST), 0
+    stamps, done_count = deque([time.monotonic()], maxlen=LATEST_RESULTS), 0
 
-    def told(result: CaseResult) -> None:
-        nonlocal done
-        done += 1
+    def tell(result: CaseResult) -> None:
+        nonlocal done_count
+        done_count += 1
         stamps.append(time.monotonic())
         pace_s = (stamps[-1] - stamps[0]) / (len(stamps) - 1)
-        left = console.duration(pace_s * (total - done))
-        console.note(f"{done} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left} left")
+        left_text = console.duration(pace_s * (total - done_count))
+        console.note(f"{done_count} of {total}: {result.case}, {result.cpu_s:.1f} CPU s; about {left_text} left")
 
-    yield told
+    yield tell

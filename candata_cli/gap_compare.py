@@ -23,32 +23,32 @@ def register(app: typer.Typer) -> None:
 
 
 def compare(
-    first: Annotated[Path, typer.Argument(help="Folder of one run's results.")],
-    second: Annotated[Path, typer.Argument(help="Folder of another run's results, on the same cases.")],
+    first_run: Annotated[Path, typer.Argument(help="Folder of one run's results.")],
+    second_run: Annotated[Path, typer.Argument(help="Folder of another run's results, on the same cases.")],
     json: Annotated[bool, typer.Option("--json", help="Print the comparison as JSON.")] = False,
 ) -> None:
     """Compare two runs on the same cases: how often each alone is right, McNemar's exact p, CPU time, what changed."""
     from candata.gap.blind.comparing import compare_runs
 
-    found = compare_runs(first, second)
+    comparison = compare_runs(first_run, second_run)
     if json:
-        console.out(found.model_dump_json(indent=2))
+        console.out(comparison.model_dump_json(indent=2))
         return
     console.out_table(
         ("cases", "both right", "first only", "second only", "neither", "p", "CPU s first", "CPU s second"),
         [
             (
-                found.cases,
-                found.both_right,
-                found.first_only,
-                found.second_only,
-                found.neither,
-                f"{found.p:.3g}",
-                f"{found.first_cpu_s:.1f}",
-                f"{found.second_cpu_s:.1f}",
+                comparison.cases,
+                comparison.both_right,
+                comparison.first_only,
+                comparison.second_only,
+                comparison.neither,
+                f"{comparison.p:.3g}",
+                f"{comparison.first_cpu_s:.1f}",
+                f"{comparison.second_cpu_s:.1f}",
             )
         ],
     )
-    if found.changed:
+    if comparison.changed:
         console.out("")
-        console.out_table(("case", "first", "second"), [(c.case, c.first, c.second) for c in found.changed])
+        console.out_table(("case", "first", "second"), [(c.case, c.first, c.second) for c in comparison.changed])

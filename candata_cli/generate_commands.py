@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.schema.effect import EffectsFile
@@ -57,28 +57,38 @@ def generate_sim(
     file holds all three.
     """
     sealed = seal or out.with_name(f"{out.name}.seal.json")
-    tried(out, "dataset")
+    check_output(out, "dataset")
     if withhold is not None:
-        tried(sealed, "file", "--seal")
+        check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
     from candata.effects import read_effects
     from candata.simulate.generate import Withheld, generate
 
-    given = read_effects(effects) if effects else None
-    hidden = None if withhold is None else Withheld(withhold, sealed, salt)
-    with console.stoppable(lambda: _kept(out), goes_on=True), console.progress("episodes", episodes) as advance:
+    effects_file = read_effects(effects) if effects else None
+    withheld = None if withhold is None else Withheld(withhold, sealed, salt)
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), console.progress("episodes", episodes) as advance:
         version = generate(
-            out, _scene(scene, given, effects), episodes, seed, effects=given.effects if given else (),
-            policies=tuple(policies.split(",")) if policies else (), policy_file=policy_file,
-            duration_s=duration_s, noise=noise, withheld=hidden, workers=jobs, progress=advance, note=console.note,
-        )  # fmt: skip
-    if hidden:
-        console.note(f"withheld effect sealed in {hidden.seal}")
+            out,
+            _scene(scene, effects_file, effects),
+            episodes,
+            seed,
+            effects=effects_file.effects if effects_file else (),
+            policies=tuple(policies.split(",")) if policies else (),
+            policy_file=policy_file,
+            duration_s=duration_s,
+            noise=noise,
+            withheld=withheld,
+            workers=jobs,
+            progress=advance,
+            note=console.note,
+        )
+    if withheld:
+        console.note(f"withheld effect sealed in {withheld.seal}")
     total = len(members_of(out, version))
     console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
 
 
-def _kept(out: Path) -> str:
+def _kept_text(out: Path) -> str:
     """Return how many episodes a run that was stopped leaves, published or not, as a clause."""
     from candata.datasets import pending_parts
     from candata.datasets.versions import DATASET, members_of, newest
@@ -86,17 +96,17 @@ def _kept(out: Path) -> str:
     if not (out / DATASET).exists():
         return "nothing was written"
     version = newest(out)
-    pending = sum(len(part.episodes) for part in pending_parts(out))
-    return f"{pending + (len(members_of(out, version)) if version else 0)} episodes are kept in {out}"
+    pending_count = sum(len(part.episodes) for part in pending_parts(out))
+    return f"{pending_count + (len(members_of(out, version)) if version else 0)} episodes are kept in {out}"
 
 
-def _scene(asked: str | None, given: EffectsFile | None, path: Path | None) -> str:
+def _scene(scene: str | None, effects_file: EffectsFile | None, path: Path | None) -> str:
     """Return the scene asked for, else the one of the effects file."""
     from candata.effects import scene_of
     from candata.errors import UsageError
 
-    if asked is not None:
-        return asked
-    if given is None or path is None:
+    if scene is not None:
+        return scene
+    if effects_file is None or path is None:
         raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")
-    return scene_of(given, path)
+    return scene_of(effects_file, path)

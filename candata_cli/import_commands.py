@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from candata.record.importing import Imported, Recipe
+    from candata.record.importing import ImportedLog, Recipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
@@ -55,7 +55,7 @@ Threshold = Annotated[
 MaxGap = Annotated[
     float | None, typer.Option("--max-gap", metavar="PERIODS", help="log: readings further apart end a gap [1.5].")
 ]
-Uncalibrated = Annotated[
+AllowUncalibrated = Annotated[
     bool, typer.Option("--uncalibrated", help="log: take one without calibration; forces keep their offset.")
 ]
 ObjectName = Annotated[str | None, typer.Option("--object", metavar="NAME", help="The object.")]
@@ -67,7 +67,7 @@ LOG, TABLE = "log", "table"
 #: What a foreign file may not say of its episodes.
 _LABELS = ("scene", "object", "task")
 #: Episodes that a note names.
-_NAMED = 5
+_NAMED_EPISODES = 5
 #: Options of `import log` that are not called as the recipe calls them.
 _OPTIONS = {
     "rate_hz": "--rate",
@@ -105,7 +105,7 @@ def import_(
     newton_per_count: NewtonPerCount = None,
     threshold_n: Threshold = None,
     max_gap: MaxGap = None,
-    uncalibrated: Uncalibrated = False,
+    allow_uncalibrated: AllowUncalibrated = False,
     object_name: ObjectName = None,
     task: TaskName = None,
     episode: EpisodeId = None,
@@ -116,35 +116,37 @@ def import_(
         "newton_per_count": newton_per_count,
         "threshold_n": threshold_n,
         "max_gap_periods": max_gap,
-        "uncalibrated": uncalibrated or None,
+        "uncalibrated": allow_uncalibrated or None,
         "scene": scene,
         "object": object_name,
         "task": task,
         "episode": episode,
     }
-    stated = {name: value for name, value in settings.items() if value is not None}
-    labels = {name: stated.pop(name) for name in _LABELS if name in stated} if format_name != LOG else {}
-    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated} | {"--with": companions}
+    stated_settings = {name: value for name, value in settings.items() if value is not None}
+    labels = (
+        {name: stated_settings.pop(name) for name in _LABELS if name in stated_settings} if format_name != LOG else {}
+    )
+    only_log = {_OPTIONS.get(name, f"--{name}"): True for name in stated_settings} | {"--with": companions}
     if format_name == LOG:
-        given: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
-        _refuse_options(given, "`import log` takes no")
-        _import_logs(sources, companions or [], stated, out, append)
+        refused_options: dict[str, object] = {"--allow-gaps": allow_gaps, "--map": mapping, "--source": origin}
+        _refuse_options(refused_options, "`import log` takes no")
+        _import_logs(sources, companions or [], stated_settings, out, append)
         return
     _refuse_options(only_log, "only `import log` takes")
     if format_name == TABLE:
-        given = {"--map": mapping, "--source": origin} | {f"--{name}": True for name in labels}
-        _refuse_options(given, "`import table` reads it from its map and takes no")
+        refused_options = {"--map": mapping, "--source": origin} | {f"--{name}": True for name in labels}
+        _refuse_options(refused_options, "`import table` reads it from its map and takes no")
     reading = {"allow_gaps": allow_gaps, "mapping": mapping, **labels} | ({"source": origin} if origin else {})
     _import_format(format_name, sources, out, append, reading)
 
 
-def _refuse_options(given: Mapping[str, object], why: str) -> None:
+def _refuse_options(options: Mapping[str, object], problem: str) -> None:
     """Refuse options of another kind of source."""
     from candata.errors import UsageError
 
-    for name, value in given.items():
+    for name, value in options.items():
         if value:
-            raise UsageError(f"{why} {name}", fix="leave it out")
+            raise UsageError(f"{problem} {name}", fix="leave it out")
 
 
 def _import_format(format_name: str, sources: list[Path], out: Path, append: bool, options: dict) -> None:
@@ -194,9 +196,9 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
         )
 
     # One is read before anything is made: a source that is refused leaves not even the folder around the dataset.
-    taken = episodes()
-    begun = itertools.chain(list(itertools.islice(taken, 1)), taken)
-    _publish(out, append, begun, operation, lineage, clouds=clouds)
+    episode_stream = episodes()
+    checked_stream = itertools.chain(list(itertools.islice(episode_stream, 1)), episode_stream)
+    _publish(out, append, checked_stream, operation, lineage, clouds=clouds)
 
 
 def _map_text(mapping: Path | None) -> dict[str, str]:
@@ -216,39 +218,39 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
         raise UsageError("--episode names one episode", found=f"{len(logs)} logs", fix="import them one by one")
     _refuse_standing(out, append)
     recipe = _recipe(settings)
-    made: list[tuple[str, dict]] = []
+    log_records: list[tuple[str, dict]] = []
 
     def lineage() -> Lineage:
-        digests = [digest for digest, _ in made]
-        together = hashlib.sha256("\n".join(digests).encode()).hexdigest()
+        digests = [digest for digest, _ in log_records]
+        joint_digest = hashlib.sha256("\n".join(digests).encode()).hexdigest()
         return Lineage(
             operation="import log",
-            config_digest=digests[0] if len(digests) == 1 else together,
+            config_digest=digests[0] if len(digests) == 1 else joint_digest,
             tools={"candata": __version__},
-            details={"logs": [details for _, details in made]},
+            details={"logs": [details for _, details in log_records]},
         )
 
     def episodes() -> Iterator[Episode]:
-        for imported in _read_logs(logs, companions, recipe):
-            made.append((imported.digest, imported.details))
-            yield imported.episode
+        for imported_log in _read_logs(logs, companions, recipe):
+            log_records.append((imported_log.digest, imported_log.details))
+            yield imported_log.episode
 
     _publish(out, append, episodes(), "import log", lineage, part_size=1)
 
 
-def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[Imported]:
+def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[ImportedLog]:
     """Yield what each log becomes; only one is held."""
     from candata.record.companions import read_companion
     from candata.record.importing import import_log
     from candata.record.logs import read_log
 
-    beside = [read_companion(path) for path in companions]
+    companion_files = [read_companion(path) for path in companions]
     for path in logs:
-        own = recipe if recipe.episode else recipe.model_copy(update={"episode": path.stem})
-        imported = import_log(path, read_log(path), own, beside)
-        for line in imported.notes:
+        log_recipe = recipe if recipe.episode else recipe.model_copy(update={"episode": path.stem})
+        imported_log = import_log(path, read_log(path), log_recipe, companion_files)
+        for line in imported_log.notes:
             console.note(line)
-        yield imported
+        yield imported_log
 
 
 def _recipe(settings: dict) -> Recipe:
@@ -258,8 +260,8 @@ def _recipe(settings: dict) -> Recipe:
     if "scene" in settings:
         from candata.scenes import load_scene
 
-        found = load_scene(settings["scene"])
-        settings = {**settings, "scene": Path(found.name).name, "roles": found.file}
+        scene = load_scene(settings["scene"])
+        settings = {**settings, "scene": Path(scene.name).name, "roles": scene.file}
     return Recipe.parse({"episode": "", **settings}, "options")
 
 
@@ -282,24 +284,24 @@ def fetch(
     source, downloads = load("candata.fetch", "SOURCE", name.replace("-", "_")), cache or user_cache()
     _refuse_standing(out, append)
     if folder is None:
-        tried(downloads, "folder", "--cache")
+        check_output(downloads, "folder", "--cache")
     console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
     with console.stoppable(f"files that were fetched whole are kept in {downloads}", goes_on=True):
-        fetched = source.from_folder(folder) if folder is not None else source.download(downloads, console.note)
+        public_data = source.from_folder(folder) if folder is not None else source.download(downloads, console.note)
     lineage = Lineage(
         operation=f"fetch {name}",
-        config_digest=fetched.digest,
+        config_digest=public_data.digest,
         tools={"candata": __version__},
-        details={"origin": source.origin, "licence": source.licence, "licence_text": fetched.notice},
+        details={"origin": source.origin, "licence": source.licence, "licence_text": public_data.notice},
     )
-    _publish(out, append, fetched.episodes, lineage.operation, lambda: lineage)
+    _publish(out, append, public_data.episodes, lineage.operation, lambda: lineage)
 
 
 def _refuse_standing(out: Path, append: bool) -> None:
     """Refuse an `--out` that cannot be written, or that stands unless it is to be appended to."""
     from candata.datasets.versions import read_dataset_file
 
-    tried(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
+    check_output(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
     if out.exists():
         read_dataset_file(out)
 
@@ -323,44 +325,44 @@ def _publish(
     from candata.datasets.drafts import draft_beside, place
     from candata.datasets.versions import members_of, newest
 
-    read: set[str] = set()
+    read_ids: set[str] = set()
 
     def add(root: Path) -> VersionFile:
-        parts = write_parts(root, _told(episodes, read), operation, part_size)
+        parts = write_parts(root, _with_progress(episodes, read_ids), operation, part_size)
         for points in clouds:
             put_cloud(root, points)
         return publish(root, parts, lineage())
 
     adds = append and out.exists()
-    standing = newest(out) if adds else None
-    with console.stoppable(lambda: f"{out} is as it was" if adds else console.written(out)):
+    earlier_version = newest(out) if adds else None
+    with console.stoppable(lambda: f"{out} is as it was" if adds else console.written_clause(out)):
         if adds:
             version = add(out)
         else:
             with draft_beside(out) as folder:
-                staged = create_dataset(folder / "dataset", name=out.resolve().name)
-                version = add(staged)
-                place(staged, out)
+                draft_root = create_dataset(folder / "dataset", name=out.resolve().name)
+                version = add(draft_root)
+                place(draft_root, out)
     total = len(members_of(out, version))
-    added = total - (len(members_of(out, standing)) if standing else 0)
-    _tell_left_out(out, read.intersection(version.exclusions))
-    console.out(f"{out}: {added} episodes added, {total} in version {version.number}")
+    added_count = total - (len(members_of(out, earlier_version)) if earlier_version else 0)
+    _tell_left_out(out, read_ids.intersection(version.exclusions))
+    console.out(f"{out}: {added_count} episodes added, {total} in version {version.number}")
 
 
 def _tell_left_out(out: Path, ids: set[str]) -> None:
     """Tell which episodes were read and yet are not in the version: an earlier one left them out."""
     if ids:
-        named = ", ".join(sorted(ids)[:_NAMED]) + (", ..." if len(ids) > _NAMED else "")
+        names = ", ".join(sorted(ids)[:_NAMED_EPISODES]) + (", ..." if len(ids) > _NAMED_EPISODES else "")
         console.note(
-            f"{len(ids)} episodes stay left out, as in the version before: {named}; to bring them back, "
+            f"{len(ids)} episodes stay left out, as in the version before: {names}; to bring them back, "
             f"import to a new dataset NEW, then: candata registry merge NEW --out {out} --append"
         )
 
 
-def _told(episodes: Iterable[Episode], read: set[str], every: int = 100) -> Iterator[Episode]:
-    """Yield the episodes, with a line on stderr now and then; `read` takes their ids."""
+def _with_progress(episodes: Iterable[Episode], read_ids: set[str], every: int = 100) -> Iterator[Episode]:
+    """Yield the episodes, with a line on stderr now and then; `read_ids` takes their ids."""
     for count, episode in enumerate(episodes, start=1):
-        read.add(episode.meta.id)
+        read_ids.add(episode.meta.id)
         yield episode
         if count % every == 0:
             console.note(f"{count} episodes")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
@@ -52,14 +52,14 @@ def inspect(
     from candata.errors import UsageError
 
     if html is not None:
-        tried(html, "file", "--html")
-    data = console.opened(dataset, version)
+        check_output(html, "file", "--html")
+    data = console.open_named(dataset, version)
     if against is None:
         _inspect_one(data, episode, html, json)
     elif episode is not None:
         raise UsageError("--episode and --against do not go together", fix="leave one of them out")
     else:
-        _inspect_two(data, console.opened(against), html, json)
+        _inspect_two(data, console.open_named(against), html, json)
 
 
 def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bool) -> None:
@@ -73,13 +73,13 @@ def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bo
         if html is None:
             summary = summarise(data, lambda: advance(1), ids)
         else:
-            found = survey(data, lambda: advance(1), ids)
-            summary = found.summary
+            dataset_survey = survey(data, lambda: advance(1), ids)
+            summary = dataset_survey.summary
     if html is not None:
         from candata.reports.inspection import page
         from candata.reports.writing import write_text
 
-        write_text(html, page(found, episode))
+        write_text(html, page(dataset_survey, episode))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
     if json:
         record = summary.model_dump(mode="json")
@@ -88,39 +88,46 @@ def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bo
         _print_summary(summary, meta)
 
 
-def _inspect_two(data: Dataset, other: Dataset, html: Path | None, json: bool) -> None:
+def _inspect_two(data: Dataset, reference: Dataset, html: Path | None, json: bool) -> None:
     """Print and draw two datasets side by side."""
     from candata.datasets.compare import compare, episodes_compared
 
-    with console.progress("reading episodes", episodes_compared(data) + episodes_compared(other)) as advance:
-        found = compare(data, other, lambda: advance(1))
+    with console.progress("reading episodes", episodes_compared(data) + episodes_compared(reference)) as advance:
+        comparison = compare(data, reference, lambda: advance(1))
     if html is not None:
         from candata.reports.comparison import page
         from candata.reports.writing import write_text
 
-        write_text(html, page(found))
+        write_text(html, page(comparison))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
     if json:
-        console.out_json(found.comparison.model_dump(mode="json"))
+        console.out_json(comparison.comparison.model_dump(mode="json"))
     else:
-        _print_comparison(found.comparison)
+        _print_comparison(comparison.comparison)
 
 
 def _print_summary(summary: Summary, meta: EpisodeMeta | None) -> None:
     """Print the summary for people."""
     console.out(f"{summary.name}@{summary.digest[:12]}  version {summary.version} of {summary.versions}")
     if meta is not None:
-        said = (meta.source, meta.scene, meta.object, meta.task, meta.outcome)
-        console.out(f"episode {meta.id}: {', '.join(filter(None, said))}, {meta.rate_hz:g} Hz")
+        labels = (meta.source, meta.scene, meta.object, meta.task, meta.outcome)
+        console.out(f"episode {meta.id}: {', '.join(filter(None, labels))}, {meta.rate_hz:g} Hz")
     console.out(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
     for label in ("sources", "scenes", "objects", "tasks"):
         counts = sorted(getattr(summary, label).items())
         console.out(f"{label}: {', '.join(f'{name} {count}' for name, count in counts) or 'not stated'}")
     rows = [
-        (c.name, c.unit, " ".join(_shape(s) for s in c.shapes), _number(c.low), _number(c.high),
-         f"{c.invalid_share:.1%}", c.episodes)
+        (
+            c.name,
+            c.unit,
+            " ".join(_shape(s) for s in c.shapes),
+            _number(c.low),
+            _number(c.high),
+            f"{c.invalid_share:.1%}",
+            c.episodes,
+        )
         for c in summary.channels
-    ]  # fmt: skip
+    ]
     console.out_table(("channel", "unit", "shape", "min", "max", "invalid", "episodes"), rows)
     _print_contact(summary)
     for step in summary.lineage:
@@ -150,23 +157,42 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _print_comparison(found: Comparison) -> None:
+def _print_comparison(comparison: Comparison) -> None:
     """Print the rows that differ most for people."""
     from candata.reports.comparison import row_unit, verdict
     from candata.reports.inspection import units_of
 
-    for side in (found.this, found.against):
+    for side in (comparison.this, comparison.against):
         console.out(f"{side.label}@{side.digest[:12]}  {side.compared} of {side.episodes} episodes, {side.rows} rows")
-    console.out(verdict(found))
-    units = units_of({*found.this.scenes, *found.against.scenes})
+    console.out(verdict(comparison))
+    units = units_of({*comparison.this.scenes, *comparison.against.scenes})
     rows = [
-        (r.statistic, r.element or "-", row_unit(r, units) or "-", _number(r.this.median), _number(r.against.median),
-         _number(r.distance), _number(r.luck), _number(r.spreads), {True: "yes", False: "no", None: "?"}[r.differs])
-        for r in found.rows[:SHOWN_ROWS]
-    ]  # fmt: skip
-    head = ("statistic", "of", "unit", found.this.label, found.against.label, "distance", "luck", "spreads", "differs")
+        (
+            r.statistic,
+            r.element or "-",
+            row_unit(r, units) or "-",
+            _number(r.this.median),
+            _number(r.against.median),
+            _number(r.distance),
+            _number(r.luck),
+            _number(r.spreads),
+            {True: "yes", False: "no", None: "?"}[r.differs],
+        )
+        for r in comparison.rows[:SHOWN_ROWS]
+    ]
+    head = (
+        "statistic",
+        "of",
+        "unit",
+        comparison.this.label,
+        comparison.against.label,
+        "distance",
+        "luck",
+        "spreads",
+        "differs",
+    )
     console.out_table(head, rows)
-    if len(found.rows) > SHOWN_ROWS:
-        console.out(f"{len(found.rows) - SHOWN_ROWS} more rows: --json, --html")
-    for text in (*found.unmatched, *found.notes):
+    if len(comparison.rows) > SHOWN_ROWS:
+        console.out(f"{len(comparison.rows) - SHOWN_ROWS} more rows: --json, --html")
+    for text in (*comparison.unmatched, *comparison.notes):
         console.out(f"note: {text}")

@@ -24,7 +24,7 @@ from typer.main import get_command_name
 
 import candata_cli
 from candata.errors import CandataError, SetupError, Where
-from candata_cli.console import STOPPED, Stopped
+from candata_cli.console import EXIT_STOPPED, StoppedRun
 
 _HELP = """Say where a recording and its simulation differ, why, and how far that can be mended."""
 
@@ -66,73 +66,73 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run one command and exit with its code; `arguments` default to the process's own."""
     words = sys.argv[1:] if arguments is None else list(arguments)
     _draw_in_children()
-    pressed: list[int] = []
+    interrupts: list[int] = []
     try:
-        with _heard(pressed):
+        with _noting_interrupts(interrupts):
             app = build()
             _leave_unread(app, words)
             app(args=words, prog_name="candata")
         code: int | str | None = 0
-    except Stopped as stop:
-        code = _stopped(stop, words)
+    except StoppedRun as stop:
+        code = _report_stop(stop, words)
     except KeyboardInterrupt:
-        code = _stopped(Stopped(), words)
+        code = _report_stop(StoppedRun(), words)
     except CandataError as error:
         print(error, file=sys.stderr)
         code = error.exit_code
     except OSError as error:
-        refused = _refused(error)
-        print(refused, file=sys.stderr)
-        code = refused.exit_code
+        system_error = _system_error(error)
+        print(system_error, file=sys.stderr)
+        code = system_error.exit_code
     except SystemExit as error:
         # typer makes 1 of a reader that has gone (`candata ... | head`), which is no finding.
-        gone = isinstance(error.__context__, BrokenPipeError)
+        reader_gone = isinstance(error.__context__, BrokenPipeError)
         # typer makes this code of a Ctrl-C that no command has put into words.
-        code = _stopped(Stopped(), words) if error.code == STOPPED else 0 if gone else error.code
+        code = _report_stop(StoppedRun(), words) if error.code == EXIT_STOPPED else 0 if reader_gone else error.code
     except Exception as error:
         # Compiled code that is being imported turns a Ctrl-C into an error of its own.
-        code = _stopped(Stopped(), words) if pressed else _failed(error, words)
+        code = _report_stop(StoppedRun(), words) if interrupts else _report_failure(error, words)
     _flush()
     sys.exit(code)
 
 
-def _failed(error: Exception, words: Sequence[str]) -> int:
+def _report_failure(error: Exception, words: Sequence[str]) -> int:
     """Print what candata did not expect and return the exit code."""
-    from candata_cli.failures import UNEXPECTED, expected_as, report
+    from candata_cli.failures import EXIT_UNEXPECTED, expected_as, report
 
-    known = expected_as(error)
-    print(known or report(error, words), file=sys.stderr)
-    return known.exit_code if known else UNEXPECTED
+    expected_error = expected_as(error)
+    print(expected_error or report(error, words), file=sys.stderr)
+    return expected_error.exit_code if expected_error else EXIT_UNEXPECTED
 
 
 @contextmanager
-def _heard(pressed: list[int]) -> Iterator[None]:
-    """Note in `pressed` that Ctrl-C came, beside what it does; where it is ignored (a shell's job) it stays so."""
+def _noting_interrupts(interrupts: list[int]) -> Iterator[None]:
+    """Note in `interrupts` that Ctrl-C came, beside what it does; where it is ignored (a shell's job) it stays so."""
 
     def note(number: int, frame: FrameType | None) -> None:
-        pressed.append(number)
+        interrupts.append(number)
         signal.default_int_handler(number, frame)
 
-    standing = signal.getsignal(signal.SIGINT)
-    if standing is signal.default_int_handler and threading.current_thread() is threading.main_thread():
+    handler = signal.getsignal(signal.SIGINT)
+    if handler is signal.default_int_handler and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, note)
     try:
         yield
     finally:
         if signal.getsignal(signal.SIGINT) is note:
-            signal.signal(signal.SIGINT, standing)
+            signal.signal(signal.SIGINT, handler)
 
 
-def _stopped(stop: Stopped, words: Sequence[str]) -> int:
+def _report_stop(stop: StoppedRun, words: Sequence[str]) -> int:
     """Print what is kept and which command to type, and return the exit code; from now on Ctrl-C is not heard."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Python remembers a Ctrl-C that came while text was executed (a named tuple in an import, say), caught or not, and
     # would kill itself by the signal in the end; it forgets that when more text is executed.
     exec("")
     print(f"stopped: {stop.kept}" if stop.kept else "stopped", file=sys.stderr)
-    how = "go on" if stop.goes_on or stop.other else "begin again"
-    print(f"  to {how}: {shlex.join(['candata', *(stop.other or words)])}", file=sys.stderr)
-    return STOPPED
+    verb = "go on" if stop.goes_on or stop.other else "begin again"
+    print(f"  to {verb}: {shlex.join(['candata', *(stop.other or words)])}", file=sys.stderr)
+    return EXIT_STOPPED
 
 
 def _draw_in_children() -> None:
@@ -141,9 +141,9 @@ def _draw_in_children() -> None:
     Importing it fails where the library is not there, and where none is named it asks for one in a process of its own,
     which answers Ctrl-C with a traceback.
     """
-    asked = os.environ.get("MUJOCO_GL", "")
-    if asked != "off" or "CANDATA_GL" not in os.environ:
-        os.environ["CANDATA_GL"] = asked
+    gl_library = os.environ.get("MUJOCO_GL", "")
+    if gl_library != "off" or "CANDATA_GL" not in os.environ:
+        os.environ["CANDATA_GL"] = gl_library
     os.environ["MUJOCO_GL"] = "off"
 
 
@@ -154,17 +154,17 @@ def _leave_unread(app: typer.Typer, words: Sequence[str]) -> None:
     """
     for info in app.registered_commands:
         if info.callback is not None and (name := info.name or get_command_name(info.callback.__name__)) not in words:
-            info.name, info.help, info.callback = name, info.help or inspect.getdoc(info.callback), _unread
+            info.name, info.help, info.callback = name, info.help or inspect.getdoc(info.callback), _placeholder
     for group in app.registered_groups:
         if group.typer_instance is not None:
             _leave_unread(group.typer_instance, words)
 
 
-def _unread() -> None:
+def _placeholder() -> None:
     """Stand for a command that is listed, not run."""
 
 
-def _refused(error: OSError) -> SetupError:
+def _system_error(error: OSError) -> SetupError:
     """Return what the system said against a file, so that a user can act on it."""
     return SetupError(
         "the system refused",

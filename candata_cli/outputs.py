@@ -17,7 +17,7 @@ Kind = Literal["folder", "file", "new", "dataset"]
 _NOT_ONE = {"folder": "a folder", "file": "a file"}
 
 
-def tried(path: Path, kind: Kind, option: str = "--out", fix: str | None = None) -> None:
+def check_output(path: Path, kind: Kind, option: str = "--out", fix: str | None = None) -> None:
     """Refuse an output that cannot be written, or would lie in a dataset; nothing is left of the trial.
 
     Parameters
@@ -40,7 +40,7 @@ def tried(path: Path, kind: Kind, option: str = "--out", fix: str | None = None)
     """
     fix = fix or f"choose another {option}"
     try:
-        _refuse_standing(path, kind, option, fix)
+        _refuse_existing(path, kind, option, fix)
         _refuse_in_dataset(path, kind, option)
         _try_writing(path)
     except OSError as error:
@@ -52,21 +52,21 @@ def tried(path: Path, kind: Kind, option: str = "--out", fix: str | None = None)
         ) from None
 
 
-def _refuse_standing(path: Path, kind: Kind, option: str, fix: str) -> None:
+def _refuse_existing(path: Path, kind: Kind, option: str, fix: str) -> None:
     """Refuse what stands in the output's place."""
-    where = Where(path=str(path))
+    place = Where(path=str(path))
     if kind == "new" and (path.exists() or path.is_symlink()):
-        raise UsageError("the output exists already", where=where, fix=fix)
+        raise UsageError("the output exists already", where=place, fix=fix)
     if path.is_symlink() and not path.exists():
-        raise UsageError(f"{option} {path} is a link that leads nowhere", where=where, fix=fix)
+        raise UsageError(f"{option} {path} is a link that leads nowhere", where=place, fix=fix)
     if kind == "dataset":
         from candata.datasets.versions import refuse_foreign
 
         refuse_foreign(path)
     elif kind in _NOT_ONE and path.exists() and not (path.is_dir() if kind == "folder" else path.is_file()):
-        found = "a folder" if path.is_dir() else "a file" if path.is_file() else "a device"
+        kind_found = "a folder" if path.is_dir() else "a file" if path.is_file() else "a device"
         name = f"name another {kind}"
-        raise UsageError(f"{option} {path} is {found}", expected=_NOT_ONE[kind], found=found, fix=name)
+        raise UsageError(f"{option} {path} is {kind_found}", expected=_NOT_ONE[kind], found=kind_found, fix=name)
 
 
 def _refuse_in_dataset(path: Path, kind: Kind, option: str) -> None:

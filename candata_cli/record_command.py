@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.record.recorder_values import View
@@ -61,7 +61,7 @@ def record_real(
     reserve_mb: Annotated[
         int, typer.Option("--reserve-mb", metavar="MB", min=0, help="Free space at which the recording ends.")
     ] = 200,
-    plain: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
+    plain_text: Annotated[bool, typer.Option("--plain", help="A line a second instead of the panel.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the final report as JSON, and no panel.")] = False,
 ) -> None:
     """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
@@ -69,25 +69,25 @@ def record_real(
     from candata.record.recorder import record
     from candata.record.recorder_values import Settings
 
-    tried(out, "new")
+    check_output(out, "new")
     if duration is not None:
         _positive("duration", duration)
-    given = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
-    overrides = {name: _positive(name, value) for name, value in given.items() if value is not None}
+    stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
+    overrides = {name: _positive(name, value) for name, value in stated_settings.items() if value is not None}
     settings = Settings(
         duration_s=duration,
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
         reserve_bytes=reserve_mb * 1_000_000,
     )
-    chosen = device_named(device)
+    hand = device_named(device)
     with (
-        console.stoppable(partial(_kept, out)),
+        console.stoppable(partial(_kept_text, out)),
         _until_signal() as stop,
-        _shown(f"candata record-real {port}", plain, as_json) as (show, say),
+        _live_view(f"candata record-real {port}", plain_text, as_json) as (show, say),
     ):
         report = record(
-            chosen, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
+            hand, port, out, name=device, settings=settings, overrides=overrides, stop=stop, show=show, say=say
         )
     if as_json:
         console.out_json(report.facts)
@@ -110,31 +110,31 @@ def recover(
     from candata.record.recover import recover as salvage
 
     if out is not None:
-        tried(out, "new")
-    saved = salvage(log, out)
+        check_output(out, "new")
+    report = salvage(log, out)
     if as_json:
-        console.out_json(vars(saved))
+        console.out_json(vars(report))
         return
-    state = "torn" if saved.torn else "whole"
-    damaged = f", {saved.damaged_chunks} damaged chunks left out" if saved.damaged_chunks else ""
-    console.out(f"{saved.log} is {state}: {saved.read_bytes} of {saved.total_bytes} bytes read{damaged}")
-    console.out(f"{saved.out}: {sum(saved.messages.values())} messages over {saved.duration_s:.2f} s")
-    console.out_table(("topic", "messages"), sorted(saved.messages.items()))
+    state = "torn" if report.torn else "whole"
+    damage_text = f", {report.damaged_chunks} damaged chunks left out" if report.damaged_chunks else ""
+    console.out(f"{report.log} is {state}: {report.read_bytes} of {report.total_bytes} bytes read{damage_text}")
+    console.out(f"{report.out}: {sum(report.messages.values())} messages over {report.duration_s:.2f} s")
+    console.out_table(("topic", "messages"), sorted(report.messages.items()))
 
 
-def _cut_short(facts: dict[str, Any]) -> console.Stopped:
+def _cut_short(facts: dict[str, Any]) -> console.StoppedRun:
     """Return what is kept of a recording that was to last longer."""
     log = Path(facts["log"])
     states = f"{facts['rows']} states over {facts['duration_s']:.1f} s are kept in {log}, whole"
-    return console.Stopped(states, other=_following(log))
+    return console.StoppedRun(states, next_command=_next_command(log))
 
 
-def _following(out: Path) -> tuple[str, ...]:
+def _next_command(out: Path) -> tuple[str, ...]:
     """Return the words of the command that goes on with a log."""
     return "import", "log", str(out), "--out", "DATASET"
 
 
-def _kept(out: Path) -> str:
+def _kept_text(out: Path) -> str:
     """Return what a recorder leaves that was not allowed to end its log, as a clause."""
     return f"{out} holds what was flushed; candata recover makes it whole" if out.exists() else "nothing was recorded"
 
@@ -160,31 +160,33 @@ def _until_signal() -> Iterator[Callable[[], bool]]:
     numbers = [signal.SIGINT, signal.SIGTERM]
     if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
         numbers.append(signal.SIGHUP)
-    before = {int(number): signal.getsignal(number) for number in numbers}
+    handlers = {int(number): signal.getsignal(number) for number in numbers}
 
     def note(number: int, _frame: Any) -> None:
         came.append(number)
-        signal.signal(number, before[number])
+        signal.signal(number, handlers[number])
 
     for number in numbers:
         signal.signal(number, note)
     try:
         yield lambda: bool(came)
     finally:
-        for signal_number, handler in before.items():
+        for signal_number, handler in handlers.items():
             signal.signal(signal_number, handler)
 
 
 @contextmanager
-def _shown(title: str, plain: bool, quiet: bool) -> Iterator[tuple[Callable[[View], None], Callable[[str], None]]]:
+def _live_view(
+    title: str, plain_text: bool, notes_only: bool
+) -> Iterator[tuple[Callable[[View], None], Callable[[str], None]]]:
     """Yield `show(view)` and `say(text)`: a panel on a terminal, a line a second elsewhere; only notes when quiet."""
     import sys
     from contextlib import suppress
 
     say = _while_seen(console.note)
-    if quiet:
+    if notes_only:
         yield (lambda view: None), say
-    elif plain or not sys.stderr.isatty():
+    elif plain_text or not sys.stderr.isatty():
         yield _while_seen(_each_second()), say
     else:
         from rich.console import Console
@@ -193,30 +195,30 @@ def _shown(title: str, plain: bool, quiet: bool) -> Iterator[tuple[Callable[[Vie
         from candata.record.panel import panel
 
         notes: list[str] = []
-        live = Live(console=Console(stderr=True), auto_refresh=False)
+        live_panel = Live(console=Console(stderr=True), auto_refresh=False)
         with suppress(OSError):
-            live.start()
+            live_panel.start()
         try:
-            yield _while_seen(lambda view: live.update(panel(view, title, notes), refresh=True)), notes.append
+            yield _while_seen(lambda view: live_panel.update(panel(view, title, notes), refresh=True)), notes.append
         finally:
             with suppress(OSError):
-                live.stop()
+                live_panel.stop()
         for text in notes:
             say(text)
 
 
 def _while_seen(tell: Callable[[Any], None]) -> Callable[[Any], None]:
     """Return `tell` as long as it can be seen: a recording goes on when its terminal or pipe is closed."""
-    gone: list[bool] = []
+    closed_streams: list[bool] = []
 
-    def told(what: Any) -> None:
+    def tell_safely(value: Any) -> None:
         try:
-            if not gone:
-                tell(what)
+            if not closed_streams:
+                tell(value)
         except OSError:
-            gone.append(True)
+            closed_streams.append(True)
 
-    return told
+    return tell_safely
 
 
 def _each_second() -> Callable[[View], None]:
@@ -238,7 +240,7 @@ def _print_report(facts: dict[str, Any]) -> None:
     from candata.record.bursts import WORDS
 
     losses = ", ".join(f"{count} {kind.replace('_', ' ')}" for kind, count in facts["losses"].items() if count)
-    saturated = facts["saturated"]
+    saturation = facts["saturated"]
     rows = (
         ("log", f"{facts['log']} ({facts['bytes'] / 1e6:.2f} MB)"),
         ("states", f"{facts['rows']} in {facts['duration_s']:.2f} s, {facts['rate_hz']:.2f} Hz"),
@@ -247,11 +249,11 @@ def _print_report(facts: dict[str, Any]) -> None:
         *([("bursts", f"bytes {WORDS}; do: {facts['bursts']}")] if facts["bursts"] else []),
         ("lost", losses or "nothing"),
         ("unplugged", f"{len(facts['unplugs'])} times"),
-        ("saturated", f"{saturated['forces']} forces, {saturated['taxels']} taxels"),
+        ("saturated", f"{saturation['forces']} forces, {saturation['taxels']} taxels"),
         ("calibrated", "yes" if facts["calibrated"] else "no"),
         ("ended", facts["problem"] or facts["ended"]),
         ("sha256", facts["sha256"]),
-        ("next", shlex.join(["candata", *_following(Path(facts["log"]))])),
+        ("next", shlex.join(["candata", *_next_command(Path(facts["log"]))])),
     )
     for name, value in rows:
         console.out(f"{name:<11}{value}")

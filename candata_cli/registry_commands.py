@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.schema.manifest import VersionFile
 
-ABOUT = "Names, versions and lineage of datasets; choosing, joining and sharing them."
+HELP = "Names, versions and lineage of datasets; choosing, joining and sharing them."
 
 Data = Annotated[str, typer.Argument(metavar="DATASET", help="Name or folder; NAME@TAG, NAME@3, NAME@9f31c2.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -22,7 +22,7 @@ Out = Annotated[Path, typer.Option("--out", metavar="FOLDER", help="New dataset;
 
 def register(app: typer.Typer) -> None:
     """Add `registry` and its commands."""
-    group = console.group(app, "registry", ABOUT)
+    group = console.group(app, "registry", HELP)
     group.command("add", epilog="Example: candata registry add day1 recordings/day1")(add)
     group.command("remove", epilog="Example: candata registry remove day1")(remove)
     group.command("list", epilog="Example: candata registry list")(list_datasets)
@@ -119,10 +119,11 @@ def info(dataset: Data, json: Json = False) -> None:
     from candata.datasets.tags import read_tags
     from candata.datasets.versions import numbers, read_version
 
-    data = console.opened(dataset)
+    data = console.open_named(dataset)
     tags = read_tags(data.path)
-    versions = [_version(read_version(data.path, n), [t for t, v in tags.items() if v.version == n])
-                for n in numbers(data.path)]  # fmt: skip
+    versions = [
+        _version(read_version(data.path, n), [t for t, v in tags.items() if v.version == n]) for n in numbers(data.path)
+    ]
     splits = sorted(path.stem for path in (data.path / "splits").glob("*.json"))
     if json:
         record = {"name": data.name, "path": str(data.path), "version": data.version, "digest": data.digest}
@@ -142,9 +143,13 @@ def info(dataset: Data, json: Json = False) -> None:
 def _version(version: VersionFile, tags: list[str]) -> dict:
     """Return what `info` says of a version."""
     return {
-        "number": version.number, "digest": version.digest, "parent": version.parent, "parts": len(version.parts),
-        "excluded": len(version.exclusions), "tags": tags,
-    }  # fmt: skip
+        "number": version.number,
+        "digest": version.digest,
+        "parent": version.parent,
+        "parts": len(version.parts),
+        "excluded": len(version.exclusions),
+        "tags": tags,
+    }
 
 
 def tag(
@@ -159,15 +164,15 @@ def tag(
     from candata.datasets.tagging import delete_tag, set_tag
     from candata.errors import UsageError
 
-    path, wanted = resolve(dataset)
+    path, named_version = resolve(dataset)
     if delete and (move or version):
         raise UsageError("--delete goes with neither --move nor --version")
     if delete:
         delete_tag(path, name)
         console.out(f"{name} taken away; the version stays")
         return
-    made = set_tag(path, name, console.number(version) if version else wanted, move)
-    console.out(f"{name}: version {made.version}, {made.digest[:12]}")
+    version_tagged = set_tag(path, name, console.number(version) if version else named_version, move)
+    console.out(f"{name}: version {version_tagged.version}, {version_tagged.digest[:12]}")
 
 
 def split(
@@ -187,15 +192,15 @@ def split(
     from candata.datasets.registry import resolve
     from candata.loaders.splits import GROUPS, By, make_split, save_split, split_digest
 
-    opened = open_dataset(*resolve(dataset))
-    made = make_split(opened, _shares(shares, GROUPS), seed, cast(By | None, by))
-    path = save_split(opened, made, name)
-    counts = {group: len(made.ids(group)) for group in GROUPS}
+    data = open_dataset(*resolve(dataset))
+    drawn_split = make_split(data, _shares(shares, GROUPS), seed, cast(By | None, by))
+    path = save_split(data, drawn_split, name)
+    counts = {group: len(drawn_split.ids(group)) for group in GROUPS}
     if json:
-        console.out_json({"split": name, "path": str(path), "digest": split_digest(made), **counts})
+        console.out_json({"split": name, "path": str(path), "digest": split_digest(drawn_split), **counts})
         return
-    found = ", ".join(f"{group} {count}" for group, count in counts.items())
-    console.out(f"{name}: {found} of {len(opened)} episodes, {split_digest(made)[:12]}")
+    counts_text = ", ".join(f"{group} {count}" for group, count in counts.items())
+    console.out(f"{name}: {counts_text} of {len(data)} episodes, {split_digest(drawn_split)[:12]}")
 
 
 def _shares(text: str, groups: tuple[str, ...]) -> dict[str, float]:
@@ -210,8 +215,8 @@ def _shares(text: str, groups: tuple[str, ...]) -> dict[str, float]:
 
 
 def diff(
-    first: Annotated[str, typer.Argument(metavar="A", help="Name or folder, @ and a version if not the newest.")],
-    second: Annotated[str, typer.Argument(metavar="B", help="The same.")],
+    first_name: Annotated[str, typer.Argument(metavar="A", help="Name or folder, @ and a version if not the newest.")],
+    second_name: Annotated[str, typer.Argument(metavar="B", help="The same.")],
     quick: Annotated[
         bool, typer.Option("--quick", help="Believe the hashes of the manifests; read no episode.")
     ] = False,
@@ -226,23 +231,26 @@ def diff(
     from candata.datasets.diff import diff as difference
     from candata.datasets.history import label_of
 
-    one, two = console.opened(first), console.opened(second)
-    with console.progress("episodes compared", len(one.places.keys() & two.places.keys())) as advance:
-        found = difference(one, two, quick, advance)
-    if found.misstated:
-        names, more = ", ".join(found.misstated[:5]), len(found.misstated) - 5
+    first_data, second_data = console.open_named(first_name), console.open_named(second_name)
+    with console.progress("episodes compared", len(first_data.places.keys() & second_data.places.keys())) as advance:
+        report = difference(first_data, second_data, quick, advance)
+    if report.misstated:
+        names, more_count = ", ".join(report.misstated[:5]), len(report.misstated) - 5
         console.note(
-            f"not what manifests claim: {names}{f' and {more} more' if more > 0 else ''}; see candata validate"
+            f"not what manifests claim: {names}{f' and {more_count} more' if more_count > 0 else ''}; "
+            "see candata validate"
         )
     if json:
-        console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.equal, **asdict(found)})
+        console.out_json(
+            {"a": label_of(first_data), "b": label_of(second_data), "equal": report.equal, **asdict(report)}
+        )
     else:
-        for word, ids in (("added", found.added), ("removed", found.removed), ("changed", found.changed)):
+        for word, ids in (("added", report.added), ("removed", report.removed), ("changed", report.changed)):
             for name in ids:
                 console.out(f"{word:8}{name}")
-        counts = f"{len(found.added)} added, {len(found.removed)} removed, {len(found.changed)} changed"
-        console.out(f"{counts}, {found.same} the same")
-    if not found.equal:
+        counts = f"{len(report.added)} added, {len(report.removed)} removed, {len(report.changed)} changed"
+        console.out(f"{counts}, {report.same} the same")
+    if not report.equal:
         raise typer.Exit(1)
 
 
@@ -261,10 +269,10 @@ def filter_episodes(
     from candata.loaders import carry_splits
 
     if out is not None:
-        tried(out, "new")
-    data = console.opened(dataset)
+        check_output(out, "new")
+    data = console.open_named(dataset)
     if out is not None:
-        _made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
+        _print_made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
         return
     ids = matching(data, where)
     if json:
@@ -296,11 +304,13 @@ def merge(
 
     if append and prefix:
         raise UsageError("--prefix does not go with --append", fix="merge with --prefix to a new folder first")
-    tried(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
-    with console.stoppable(lambda: f"{out} is as it was" if append else console.written(out)):
-        data = [console.opened(text) for text in datasets]
-        made = merge_into(data, out) if append else join(data, out, prefix, carry_splits(data, console.note, prefix))
-    _made(out, made, json)
+    check_output(out, "dataset" if append else "new", fix="choose another --out, or add to it with --append")
+    with console.stoppable(lambda: f"{out} is as it was" if append else console.written_clause(out)):
+        data = [console.open_named(text) for text in datasets]
+        merged_version = (
+            merge_into(data, out) if append else join(data, out, prefix, carry_splits(data, console.note, prefix))
+        )
+    _print_made(out, merged_version, json)
     if append:
         _tell_uncovered(out)
 
@@ -310,12 +320,14 @@ def _tell_uncovered(out: Path) -> None:
     from candata.datasets import open_dataset
     from candata.loaders import load_split, split_names
 
-    made = open_dataset(out)
-    for name in split_names(made):
-        split = load_split(made, name)
-        outside = len(set(made.ids).difference(split.train, split.val, split.test))
-        if outside:
-            console.note(f"the split {name} stays as it was drawn: {outside} of {len(made)} episodes are in none of it")
+    data = open_dataset(out)
+    for name in split_names(data):
+        split = load_split(data, name)
+        outside_count = len(set(data.ids).difference(split.train, split.val, split.test))
+        if outside_count:
+            console.note(
+                f"the split {name} stays as it was drawn: {outside_count} of {len(data)} episodes are in none of it"
+            )
 
 
 def relabel(
@@ -336,14 +348,14 @@ def relabel(
         if not equals:
             raise UsageError("--set takes LABEL=VALUE", found=text)
         labels[name] = value or None
-    tried(out, "new")
-    data = console.opened(dataset)
-    with console.stoppable(lambda: console.written(out)):
-        made = write(data, labels, where, out, carry_splits([data], console.note))
-    _made(out, made, json)
+    check_output(out, "new")
+    data = console.open_named(dataset)
+    with console.stoppable(lambda: console.written_clause(out)):
+        relabelled_version = write(data, labels, where, out, carry_splits([data], console.note))
+    _print_made(out, relabelled_version, json)
 
 
-def _made(out: Path, version: VersionFile, json: bool) -> None:
+def _print_made(out: Path, version: VersionFile, json: bool) -> None:
     """Print what was made."""
     from candata.datasets import open_dataset
 
@@ -358,7 +370,7 @@ def log(dataset: Data, json: Json = False) -> None:
     """Print where a version comes from, as a tree: recorded, generated, imported, filtered, merged, relabelled."""
     from candata.datasets import history
 
-    origin = history.tree(console.opened(dataset))
+    origin = history.tree(console.open_named(dataset))
     if json:
         console.out_json(history.as_json(origin))
         return

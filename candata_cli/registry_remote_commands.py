@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
-from candata_cli.registry_commands import ABOUT, Json
+from candata_cli.outputs import check_output
+from candata_cli.registry_commands import HELP, Json
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,7 +35,7 @@ Examples:
 
 def register(app: typer.Typer) -> None:
     """Add the commands to `registry`."""
-    group = console.group(app, "registry", ABOUT)
+    group = console.group(app, "registry", HELP)
     group.command("push", epilog="Example: candata registry push day1 lab")(push)
     group.command("pull", epilog="Example: candata registry pull lab day1@clean --out day1")(pull)
     remotes = console.group(group, "remotes", "Where datasets are pushed to: a shared folder or S3.")
@@ -62,22 +62,31 @@ def push(
     path, version = resolve(dataset)
     if version is not None:
         raise UsageError("push sends all versions", found=dataset, fix="leave out what follows the @")
-    called = name or read_dataset_file(path).name
+    remote_name = name or read_dataset_file(path).name
     store = open_remote(find_remote(remote))
     with console.stoppable(f"what was sent whole is kept on {remote}, where nobody sees it yet", goes_on=True):
-        done = send(path, store, called, _bar("sending"), move_tags)
-    if done.newest.exclusions:
-        left_out = len(done.newest.exclusions)
+        report = send(path, store, remote_name, _bar("sending"), move_tags)
+    if report.newest.exclusions:
+        left_out = len(report.newest.exclusions)
         console.note(f"{left_out} episodes that the version leaves out travelled along in its parts")
     if json:
         console.out_json(
-            {"name": called, "remote": remote, "versions": done.versions, "splits": done.splits, "tags": done.tags,
-             "objects": done.objects, "bytes": done.bytes, "standing": done.standing, "digest": done.newest.digest}
-        )  # fmt: skip
+            {
+                "name": remote_name,
+                "remote": remote,
+                "versions": report.versions,
+                "splits": report.splits,
+                "tags": report.tags,
+                "objects": report.objects,
+                "bytes": report.bytes,
+                "standing": report.standing,
+                "digest": report.newest.digest,
+            }
+        )
         return
-    new = ", ".join(map(str, done.versions)) or "none"
-    sent = f"{done.objects} files sent ({done.bytes / 1e6:.1f} MB), {done.standing} there already"
-    console.out(f"{called}@{done.newest.digest[:12]} on {remote}: new versions {new}; {sent}")
+    version_text = ", ".join(map(str, report.versions)) or "none"
+    sent_text = f"{report.objects} files sent ({report.bytes / 1e6:.1f} MB), {report.standing} there already"
+    console.out(f"{remote_name}@{report.newest.digest[:12]} on {remote}: new versions {version_text}; {sent_text}")
 
 
 @console.stoppable()
@@ -95,22 +104,32 @@ def pull(
     from candata.datasets.registry import find_remote
     from candata.datasets.remotes import open_remote
 
-    tried(out, "dataset")
-    called, _, version = name.partition("@")
+    check_output(out, "dataset")
+    remote_name, _, version = name.partition("@")
     with console.stoppable(f"what was fetched whole is kept in {out}", goes_on=True):
         store = open_remote(find_remote(remote))
-        done = fetch(store, called, out, console.number(version or None), _bar("fetching"), _bar("checking"))
-    for line in done.notes:
+        report = fetch(store, remote_name, out, console.number(version or None), _bar("fetching"), _bar("checking"))
+    for line in report.notes:
         console.note(line)
     if json:
         console.out_json(
-            {"path": str(done.path), "version": done.version, "digest": done.digest, "episodes": done.episodes,
-             "objects": done.objects, "bytes": done.bytes, "standing": done.standing, "splits": done.splits,
-             "tags": done.tags}
-        )  # fmt: skip
+            {
+                "path": str(report.path),
+                "version": report.version,
+                "digest": report.digest,
+                "episodes": report.episodes,
+                "objects": report.objects,
+                "bytes": report.bytes,
+                "standing": report.standing,
+                "splits": report.splits,
+                "tags": report.tags,
+            }
+        )
         return
-    got = f"{done.objects} files fetched ({done.bytes / 1e6:.1f} MB), {done.standing} there already"
-    console.out(f"{done.path}: {done.episodes} episodes in version {done.version}, {done.digest[:12]}; {got}")
+    fetched_text = f"{report.objects} files fetched ({report.bytes / 1e6:.1f} MB), {report.standing} there already"
+    console.out(
+        f"{report.path}: {report.episodes} episodes in version {report.version}, {report.digest[:12]}; {fetched_text}"
+    )
 
 
 def _bar(label: str) -> Callable[[int], AbstractContextManager[Callable[[int], None]]]:
@@ -160,7 +179,7 @@ def list_remotes(
 
     if name is not None:
         store = open_remote(find_remote(name))
-        rows = [(folder, there[-1]) for folder in store.folders() if (there := remote_numbers(store, folder))]
+        rows = [(folder, versions[-1]) for folder in store.folders() if (versions := remote_numbers(store, folder))]
         if json:
             console.out_json({"remote": name, "datasets": [{"name": n, "version": v} for n, v in rows]})
         else:
@@ -170,18 +189,20 @@ def list_remotes(
     if json:
         console.out_json({"remotes": {key: entry.model_dump(mode="json") for key, entry in remotes.items()}})
     elif remotes:
-        console.out_table(("name", "where", "how"), [(key, entry.url, _how(entry)) for key, entry in remotes.items()])
+        console.out_table(
+            ("name", "where", "how"), [(key, entry.url, _access_words(entry)) for key, entry in remotes.items()]
+        )
     else:
         console.note("no remotes yet: candata registry remotes add NAME URL")
 
 
-def _how(entry: RemoteEntry) -> str:
+def _access_words(entry: RemoteEntry) -> str:
     """Return how a remote is reached, in words."""
     if not entry.url.startswith("s3://"):
         return "folder"
-    told = [entry.endpoint or "AWS", entry.region, "path-style" if entry.path_style else None]
-    told += ["plain http" if entry.allow_http else None, "anonymous" if entry.anonymous else None]
-    return ", ".join(word for word in told if word)
+    words = [entry.endpoint or "AWS", entry.region, "path-style" if entry.path_style else None]
+    words += ["plain http" if entry.allow_http else None, "anonymous" if entry.anonymous else None]
+    return ", ".join(word for word in words if word)
 
 
 def remove(name: Annotated[str, typer.Argument(metavar="NAME", help="Remote to forget.")]) -> None:

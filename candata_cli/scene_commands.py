@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.repair import Exported, SysidExport
@@ -45,12 +45,12 @@ def list_(json: Json = False) -> None:
     from candata.scenes.roles import builtin_scenes
     from candata_cli.console import out_json, out_table
 
-    found = builtin_scenes()
+    scenes = builtin_scenes()
     if json:
-        out_json([entry.model_dump(mode="json") for entry in found])
+        out_json([entry.model_dump(mode="json") for entry in scenes])
         return
     header = ("name", "joints", "actuators", "fingertips", "rate", "about")
-    rows = [(e.name, e.joints, e.actuators, e.fingertips, f"{e.rate_hz:g} Hz", e.about) for e in found]
+    rows = [(e.name, e.joints, e.actuators, e.fingertips, f"{e.rate_hz:g} Hz", e.about) for e in scenes]
     out_table(header, rows)
 
 
@@ -61,7 +61,7 @@ def show(
 ) -> None:
     """Print the roles of a scene's parts; with --out, write a picture of it."""
     if picture is not None:
-        tried(picture, "file")
+        check_output(picture, "file")
     from candata.scenes import load_scene
     from candata.scenes.roles import roles
     from candata_cli.console import note, out_json
@@ -95,9 +95,9 @@ def init(
     from candata_cli.console import out as say
 
     path = scene or model.parent / "scene.yaml"
-    tried(path, "file" if force else "new", fix="name another --out, or overwrite it with --force")
-    found, proposal = write_draft(model, path)
-    roles = found.file
+    check_output(path, "file" if force else "new", fix="name another --out, or overwrite it with --force")
+    draft, proposal = write_draft(model, path)
+    roles = draft.file
     counts = f"joints {len(roles.joints)}, actuators {len(roles.actuator_names)}, fingertips {len(roles.fingertips)}"
     say(f"{path}: {counts}, object {roles.object or 'none'}, {roles.rate_hz:g} Hz")
     for line in proposal.open_questions:
@@ -116,14 +116,14 @@ def servo(
     ] = None,
 ) -> None:
     """Write a scene for a robot without a model: one servo a joint, each on its own, from names and ranges."""
-    tried(out, "folder")
+    check_output(out, "folder")
     from candata.datasets import open_dataset
     from candata.scenes.servo import servo_joints, write_servo_scene
     from candata_cli.console import out as say
 
     names, ranges, rate_hz = servo_joints(open_dataset(dataset).episodes())
-    written = write_servo_scene(out, names, ranges, rate_hz, natural_hz, noise)
-    say(f"{written}: {len(names)} joints, {rate_hz:g} Hz")
+    scene_path = write_servo_scene(out, names, ranges, rate_hz, natural_hz, noise)
+    say(f"{scene_path}: {len(names)} joints, {rate_hz:g} Hz")
 
 
 def export(
@@ -132,7 +132,7 @@ def export(
     scene: Annotated[
         str | None, typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects.")
     ] = None,
-    to: Annotated[str, typer.Option("--to", help=f"What to write: {', '.join(TARGETS)}.")] = "mjcf",
+    target: Annotated[str, typer.Option("--to", help=f"What to write: {', '.join(TARGETS)}.")] = "mjcf",
     dataset: Annotated[
         Path | None, typer.Option("--dataset", metavar="DATASET", help="Recordings, for mujoco-sysid.")
     ] = None,
@@ -148,102 +148,102 @@ def export(
     from candata.scenes import load_scene
     from candata_cli.console import note, out_json
 
-    if to not in TARGETS:
-        raise UnknownNameError("target", to, TARGETS)
-    if (dataset is not None) != (to == "mujoco-sysid"):
+    if target not in TARGETS:
+        raise UnknownNameError("target", target, TARGETS)
+    if (dataset is not None) != (target == "mujoco-sysid"):
         raise UsageError("--dataset and --to mujoco-sysid go together", fix="give both, or neither")
-    tried(out, "new")
-    given = read_effects(effects)
-    world = load_scene(scene or scene_of(given, effects))
+    check_output(out, "new")
+    effects_file = read_effects(effects)
+    world = load_scene(scene or scene_of(effects_file, effects))
     if scene is not None:
-        _note_other(given, effects, world.digest)
-    found = _exported(given, world, dataset, out)
+        _note_other(effects_file, effects, world.digest)
+    export_result = _export(effects_file, world, dataset, out)
     if json:
-        out_json(found.model_dump(mode="json"))
+        out_json(export_result.model_dump(mode="json"))
     else:
-        _print_export(found)
+        _print_export(export_result)
     note(f"written: {out}")
 
 
-def _exported(given: EffectsFile, world: Scene, dataset: Path | None, out: Path) -> Exported | SysidExport:
+def _export(effects_file: EffectsFile, world: Scene, dataset: Path | None, out: Path) -> Exported | SysidExport:
     """Write what was asked for."""
     from candata.datasets import open_dataset
     from candata.repair import export_mjcf, export_sysid
 
     if dataset is None:
-        return export_mjcf(world, given.effects, out)
-    return export_sysid(world, given.effects, open_dataset(dataset), out)
+        return export_mjcf(world, effects_file.effects, out)
+    return export_sysid(world, effects_file.effects, open_dataset(dataset), out)
 
 
-def _note_other(given: EffectsFile, path: Path, digest: str) -> None:
+def _note_other(effects_file: EffectsFile, path: Path, digest: str) -> None:
     """Say that the effects were found in another scene, where that one can still be read."""
     from candata.effects import scene_of
     from candata.errors import CandataError
     from candata.scenes import load_scene
     from candata_cli.console import note
 
-    if given.scene is None:
+    if effects_file.scene is None:
         return
     try:
-        same = load_scene(scene_of(given, path)).digest == digest
+        is_same = load_scene(scene_of(effects_file, path)).digest == digest
     except CandataError:
-        same = False
-    if not same:
-        note(f"{path.name} was made for another scene: {given.scene}")
+        is_same = False
+    if not is_same:
+        note(f"{path.name} was made for another scene: {effects_file.scene}")
 
 
-def _print_export(found: Exported | SysidExport) -> None:
+def _print_export(result: Exported | SysidExport) -> None:
     """Print an export for people."""
     from candata_cli.console import out, out_table
 
-    out(found.headline)
-    if found.changes:
+    out(result.headline)
+    if result.changes:
         out("")
-        out_table(("where", "element", "attribute", "before", "after"), [c.cells for c in found.changes])
-    if found.left:
+        out_table(("where", "element", "attribute", "before", "after"), [c.cells for c in result.changes])
+    if result.left:
         out("")
         out("not in it:")
-        for entry in found.left:
+        for entry in result.left:
             out(f"  {entry.label}: {entry.why}")
             out(f"    {entry.apply}")
 
 
-def _print(found: Roles) -> None:
+def _print(roles: Roles) -> None:
     """Print the roles for people."""
     from candata_cli.console import out, out_table
 
-    out(f"{found.name}  (digest {found.digest[:12]})")
-    step_ms = f"{found.timestep_s * 1e3:.4g} ms"
-    physics = f"{found.integrator}, {found.cone} cone, {found.solver} solver"
-    out(f"control   {found.rate_hz:g} Hz, {found.substeps} physics steps of {step_ms}; {physics}")
-    mass = "" if found.object_mass_kg is None else f", {found.object_mass_kg:.4g} kg"
-    out(f"object    {found.object or 'none'}{mass}; support {found.support or 'none'}")
-    out(f"noise     {_noise(found)}")
-    out(f"policies  {', '.join(found.policies) or 'all that can act'}")
-    if found.joints:
+    out(f"{roles.name}  (digest {roles.digest[:12]})")
+    step_ms = f"{roles.timestep_s * 1e3:.4g} ms"
+    physics = f"{roles.integrator}, {roles.cone} cone, {roles.solver} solver"
+    out(f"control   {roles.rate_hz:g} Hz, {roles.substeps} physics steps of {step_ms}; {physics}")
+    mass = "" if roles.object_mass_kg is None else f", {roles.object_mass_kg:.4g} kg"
+    out(f"object    {roles.object or 'none'}{mass}; support {roles.support or 'none'}")
+    out(f"noise     {_noise(roles)}")
+    out(f"policies  {', '.join(roles.policies) or 'all that can act'}")
+    if roles.joints:
         out("")
         header = ("joint", "type", "unit", "range", "actuator", "drive", "kp", "kv", "limit", "group")
-        out_table(header, [_joint(joint) for joint in found.joints])
-    if found.fingertips:
+        out_table(header, [_joint(joint) for joint in roles.joints])
+    if roles.fingertips:
         out("")
-        out_table(("fingertip", "body", "force frame"), [(f.name, f.body, f.frame) for f in found.fingertips])
-    if found.notes:
+        out_table(("fingertip", "body", "force frame"), [(f.name, f.body, f.frame) for f in roles.fingertips])
+    if roles.notes:
         out("")
-    for line in found.notes:
+    for line in roles.notes:
         out(f"note: {line}")
 
 
 def _joint(joint: JointRole) -> tuple[str, ...]:
     """Return the cells of one joint."""
     span = "-" if joint.low is None or joint.high is None else f"{joint.low:.3g} .. {joint.high:.3g}"
-    measured = (joint.kp, joint.kp_unit), (joint.kv, joint.kv_unit), (joint.limit, joint.limit_unit)
-    numbers = ("-" if value is None else f"{value:.4g} {unit}" for value, unit in measured)
+    quantities = (joint.kp, joint.kp_unit), (joint.kv, joint.kv_unit), (joint.limit, joint.limit_unit)
+    numbers = ("-" if value is None else f"{value:.4g} {unit}" for value, unit in quantities)
     return (joint.name, joint.type, joint.unit, span, joint.actuator or "-", joint.drive or "-", *numbers, joint.group)
 
 
-def _noise(found: Roles) -> str:
+def _noise(roles: Roles) -> str:
     """Return the declared noise, one standard deviation each."""
-    noise = found.noise
+    noise = roles.noise
     if noise is None:
         return "none declared"
     position, turn = noise.object_pose

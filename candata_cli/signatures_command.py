@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 _EXAMPLE = """\b
 Examples:
@@ -55,22 +55,22 @@ def signatures(
     from candata.gap.blind.filling import keep_signature, planned, source
 
     folder = cache_dir or user_cache()
-    tried(folder, "folder", "--cache-dir")
-    data = console.opened(dataset, version)
-    some = source(data.path, scene, folder, seed, data.digest)._replace(only=console.words(only))
-    kept = f"signatures that were simulated whole are kept in {folder}"
-    with console.stoppable(kept, goes_on=True), crew_of(jobs, ray, folder) as crew:
+    check_output(folder, "folder", "--cache-dir")
+    data = console.open_named(dataset, version)
+    signature_source = source(data.path, scene, folder, seed, data.digest)._replace(only=console.words(only))
+    kept_text = f"signatures that were simulated whole are kept in {folder}"
+    with console.stoppable(kept_text, goes_on=True), crew_of(jobs, ray, folder) as crew:
         console.note("replaying the nominal scene, measuring the floor")
-        plan = planned(some)
+        plan = planned(signature_source)
         with console.progress("simulating effects", len(plan.tasks)) as advance:
-            spent = 0.0
-            for done in crew(keep_signature, plan.tasks):
-                spent += done.cpu_s
+            cpu_s = 0.0
+            for signature in crew(keep_signature, plan.tasks):
+                cpu_s += signature.cpu_s
                 advance(1)
-    found = {"signatures": plan.total, "new": len(plan.tasks), "cpu_s": round(spent, 1), "folder": str(folder)}
+    result = {"signatures": plan.total, "new": len(plan.tasks), "cpu_s": round(cpu_s, 1), "folder": str(folder)}
     if json:
-        console.out_json(found)
+        console.out_json(result)
     elif plan.total:
-        console.out(f"{plan.total} signatures kept, {len(plan.tasks)} of them new ({spent:.0f} CPU s): {folder}")
+        console.out(f"{plan.total} signatures kept, {len(plan.tasks)} of them new ({cpu_s:.0f} CPU s): {folder}")
     else:
         console.out("nothing to keep: tosses are simulated anew for each recording")

@@ -33,26 +33,31 @@ def compact(dataset: DatasetPath, json: Json = False) -> None:
 
     total = len(open_dataset(dataset))
     with console.progress("episodes looked at", total) as advance:
-        told = 0
+        told_count = 0
 
-        def progress(done: int, _total: int) -> None:
-            nonlocal told
-            advance(done - told)
-            told = done
+        def progress(done_count: int, _total: int) -> None:
+            nonlocal told_count
+            advance(done_count - told_count)
+            told_count = done_count
 
-        found = compact_dataset(dataset, progress=progress)
-        advance(total - told)
-    version = found.version
+        result = compact_dataset(dataset, progress=progress)
+        advance(total - told_count)
+    version = result.version
     if json:
         console.out_json(
-            {"version": version.number, "digest": version.digest, "parts_before": found.before,
-             "parts_after": found.after, "left_out": found.left_out}
-        )  # fmt: skip
-    elif found.before == found.after:
-        console.out(f"nothing to do: version {version.number} has {_count(found.after, 'part')}")
+            {
+                "version": version.number,
+                "digest": version.digest,
+                "parts_before": result.before,
+                "parts_after": result.after,
+                "left_out": result.left_out,
+            }
+        )
+    elif result.before == result.after:
+        console.out(f"nothing to do: version {version.number} has {_count(result.after, 'part')}")
     else:
-        left = f", {_count(found.left_out, 'excluded episode')} left out" if found.left_out else ""
-        console.out(f"version {version.number}: {found.before} parts are {found.after} now{left}")
+        left_text = f", {_count(result.left_out, 'excluded episode')} left out" if result.left_out else ""
+        console.out(f"version {version.number}: {result.before} parts are {result.after} now{left_text}")
 
 
 def gc(
@@ -73,18 +78,25 @@ def gc(
 
     from candata.datasets import collect_garbage
 
-    found = collect_garbage(dataset, grace_s=seconds(grace), keep=keep, dry_run=dry_run)
-    for text in found.notes:
+    result = collect_garbage(dataset, grace_s=seconds(grace), keep=keep, dry_run=dry_run)
+    for text in result.notes:
         console.note(text)
     if json:
-        lists = {"removed": [asdict(one) for one in found.removed], "waiting": [asdict(one) for one in found.waiting]}
-        console.out_json({"dry_run": dry_run, "bytes": found.bytes, **lists, "notes": list(found.notes)})
+        lists = {
+            "removed": [asdict(entry) for entry in result.removed],
+            "waiting": [asdict(entry) for entry in result.waiting],
+        }
+        console.out_json({"dry_run": dry_run, "bytes": result.bytes, **lists, "notes": list(result.notes)})
         return
-    if found.removed:
-        console.out_table(("what", "path", "bytes"), [(one.kind, one.path, one.bytes) for one in found.removed])
-    console.out(f"{'would free' if dry_run else 'freed'} {found.bytes} bytes in {_count(len(found.removed), 'thing')}")
-    if found.waiting:
-        console.out(f"{_count(len(found.waiting), 'thing')} more out of reach, but changed within the last {grace}")
+    if result.removed:
+        console.out_table(
+            ("what", "path", "bytes"), [(entry.kind, entry.path, entry.bytes) for entry in result.removed]
+        )
+    console.out(
+        f"{'would free' if dry_run else 'freed'} {result.bytes} bytes in {_count(len(result.removed), 'thing')}"
+    )
+    if result.waiting:
+        console.out(f"{_count(len(result.waiting), 'thing')} more out of reach, but changed within the last {grace}")
 
 
 def migrate(
@@ -95,13 +107,13 @@ def migrate(
     """Bring a dataset of an older format into a new folder in the present one; the old one stays as it is."""
     from candata.datasets.migrate import migrate_dataset
 
-    found = migrate_dataset(dataset, out)
+    result = migrate_dataset(dataset, out)
     if json:
-        console.out_json({"from": found.old, "to": found.new, "out": str(out) if found.done else None})
-    elif found.done:
-        console.out(f"{out}: format {found.new}, from format {found.old}")
+        console.out_json({"from": result.old, "to": result.new, "out": str(out) if result.done else None})
+    elif result.done:
+        console.out(f"{out}: format {result.new}, from format {result.old}")
     else:
-        console.out(f"nothing to do: {dataset} has the present format, {found.new}")
+        console.out(f"nothing to do: {dataset} has the present format, {result.new}")
 
 
 def seconds(text: str) -> float:

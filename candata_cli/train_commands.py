@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
@@ -81,10 +81,10 @@ def train(
     """
     from candata.training.runs import refuse_foreign
 
-    tried(out, "folder")
+    check_output(out, "folder")
     refuse_foreign(out)
     _need_torch()
-    from candata.training import Ask, prepare
+    from candata.training import TrainRequest, prepare
     from candata.training import train as run
 
     _set_threads(threads)
@@ -92,18 +92,18 @@ def train(
     settings = _settings(steps, minutes, seed, batch, learning_rate, init is not None, noise)
     mixture, paths = _sources(data, version)
     method: Any = normaliser
-    ask = Ask(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
-    with console.stoppable(lambda: _saved(out), goes_on=True), console.stages() as stage:
+    request = TrainRequest(model, preset, _yaml(config), history, horizon, rate_hz, split, init, method, mixture)
+    with console.stoppable(lambda: _saved_text(out), goes_on=True), console.stages() as stage:
         stage("reading the dataset")
-        opened = {name: console.opened(path, version) for name, path in paths.items()}
-        job = prepare(opened if mixture else opened[""], ask, settings, device)
+        datasets = {name: console.open_named(path, version) for name, path in paths.items()}
+        job = prepare(datasets if mixture else datasets[""], request, settings, device)
         _tell_clipped(job, stage)
         if init is not None:
             stage(f"fine-tuning {init} at a rate of {settings.learning_rate:g}")
-        with _stop_on_interrupt() as stopped:
-            progress = run(job, out, _teller(stage), stopped)
+        with _stop_on_interrupt() as should_stop:
+            progress = run(job, out, _teller(stage), should_stop)
     if settings.share(progress.step, progress.elapsed_s) < 1:
-        raise console.Stopped(f"saved at step {progress.step} in {out}", goes_on=True)
+        raise console.StoppedRun(f"saved at step {progress.step} in {out}", goes_on=True)
     _print_trained(job, progress, out, list(paths.values())[-1], json)
 
 
@@ -130,34 +130,34 @@ def evaluate(
     and actions are replayed. Writes evaluation.json and evaluation.html.
     """
     folder = out or (run if run.is_dir() else run.parent) / "evaluation"
-    tried(folder, "folder")
+    check_output(folder, "folder")
     _need_torch()
     from candata.reports.evaluation import summary, write_evaluation
-    from candata.training import Manner
+    from candata.training import EvaluationSettings
     from candata.training import evaluate as judge
 
     _set_threads(threads)
     with console.stages() as stage:
-        manner = Manner(split, samples, steps, execute, seed, device)
-        found, tracks = judge(run, console.opened(data, version), manner, stage)
+        evaluation_settings = EvaluationSettings(split, samples, steps, execute, seed, device)
+        evaluation, tracks = judge(run, console.open_named(data, version), evaluation_settings, stage)
         stage("writing the page")
-        page = write_evaluation(found, tracks, folder)
-    console.out(found.model_dump_json(indent=2) if json else summary(found))
+        page = write_evaluation(evaluation, tracks, folder)
+    console.out(evaluation.model_dump_json(indent=2) if json else summary(evaluation))
     console.note(f"page: {page}")
 
 
 def _tell_clipped(job: Job, stage: Callable[[str], None]) -> None:
     """Tell how many values the normaliser clips."""
-    if clipped := job.run.normaliser.get("clipped"):
-        values = ", ".join(f"{name} {count:,}" for name, count in clipped.items())
+    if clip_counts := job.run.normaliser.get("clipped"):
+        values = ", ".join(f"{name} {count:,}" for name, count in clip_counts.items())
         stage(f"values clipped of {job.run.normaliser['rows']:,} rows: {values}")
 
 
-def _saved(out: Path) -> str:
+def _saved_text(out: Path) -> str:
     """Return what a run that was stopped outside of its loop has saved, as a clause."""
-    from candata.training.checkpoint import LAST
+    from candata.training.checkpoint import LAST_FILE
 
-    return f"the last checkpoint stands in {out}" if (out / LAST).is_file() else "nothing was trained yet"
+    return f"the last checkpoint stands in {out}" if (out / LAST_FILE).is_file() else "nothing was trained yet"
 
 
 def _need_torch() -> None:
@@ -178,13 +178,13 @@ def _sources(data: str, version: str | None) -> tuple[Mixture | None, dict[str, 
     from candata.errors import UsageError
     from candata.loaders import Mixture, parse_mixture
 
-    told = parse_mixture(data)
-    paths = {Path(name).name: name for name in told.names}
-    if len(paths) < len(told.names):
+    stated_mixture = parse_mixture(data)
+    paths = {Path(name).name: name for name in stated_mixture.names}
+    if len(paths) < len(stated_mixture.names):
         raise UsageError("two datasets of a mixture have one name", found=data, fix="give their folders other names")
     if version is not None:
         raise UsageError("--version is of one dataset", found=data, fix="leave --version out")
-    return Mixture(names=tuple(paths), parts=told.parts), paths
+    return Mixture(names=tuple(paths), parts=stated_mixture.parts), paths
 
 
 def _set_threads(threads: int | None) -> None:
@@ -201,7 +201,7 @@ def _settings(
     seed: int,
     batch: int,
     learning_rate: float | None,
-    tuned: bool,
+    fine_tune: bool,
     noise: dict[str, float],
 ) -> Settings:
     """Return the settings of the run."""
@@ -210,12 +210,12 @@ def _settings(
     from candata.training import Settings
     from candata.training.settings import FINE_TUNE_SHARE
 
-    usual = Settings()
+    defaults = Settings()
     if learning_rate is None:
-        learning_rate = usual.learning_rate * (FINE_TUNE_SHARE if tuned else 1)
+        learning_rate = defaults.learning_rate * (FINE_TUNE_SHARE if fine_tune else 1)
     if not 0 < learning_rate < 1:
         raise UsageError("--learning-rate is out of range", expected="between 0 and 1", found=f"{learning_rate:g}")
-    length = steps if steps or minutes else usual.steps
+    length = steps if steps or minutes else defaults.steps
     augment = Augmentation.parse(noise, "noise of poses and commands")
     return Settings(seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate, augment=augment)
 
@@ -230,30 +230,30 @@ def _yaml(path: Path | None) -> dict[str, Any] | None:
     from candata.schema.yaml_text import parse_yaml
 
     try:
-        found = parse_yaml(path.read_text())
+        fields = parse_yaml(path.read_text())
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise UsageError(
             "--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))
         ) from None
-    if not isinstance(found, dict):
+    if not isinstance(fields, dict):
         raise UsageError("--config holds no fields", expected="name: value", where=Where(path=str(path)))
-    return found
+    return fields
 
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
     """Yield a function that tells whether Ctrl-C was pressed; a second press stops at once."""
-    pressed: list[int] = []
+    interrupts: list[int] = []
 
-    def first(number: int, _frame: object) -> None:
-        pressed.append(number)
-        signal.signal(signal.SIGINT, before)
+    def on_first(number: int, _frame: object) -> None:
+        interrupts.append(number)
+        signal.signal(signal.SIGINT, handler)
 
-    before = signal.signal(signal.SIGINT, first)
+    handler = signal.signal(signal.SIGINT, on_first)
     try:
-        yield lambda: bool(pressed)
+        yield lambda: bool(interrupts)
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
 def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
@@ -281,18 +281,22 @@ def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: boo
     """Print what stands now."""
     from candata.loaders import told
 
-    given = job.effective(progress.step)
+    sources = job.effective(progress.step)
     if json:
-        shares = [one.model_dump(mode="json") for one in given]
+        shares = [share.model_dump(mode="json") for share in sources]
         console.out_json(
             {"run": str(out), "model": job.run.model, **progress.model_dump(mode="json"), "sources": shares}
         )
         return
-    best = "no held-out episodes" if progress.best_loss is None else (
-        f"least held-out loss {progress.best_loss:.4f} at step {progress.best_step}"
-    )  # fmt: skip
-    skipped = f", {progress.skipped} steps skipped: not finite" if progress.skipped else ""
-    console.out(f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best}{skipped}")
-    if given:
-        console.out(told(given))
+    best_text = (
+        "no held-out episodes"
+        if progress.best_loss is None
+        else (f"least held-out loss {progress.best_loss:.4f} at step {progress.best_step}")
+    )
+    skipped_text = f", {progress.skipped} steps skipped: not finite" if progress.skipped else ""
+    console.out(
+        f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best_text}{skipped_text}"
+    )
+    if sources:
+        console.out(told(sources))
     console.note(f"next: candata evaluate {out} {data}")

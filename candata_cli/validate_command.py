@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.checks import Finding, Group
@@ -24,7 +24,7 @@ FAILS = {
     "unknown": ("error", "warning", "unknown"),
 }
 #: Episodes that a line names.
-NAMED = 3
+NAMED_EPISODES = 3
 
 EXAMPLE = "Example: candata validate recordings --scene scene.yaml --html out/validation.html --fail-on warning"
 
@@ -64,8 +64,8 @@ def validate(
     if fail_on not in FAILS:
         raise UnknownNameError("level for --fail-on", fail_on, FAILS)
     if html is not None:
-        tried(html, "file", "--html")
-    data = console.opened(dataset, version, partial=True)
+        check_output(html, "file", "--html")
+    data = console.open_named(dataset, version, partial=True)
     world = None
     if scene is not None:
         from candata.scenes import load_scene
@@ -109,13 +109,13 @@ def _print(episodes: int, findings: Sequence[Finding]) -> None:
     from candata.checks import grouped
 
     groups = grouped(findings)
-    told = [group for group in groups if group.level != "unknown"]
-    if not told:
+    shown_groups = [group for group in groups if group.level != "unknown"]
+    if not shown_groups:
         console.out(f"{episodes} episode{'s' * (episodes != 1)}, no findings")
     else:
-        rows = [_row(group, episodes) for group in told]
+        rows = [_row(group, episodes) for group in shown_groups]
         console.out_table(("level", "rule", "channel", "episodes", "what"), rows)
-        for remedy in dict.fromkeys((g.rule, g.findings[0].remedy) for g in told if g.findings[0].remedy):
+        for remedy in dict.fromkeys((g.rule, g.findings[0].remedy) for g in shown_groups if g.findings[0].remedy):
             console.out(f"to do: {remedy[0]}: {remedy[1]}")
     reasons: dict[str, list[str]] = {}
     for group in groups:
@@ -128,7 +128,7 @@ def _print(episodes: int, findings: Sequence[Finding]) -> None:
 def _row(group: Group, episodes: int) -> tuple[str, ...]:
     """Return the cells of a group: what was found, how many episodes, and the first of them."""
     names = group.episodes
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    where = f" [{', '.join(names[:NAMED])}{more}]" if names else ""
+    more_text = f" and {len(names) - NAMED_EPISODES} more" if len(names) > NAMED_EPISODES else ""
+    names_text = f" [{', '.join(names[:NAMED_EPISODES])}{more_text}]" if names else ""
     count = f"{len(names)} of {episodes}" if names else "the set"
-    return group.level, group.rule, group.channel or "-", count, group.text + where
+    return group.level, group.rule, group.channel or "-", count, group.text + names_text

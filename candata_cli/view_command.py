@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 
 _EXAMPLE = """\b
 Examples:
@@ -40,12 +40,12 @@ def view(
     Needs the extra `view`. Without --out the viewer opens; it asks its own question about usage data.
     """
     if out is not None:
-        tried(out, "file")
+        check_output(out, "file")
     from candata.reports.rerun_view import view as show
     from candata_cli import console
 
-    data = console.opened(dataset, version)
-    chosen = episode or data.ids[0]
-    for line in show(data, chosen, scene, out):
+    data = console.open_named(dataset, version)
+    episode_id = episode or data.ids[0]
+    for line in show(data, episode_id, scene, out):
         console.note(line)
-    console.note(f"{chosen}: {out}, {out.stat().st_size / 1e6:.2f} MB" if out else f"{chosen}: shown in Rerun")
+    console.note(f"{episode_id}: {out}, {out.stat().st_size / 1e6:.2f} MB" if out else f"{episode_id}: shown in Rerun")

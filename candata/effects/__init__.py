@@ -16,6 +16,21 @@ from candata.effects._lookup import (
 )
 
 __all__ = [
-    "Bounds", "Effect", "Forces", "Hook", "Parameter", "active", "effect", "effect_names", "flatten",
-    "members_of", "parameters_on", "rail_units", "read_effects", "scene_of", "setting", "together_on", "turn",
-]  # fmt: skip
+    "Bounds",
+    "Effect",
+    "Forces",
+    "Hook",
+    "Parameter",
+    "active",
+    "effect",
+    "effect_names",
+    "flatten",
+    "members_of",
+    "parameters_on",
+    "rail_units",
+    "read_effects",
+    "scene_of",
+    "setting",
+    "together_on",
+    "turn",
+]

@@ -115,11 +115,21 @@ def terms(scene: Scene, past: Past | None, x: Forces, waves: Array) -> tuple[Pas
     tips = np.sqrt((x.tip_force**2).sum(-1)) @ _carried(scene).T
     joint = np.stack(
         [
-            np.ones_like(now), now, x.qvel[:, scene.joint_dof], bristle, effort, bristle * np.abs(effort),
-            bristle * tips, memory * effort, time, time * effort, np.sin(waves * now), np.cos(waves * now),
+            np.ones_like(now),
+            now,
+            x.qvel[:, scene.joint_dof],
+            bristle,
+            effort,
+            bristle * np.abs(effort),
+            bristle * tips,
+            memory * effort,
+            time,
+            time * effort,
+            np.sin(waves * now),
+            np.cos(waves * now),
         ],
         axis=-1,
-    )  # fmt: skip
+    )
     return Past(past.row + 1, now, past.start, bristle, memory), Terms(joint, _object_terms(scene, past, x))
 
 

@@ -116,9 +116,10 @@ def _places(scene: Scene, usual: Ids, beside: Ids, possible: Ids, mixed: bool = 
         return len(ids) > 1 and len(np.intersect1d(ids, np.union1d(usual, beside))) == 1
 
     groups = {
-        n: ids for n, ids in _groups(scene, possible, mixed).items()
+        n: ids
+        for n, ids in _groups(scene, possible, mixed).items()
         if (np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)) and not is_one(ids)
-    }  # fmt: skip
+    }
     grouped = np.concatenate([np.zeros(0, int), *groups.values()])
     rails = np.setdiff1d(beside, np.union1d(usual, grouped)).astype(int)
     lone = len(usual) == 1 and (len(groups) or len(rails))

@@ -15,7 +15,7 @@ from candata.gap.starts import Starts, is_toss, starts
 from candata.rotation import normalise
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.simulate import Observer, followed, rollout, unread
+from candata.simulate import Observer, followed_readings, rollout, true_state
 
 Array = NDArray[np.float64]
 EffectSet = tuple[EffectSetting, ...]
@@ -92,7 +92,7 @@ def _batch(
         effects,
         observer=observer,
         memory=np.concatenate([s.memory for s in states]),
-        before=_tile(commands_before(recs.commands, begin.rows), copies),
+        earlier_commands=_tile(commands_before(recs.commands, begin.rows), copies),
         instant_force=recs.instant_force,
         keep_state=keep_state,
         threads=replayer.threads,
@@ -106,7 +106,7 @@ def _batch(
 
 def _followed(scene: Scene, recs: Recordings, begin: Starts, variants: Sequence[EffectSet]) -> dict[str, Array]:
     """Return what an observer follows in each variant, `(V x E, T, ...)` a channel, row 0 where the replay starts."""
-    true = [followed(scene, recs.readings, some) for some in variants]
+    true = [followed_readings(scene, recs.readings, some) for some in variants]
     return {n: np.concatenate([_shift(one[n], begin.rows) for one in true]) for n in recs.readings}
 
 
@@ -118,7 +118,7 @@ def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -
     """
     if all(effect(s.name).unread is None for s in some):
         return begin
-    true = replace(recs, readings=recs.readings | unread(scene, recs.readings, some))
+    true = replace(recs, readings=recs.readings | true_state(scene, recs.readings, some))
     own, plain = (starts(scene, r, begin.moving).arrays for r in (true, recs))
     state = {n: values + own[n] - plain[n] for n, values in begin.arrays.items() if n != "rows"}
     if scene.object_id is not None:

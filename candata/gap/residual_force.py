@@ -26,7 +26,7 @@ from candata.gap.replay import EffectSet, Replayer, _shift, commands_before, tru
 from candata.gap.starts import Starts
 from candata.rotation import conjugate, difference, rotate
 from candata.scenes import Scene
-from candata.simulate import Observer, followed, rollout
+from candata.simulate import Observer, followed_readings, rollout
 
 Array = NDArray[np.float64]
 #: Bandwidth of the pull [rad/s], critically damped; well below the control rate, above hand motions.
@@ -94,7 +94,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         Effects of the simulator that is to follow: none, or the repaired one's.
     """
     scene = replayer.scene
-    true = followed(scene, recs.readings, world)
+    true = followed_readings(scene, recs.readings, world)
     shifted = {name: _shift(values, begin.rows) for name, values in true.items()}
     target = _target(scene, shifted, recs)
     state = true_start(scene, recs, begin, world)
@@ -109,7 +109,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
 
     rollout(
         scene, commands, state.qpos, state.qvel, [world] * count, memory=state.memory,
-        before=commands_before(recs.commands, begin.rows),
+        earlier_commands=commands_before(recs.commands, begin.rows),
         observer=Observer(shifted, free_gain=0.02), push=push, instant_force=recs.instant_force,
         threads=replayer.threads,
     )  # fmt: skip

@@ -29,10 +29,10 @@ def model(name: str) -> Model:
         When torch is not installed.
     """
     try:
-        found: Model = load(PACKAGE, "MODEL", name)
+        registered_model: Model = load(PACKAGE, "MODEL", name)
     except ModuleNotFoundError as error:
-        raise _missing(error) from None
-    return found
+        raise _missing_extra(error) from None
+    return registered_model
 
 
 def __getattr__(name: str) -> Any:
@@ -42,10 +42,10 @@ def __getattr__(name: str) -> Any:
     try:
         from candata.models import _poses
     except ModuleNotFoundError as error:
-        raise _missing(error) from None
+        raise _missing_extra(error) from None
     return getattr(_poses, name)
 
 
-def _missing(error: ModuleNotFoundError) -> Exception:
+def _missing_extra(error: ModuleNotFoundError) -> Exception:
     """Return what to raise: the install hint when it is torch that is missing."""
     return MissingExtraError("torch", "train") if error.name == "torch" else error

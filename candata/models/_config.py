@@ -102,14 +102,14 @@ class DiffusionConfig(HistoryConfig):
 
     @field_validator("kernel")
     @classmethod
-    def _odd(cls, value: int) -> int:
+    def _check_odd(cls, value: int) -> int:
         """Return the kernel; an even one would shift the sequence."""
         if value % 2 == 0:
             raise ValueError("the kernel must be odd")
         return value
 
     @model_validator(mode="after")
-    def _whole(self) -> Self:
+    def _check_whole(self) -> Self:
         """Return the configuration; groups must divide widths, a forecast cannot take more steps than trained."""
         if any(width % self.groups for width in (*self.widths, self.temporal_width)):
             raise ValueError(f"groups {self.groups} must divide every one of widths and temporal_width")
@@ -145,12 +145,16 @@ class ContactConfig(DiffusionConfig):
 #: past actions and turns the cloud with the pose, as arXiv 2601.12796 says.
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     "small": {
-        "latent": 128, "temporal_width": 64, "point_widths": (32, 64, 128), "cloud_points": 128,
-        "widths": (32, 64, 128), "time_features": 64,
+        "latent": 128,
+        "temporal_width": 64,
+        "point_widths": (32, 64, 128),
+        "cloud_points": 128,
+        "widths": (32, 64, 128),
+        "time_features": 64,
     },
     "base": {},
     "paper": {"widths": (256, 512, 1024), "planned_actions": False, "cloud": "world"},
-}  # fmt: skip
+}
 
 
 def parser(kind: type[Record]) -> Callable[[Mapping[str, Any]], Record]:
@@ -168,11 +172,14 @@ def check_sizes(config: HistoryConfig, sizes: Sizes) -> None:
     """
     if sizes.history < 1 or sizes.horizon < 1:
         raise UsageError(
-            "windows too short", expected="history and horizon of at least 1",
+            "windows too short",
+            expected="history and horizon of at least 1",
             found=f"history {sizes.history}, horizon {sizes.horizon}",
-        )  # fmt: skip
+        )
     if isinstance(config, DiffusionConfig) and config.cloud != "none" and sizes.points < 1:
         raise UsageError(
-            "the data hold no point clouds", expected="a cloud for each object", found="0 points",
+            "the data hold no point clouds",
+            expected="a cloud for each object",
+            found="0 points",
             fix="add clouds to the dataset, or set the model's `cloud` to `none`",
-        )  # fmt: skip
+        )

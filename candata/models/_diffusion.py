@@ -31,11 +31,11 @@ def cosine_alpha_bars(steps: int) -> list[float]:
     def level(share: float) -> float:
         return math.cos((share + OFFSET) / (1 + OFFSET) * math.pi / 2) ** 2
 
-    left, found = 1.0, []
+    alpha_bar, alpha_bars = 1.0, []
     for i in range(steps):
-        left *= 1 - min(1 - level((i + 1) / steps) / level(i / steps), LARGEST_BETA)
-        found.append(left)
-    return found
+        alpha_bar *= 1 - min(1 - level((i + 1) / steps) / level(i / steps), LARGEST_BETA)
+        alpha_bars.append(alpha_bar)
+    return alpha_bars
 
 
 def trailing_times(train_steps: int, steps: int) -> list[int]:
@@ -55,8 +55,8 @@ def trailing_times(train_steps: int, steps: int) -> list[int]:
 class Step:
     """One step of a sampler: signal left before and after it (alpha-bar; 1 after the last)."""
 
-    before: float
-    after: float
+    signal_before: float
+    signal_after: float
 
 
 @dataclass(frozen=True)
@@ -96,15 +96,16 @@ class Process:
 
     def advance(self, x: Tensor, output: Tensor, step: Step, noise: Tensor | None) -> Tensor:
         """Return x after one step; `noise` (DDPM only) is standard normal, None for the last step."""
-        value, epsilon = self.clean(x, output, step.before)
+        value, epsilon = self.clean(x, output, step.signal_before)
         if self.sampler == "ddim":
-            return math.sqrt(step.after) * value + math.sqrt(1 - step.after) * epsilon
-        kept = step.before / step.after
-        spread = (1 - step.after) / (1 - step.before)
+            return math.sqrt(step.signal_after) * value + math.sqrt(1 - step.signal_after) * epsilon
+        signal_ratio = step.signal_before / step.signal_after
+        spread = (1 - step.signal_after) / (1 - step.signal_before)
         mean = (
-            math.sqrt(step.after) * (1 - kept) / (1 - step.before) * value + math.sqrt(kept) * spread * x
+            math.sqrt(step.signal_after) * (1 - signal_ratio) / (1 - step.signal_before) * value
+            + math.sqrt(signal_ratio) * spread * x
         )  # posterior mean, arXiv 2006.11239 eq. 7
-        return mean if noise is None else mean + math.sqrt(spread * (1 - kept)) * noise
+        return mean if noise is None else mean + math.sqrt(spread * (1 - signal_ratio)) * noise
 
     def sample(
         self, denoise: Callable[[Tensor, int], Tensor], noise: Tensor, steps: int, generator: torch.Generator
@@ -124,16 +125,16 @@ class Process:
         """
         x, walk = noise, self.walk(steps)
         for i, step in enumerate(walk):
-            fresh = self.sampler == "ddpm" and i + 1 < len(walk)
-            x = self.advance(x, denoise(x, i), step, normal(x.shape, x, generator) if fresh else None)
+            needs_noise = self.sampler == "ddpm" and i + 1 < len(walk)
+            x = self.advance(x, denoise(x, i), step, normal(x.shape, x, generator) if needs_noise else None)
         return x
 
 
-def normal(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
-    """Return standard normal numbers from `generator`, of the kind and on the device of `like`."""
-    return torch.randn(shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)
+def normal(shape: tuple[int, ...], template: Tensor, generator: torch.Generator) -> Tensor:
+    """Return standard normal numbers from `generator`, of the kind and on the device of `template`."""
+    return torch.randn(shape, generator=generator, device=generator.device, dtype=template.dtype).to(template.device)
 
 
-def uniform(shape: tuple[int, ...], like: Tensor, generator: torch.Generator) -> Tensor:
-    """Return numbers in [0, 1) from `generator`, of the kind and on the device of `like`."""
-    return torch.rand(shape, generator=generator, device=generator.device, dtype=like.dtype).to(like.device)
+def uniform(shape: tuple[int, ...], template: Tensor, generator: torch.Generator) -> Tensor:
+    """Return numbers in [0, 1) from `generator`, of the kind and on the device of `template`."""
+    return torch.rand(shape, generator=generator, device=generator.device, dtype=template.dtype).to(template.device)

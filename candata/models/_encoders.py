@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from candata.errors import DataError
 from candata.models._config import DiffusionConfig
 from candata.models._contract import Batch, Sizes
-from candata.models._inputs import Inputs, Reader, turned
+from candata.models._inputs import Inputs, Reader, turn_points
 from candata.models._unet import convolution
 
 #: Divides clouds, so that hand-sized objects are of size one [m]. A round number; the size itself stays visible.
@@ -23,8 +23,8 @@ CONTACT_FEATURES, TEMPORAL_KERNEL = 64, 3
 def mlp(*sizes: int) -> nn.Sequential:
     """Return linear layers of these sizes with Mish between them."""
     layers: list[nn.Module] = []
-    for before, after in pairwise(sizes):
-        layers += [nn.Linear(before, after), nn.Mish()]
+    for inputs, outputs in pairwise(sizes):
+        layers += [nn.Linear(inputs, outputs), nn.Mish()]
     return nn.Sequential(*layers[:-1])
 
 
@@ -42,8 +42,8 @@ class TemporalEncoder(nn.Module):
 
     def forward(self, rows: Tensor) -> Tensor:
         """Return features `(B, outputs)` of `rows (B, T, inputs)`."""
-        found: Tensor = self.layers(rows.transpose(1, 2))
-        return found
+        features: Tensor = self.layers(rows.transpose(1, 2))
+        return features
 
 
 class PointNet(nn.Module):
@@ -56,15 +56,15 @@ class PointNet(nn.Module):
     def __init__(self, widths: Sequence[int], outputs: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
-        for before, after in zip([3, *widths[:-1]], widths, strict=True):
-            layers += [nn.Linear(before, after), nn.LayerNorm(after), nn.ReLU()]
+        for layer_inputs, layer_outputs in zip([3, *widths[:-1]], widths, strict=True):
+            layers += [nn.Linear(layer_inputs, layer_outputs), nn.LayerNorm(layer_outputs), nn.ReLU()]
         self.each = nn.Sequential(*layers)
         self.all = nn.Sequential(nn.Linear(widths[-1], outputs), nn.LayerNorm(outputs))
 
     def forward(self, points: Tensor) -> Tensor:
         """Return features `(C, outputs)` of clouds `(C, N, 3)` [m]."""
-        found: Tensor = self.all(self.each(points / CLOUD_SCALE_M).amax(dim=-2))
-        return found
+        features: Tensor = self.all(self.each(points / CLOUD_SCALE_M).amax(dim=-2))
+        return features
 
 
 class Encoder(nn.Module):
@@ -103,8 +103,8 @@ class Encoder(nn.Module):
             parts.append(self.plan(inputs.plan))
         if self.config.cloud != "none":
             parts.append(self._cloud(batch))
-        found: Tensor = self.fuse(torch.cat(parts, dim=-1))
-        return found
+        latent: Tensor = self.fuse(torch.cat(parts, dim=-1))
+        return latent
 
     def _cloud(self, batch: Batch) -> Tensor:
         """Return features `(B, latent)` of each window's cloud; 0 where it has none.
@@ -112,19 +112,20 @@ class Encoder(nn.Module):
         In the object's frame each cloud is encoded once; all of them, where they are no more than the windows, as
         finding the distinct ones would make a GPU wait.
         """
-        lacking = [name for name in ("cloud", "clouds") if name not in batch]
-        if lacking:
+        absent_names = [name for name in ("cloud", "clouds") if name not in batch]
+        if absent_names:
             raise DataError(
-                "the windows lack their clouds", expected="cloud (B) and clouds (C, N, 3)",
-                found=f"no {', '.join(lacking)}",
-            )  # fmt: skip
-        which, clouds = batch["cloud"], batch["clouds"][:, : self.config.cloud_points]
-        there, which = which[:, None] >= 0, which.clamp_min(0)
+                "the windows lack their clouds",
+                expected="cloud (B) and clouds (C, N, 3)",
+                found=f"no {', '.join(absent_names)}",
+            )
+        cloud_index, clouds = batch["cloud"], batch["clouds"][:, : self.config.cloud_points]
+        has_cloud, cloud_index = cloud_index[:, None] >= 0, cloud_index.clamp_min(0)
         if self.config.cloud == "world":
-            found = self.cloud(turned(batch["history/object_pose"][:, -1], clouds[which]))
+            features = self.cloud(turn_points(batch["history/object_pose"][:, -1], clouds[cloud_index]))
         else:
-            if len(clouds) > len(which):
-                used, which = which.unique(return_inverse=True)
-                clouds = clouds[used]
-            found = self.cloud(clouds)[which]
-        return torch.where(there, found, torch.zeros_like(found))
+            if len(clouds) > len(cloud_index):
+                distinct_clouds, cloud_index = cloud_index.unique(return_inverse=True)
+                clouds = clouds[distinct_clouds]
+            features = self.cloud(clouds)[cloud_index]
+        return torch.where(has_cloud, features, torch.zeros_like(features))

@@ -91,10 +91,10 @@ class Reader(nn.Module):
         pad = batch["history_pad"]
         poses = batch["history/object_pose"].to(self.increment_scale.dtype)
         poses = torch.where(pad[..., None], poses[:, -1:], poses)
-        present = poses[:, -1]
-        place = [_six(present)]
+        present_pose = poses[:, -1]
+        place = [_attitude_columns(present_pose)]
         if self.config.world_position:
-            place.append(self._read("position", present[:, :3]))
+            place.append(self._read("position", present_pose[:, :3]))
         return Inputs(
             self._history(batch, poses, pad),
             torch.cat(place, dim=-1),
@@ -104,30 +104,30 @@ class Reader(nn.Module):
 
     def target(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return the normalised increments `(B, H, 6)`, zero where unknown, and where they are known `(B, H)`."""
-        known = known_steps(batch)
+        is_known = known_steps(batch)
         values = targets({k: v.to(self.increment_scale.dtype) for k, v in batch.items() if k.endswith("object_pose")})
-        scaled = self._scaled("increment", values)
-        return torch.where(known[..., None], scaled, torch.zeros_like(scaled)), known
+        increments_scaled = self._normalise("increment", values)
+        return torch.where(is_known[..., None], increments_scaled, torch.zeros_like(increments_scaled)), is_known
 
-    def to_si(self, scaled: Tensor) -> Tensor:
+    def to_si(self, values: Tensor) -> Tensor:
         """Return increments `(..., 6)` [m, rad] from normalised ones."""
-        return scaled * self.increment_scale + self.increment_centre
+        return values * self.increment_scale + self.increment_centre
 
     def _history(self, batch: Batch, poses: Tensor, pad: Tensor) -> Tensor:
         """Return the object's path relative to the present, its increments, joints and actions."""
-        away = poses[..., :3] - poses[:, -1:, :3]
+        offsets = poses[..., :3] - poses[:, -1:, :3]
         past_centre, past_scale = self.increment_centre.mean(0), self.increment_scale.mean(0)
         steps = (increments(poses) - past_centre) / past_scale
         rows = [
-            away / self.get_buffer("position_scale"),
-            _six(poses),
+            offsets / self.get_buffer("position_scale"),
+            _attitude_columns(poses),
             torch.cat([steps.new_zeros(len(steps), 1, 6), steps], dim=1),
             self._read("joint", batch["history/joint_position"]),
             self._read("action", batch["history/action"]),
         ]
-        found = torch.cat(rows, dim=-1)
-        found = torch.where(pad[..., None], torch.zeros_like(found), found)
-        return torch.cat([found, (~pad)[..., None].to(found.dtype)], dim=-1)
+        features = torch.cat(rows, dim=-1)
+        features = torch.where(pad[..., None], torch.zeros_like(features), features)
+        return torch.cat([features, (~pad)[..., None].to(features.dtype)], dim=-1)
 
     def _contact(self, batch: Batch, pad: Tensor) -> Tensor:
         """Return the past contact as -1 and 1, 0 where padded."""
@@ -152,10 +152,10 @@ class Reader(nn.Module):
 
     def _read(self, name: str, value: Tensor) -> Tensor:
         """Return `value` normalised, within [-1, 1] where the normaliser clips."""
-        scaled = self._scaled(name, value)
-        return scaled.clamp(-1, 1) if self.clips else scaled
+        values = self._normalise(name, value)
+        return values.clamp(-1, 1) if self.clips else values
 
-    def _scaled(self, name: str, value: Tensor) -> Tensor:
+    def _normalise(self, name: str, value: Tensor) -> Tensor:
         """Return `value` less the centre, over the scale."""
         centre, scale = self.get_buffer(f"{name}_centre"), self.get_buffer(f"{name}_scale")
         return (value.to(centre.dtype) - centre) / scale
@@ -165,46 +165,49 @@ class Reader(nn.Module):
         if centre.shape != shape or scale.shape != shape:
             raise UsageError(
                 f"the normaliser's scale of {name} does not fit the windows",
-                expected=f"shape {shape}", found=f"shape {centre.shape}",
+                expected=f"shape {shape}",
+                found=f"shape {centre.shape}",
                 fix="build the model with the sizes of the windows that the normaliser was fitted on",
-            )  # fmt: skip
+            )
         for part, values in (("centre", centre), ("scale", scale)):
             self.register_buffer(f"{name}_{part}", torch.tensor(values, dtype=torch.float32))
 
     def _check(self, batch: Mapping[str, Tensor]) -> None:
         """Raise DataError when a name is missing."""
         config = self.config
-        needed = ["history_pad", "history/object_pose", "history/joint_position", "history/action"]
-        needed += ["history/contact"] * config.contact_history
-        needed += ["history/fingertip_contact"] * config.fingertip_contact
-        needed += ["planned/action"] * config.planned_actions
-        lacking = [name for name in needed if name not in batch]
-        if lacking:
+        required_names = ["history_pad", "history/object_pose", "history/joint_position", "history/action"]
+        required_names += ["history/contact"] * config.contact_history
+        required_names += ["history/fingertip_contact"] * config.fingertip_contact
+        required_names += ["planned/action"] * config.planned_actions
+        absent_names = [name for name in required_names if name not in batch]
+        if absent_names:
             raise DataError(
-                "the windows lack what the model reads", expected=", ".join(needed),
-                found=f"no {', '.join(lacking)}", fix="open the windows with the channels `MODEL.reads(config)` names",
-            )  # fmt: skip
+                "the windows lack what the model reads",
+                expected=", ".join(required_names),
+                found=f"no {', '.join(absent_names)}",
+                fix="open the windows with the channels `MODEL.reads(config)` names",
+            )
 
 
 def known_steps(batch: Batch) -> Tensor:
     """Return where increments are known `(B, H) bool`: neither end padded, and the present row is there."""
-    future, present = batch["future_pad"], batch["history_pad"][:, -1:]
-    before = torch.cat([present, future[:, :-1]], dim=1)
-    return ~(future | before | present)
+    future, present_pad = batch["future_pad"], batch["history_pad"][:, -1:]
+    pad_before = torch.cat([present_pad, future[:, :-1]], dim=1)
+    return ~(future | pad_before | present_pad)
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """Return the mean of `values` where `mask`; 0 where it is nowhere."""
-    kept = torch.where(mask, values, torch.zeros_like(values))
-    return kept.sum() / mask.sum().clamp_min(1)
+    masked_values = torch.where(mask, values, torch.zeros_like(values))
+    return masked_values.sum() / mask.sum().clamp_min(1)
 
 
-def turned(poses: Tensor, points: Tensor) -> Tensor:
+def turn_points(poses: Tensor, points: Tensor) -> Tensor:
     """Return points `(B, N, 3)` of the objects' frames turned by the attitudes of `poses (B, 7)`."""
     return points @ rotation_matrix(poses[..., 3:]).transpose(-1, -2)
 
 
-def _six(poses: Tensor) -> Tensor:
+def _attitude_columns(poses: Tensor) -> Tensor:
     """Return attitudes as the first two columns of their matrices `(..., 6)`, which are continuous.
 
     Source: Y. Zhou et al., "On the continuity of rotation representations", arXiv 1812.07035, section 4.2.

@@ -14,8 +14,8 @@ from candata.models._contract import Batch
 
 def targets(batch: Batch) -> Tensor:
     """Return the increments to forecast `(B, H, 6)` [m, rad], from present and future object poses."""
-    present = batch["history/object_pose"][:, -1:]
-    return increments(torch.cat([present, batch["future/object_pose"]], dim=1))
+    present_pose = batch["history/object_pose"][:, -1:]
+    return increments(torch.cat([present_pose, batch["future/object_pose"]], dim=1))
 
 
 def increments(poses: Tensor) -> Tensor:
@@ -23,9 +23,9 @@ def increments(poses: Tensor) -> Tensor:
 
     First dp = p(k) - p(k-1), then the world-frame rotation vector omega with R(k) = exp(omega^) R(k-1).
     """
-    before, after = poses[..., :-1, :], poses[..., 1:, :]
-    turn = rotation_log(multiply(after[..., 3:], conjugate(before[..., 3:])))
-    return torch.cat([after[..., :3] - before[..., :3], turn], dim=-1)
+    earlier_poses, later_poses = poses[..., :-1, :], poses[..., 1:, :]
+    turn = rotation_log(multiply(later_poses[..., 3:], conjugate(earlier_poses[..., 3:])))
+    return torch.cat([later_poses[..., :3] - earlier_poses[..., :3], turn], dim=-1)
 
 
 def integrate(present_pose: Tensor, steps: Tensor) -> Tensor:
@@ -66,8 +66,8 @@ def conjugate(q: Tensor) -> Tensor:
 
 def rotation_exp(vector: Tensor) -> Tensor:
     """Return the quaternion `(..., 4)` of a rotation vector `(..., 3)` [rad]."""
-    half = _length(vector) / 2
-    return torch.cat([half.cos(), vector * (half.sin() / (2 * half))], dim=-1)
+    half_angle = _length(vector) / 2
+    return torch.cat([half_angle.cos(), vector * (half_angle.sin() / (2 * half_angle))], dim=-1)
 
 
 def rotation_log(q: Tensor) -> Tensor:
@@ -81,14 +81,20 @@ def rotation_matrix(q: Tensor) -> Tensor:
     """Return the rotation matrix `(..., 3, 3)` of a unit quaternion `(..., 4)`."""
     w, x, y, z = q.unbind(-1)
     rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    ]
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
 
 
 def _length(vector: Tensor) -> Tensor:
     """Return the norm `(..., 1)`, never quite zero: ratios to it and gradients stay finite."""
-    tiny = torch.finfo(vector.dtype).tiny
-    return vector.square().sum(-1, keepdim=True).clamp_min(tiny).sqrt()
+    smallest_square = torch.finfo(vector.dtype).tiny
+    return vector.square().sum(-1, keepdim=True).clamp_min(smallest_square).sqrt()

@@ -10,7 +10,7 @@ import torch
 T = TypeVar("T")
 
 
-def seeded(seed: int, make: Callable[[], T]) -> T:
+def with_seed(seed: int, make: Callable[[], T]) -> T:
     """Return what `make` makes with torch's generator at `seed`; the generator's own state is left as it was."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)

@@ -32,8 +32,8 @@ class Residual(nn.Module):
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
         """Return `(B, outputs, L)`; `film (B, 2 outputs)` holds scales less one, then shifts."""
         scale, shift = film[..., None].chunk(2, dim=1)
-        found: Tensor = self.second(torch.addcmul(shift, self.first(x), 1 + scale)) + self.skip(x)
-        return found
+        outputs: Tensor = self.second(torch.addcmul(shift, self.first(x), 1 + scale)) + self.skip(x)
+        return outputs
 
 
 class Level(nn.Module):
@@ -46,9 +46,9 @@ class Level(nn.Module):
 
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
         """Return `(B, outputs, L)`; `film (B, 4 outputs)` is for the first block, then the second."""
-        first, second = film.chunk(2, dim=1)
-        found: Tensor = self.second(self.first(x, first), second)
-        return found
+        first_film, second_film = film.chunk(2, dim=1)
+        outputs: Tensor = self.second(self.first(x, first_film), second_film)
+        return outputs
 
 
 class TimeEmbedding(nn.Module):
@@ -58,18 +58,18 @@ class TimeEmbedding(nn.Module):
 
     def __init__(self, features: int) -> None:
         super().__init__()
-        half = features // 2
-        powers = torch.arange(half) / max(half - 1, 1)
+        half_features = features // 2
+        powers = torch.arange(half_features) / max(half_features - 1, 1)
         self.register_buffer("frequencies", torch.exp(-math.log(10_000) * powers), persistent=False)
         self.layers = nn.Sequential(
-            nn.Linear(2 * half, 4 * features), nn.Mish(), nn.Linear(4 * features, features), nn.Mish()
+            nn.Linear(2 * half_features, 4 * features), nn.Mish(), nn.Linear(4 * features, features), nn.Mish()
         )
 
     def forward(self, time: Tensor) -> Tensor:
         """Return features `(S, features)` of times `(S)`."""
         angle = time[:, None] * self.frequencies
-        found: Tensor = self.layers(torch.cat([angle.sin(), angle.cos()], dim=-1))
-        return found
+        features: Tensor = self.layers(torch.cat([angle.sin(), angle.cos()], dim=-1))
+        return features
 
 
 class UNet(nn.Module):
@@ -92,45 +92,45 @@ class UNet(nn.Module):
         super().__init__()
 
         pairs = list(zip([inputs, *widths[:-1]], widths, strict=True))
-        back = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
+        upward_pairs = list(zip(widths[:0:-1], widths[-2::-1], strict=True))
         self.down = nn.ModuleList(Level(a, b, kernel, groups) for a, b in pairs)
         self.shrink = nn.ModuleList(nn.Conv1d(w, w, 3, stride=2, padding=1) for w in widths[:-1])
         self.middle = Level(widths[-1], widths[-1], kernel, groups)
-        self.up = nn.ModuleList(Level(2 * a, b, kernel, groups) for a, b in back)
-        self.grow = nn.ModuleList(nn.ConvTranspose1d(b, b, 4, stride=2, padding=1) for _, b in back)
-        last = nn.Conv1d(widths[0], outputs, 1)
-        for parameter in last.parameters():
+        self.up = nn.ModuleList(Level(2 * a, b, kernel, groups) for a, b in upward_pairs)
+        self.grow = nn.ModuleList(nn.ConvTranspose1d(b, b, 4, stride=2, padding=1) for _, b in upward_pairs)
+        output_layer = nn.Conv1d(widths[0], outputs, 1)
+        for parameter in output_layer.parameters():
             nn.init.zeros_(parameter)  # the first forecast is the mean of the data
-        self.last = nn.Sequential(convolution(widths[0], widths[0], kernel, groups), last)
-        self.film_sizes = [4 * width for width in [*widths, widths[-1], *(b for _, b in back)]]
+        self.last = nn.Sequential(convolution(widths[0], widths[0], kernel, groups), output_layer)
+        self.film_sizes = [4 * width for width in [*widths, widths[-1], *(b for _, b in upward_pairs)]]
         self.by_window = nn.Linear(condition, sum(self.film_sizes))
         self.by_time = nn.Linear(time_features, sum(self.film_sizes), bias=False)
         self.embed = TimeEmbedding(time_features)
 
     def window_film(self, condition: Tensor) -> Tensor:
         """Return the part of all scales and shifts `(B, S)` that the condition `(B, C)` gives."""
-        found: Tensor = self.by_window(nn.functional.mish(condition))
-        return found
+        film: Tensor = self.by_window(nn.functional.mish(condition))
+        return film
 
     def time_film(self, time: Tensor) -> Tensor:
         """Return the part of all scales and shifts `(T, S)` that the diffusion times `(T)` give."""
-        found: Tensor = self.by_time(self.embed(time))
-        return found
+        film: Tensor = self.by_time(self.embed(time))
+        return film
 
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
         """Return the output `(B, outputs, H)` for `x (B, inputs, H)` and `film (B, S)`."""
         films = iter(film.split(self.film_sizes, dim=1))
-        kept, lengths = [], []
+        skip_features, lengths = [], []
         for number, level in enumerate(self.down):
             lengths.append(x.shape[-1])
             x = level(x, next(films))
-            kept.append(x)
+            skip_features.append(x)
             if number < len(self.shrink):
                 x = self.shrink[number](x)
         x = self.middle(x, next(films))
         for level, grow in zip(self.up, self.grow, strict=True):
-            x = level(torch.cat([x, kept.pop()], dim=1), next(films))
+            x = level(torch.cat([x, skip_features.pop()], dim=1), next(films))
             lengths.pop()
             x = grow(x)[..., : lengths[-1]]
-        found: Tensor = self.last(x)
-        return found
+        output: Tensor = self.last(x)
+        return output

@@ -15,7 +15,7 @@ from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import uniform
 from candata.models._encoders import mlp
 from candata.models._inputs import masked_mean
-from candata.models._seed import seeded
+from candata.models._seed import with_seed
 from candata.models.diffusion_unet import DiffusionUNet
 
 
@@ -25,7 +25,7 @@ class ContactDiffusion(DiffusionUNet):
     config: ContactConfig
 
     def __init__(self, config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> None:
-        super().__init__(config, sizes, normaliser, extra=config.contact_features)
+        super().__init__(config, sizes, normaliser, extra_features=config.contact_features)
         self.contact_head = mlp(config.latent, config.latent, sizes.horizon)
         self.contact_feature = mlp(sizes.horizon, config.contact_features, config.contact_features)
 
@@ -34,11 +34,11 @@ class ContactDiffusion(DiffusionUNet):
         inputs = self.reader(batch)
         z = self.encoder(batch, inputs)
         logits = self.contact_head(z)
-        known = ~batch["future_pad"]
-        truth = torch.where(known, batch["future/contact"].to(z.dtype), torch.zeros_like(logits))
-        contact = masked_mean(binary_cross_entropy_with_logits(logits, truth, reduction="none"), known)
-        given = self._given(logits, truth, known, generator)
-        diffusion = self.diffusion_loss(batch, inputs, self._condition(z, given), generator)
+        is_known = ~batch["future_pad"]
+        truth = torch.where(is_known, batch["future/contact"].to(z.dtype), torch.zeros_like(logits))
+        contact = masked_mean(binary_cross_entropy_with_logits(logits, truth, reduction="none"), is_known)
+        contact_input = self._contact_input(logits, truth, is_known, generator)
+        diffusion = self.diffusion_loss(batch, inputs, self._condition(z, contact_input), generator)
         loss = contact + self.config.diffusion_weight * diffusion
         return {"loss": loss, "contact": contact, "diffusion": diffusion}
 
@@ -54,23 +54,23 @@ class ContactDiffusion(DiffusionUNet):
         """Return h = [z; f_c]."""
         return torch.cat([z, self.contact_feature(contact)], dim=-1)
 
-    def _given(self, logits: Tensor, truth: Tensor, known: Tensor, generator: torch.Generator) -> Tensor:
+    def _contact_input(self, logits: Tensor, truth: Tensor, is_known: Tensor, generator: torch.Generator) -> Tensor:
         """Return the contact `(B, H)` that the denoiser is trained on; unknown steps are always predicted ones."""
         predicted = logits.sigmoid()
         if self.config.contact_grad == "stop":
             predicted = predicted.detach()
         if self.config.contact_input == "predicted":
             return predicted
-        use = known
+        use = is_known
         if self.config.contact_input == "mixed":
-            use = known & (uniform((len(known), 1), logits, generator) < 0.5)
+            use = is_known & (uniform((len(is_known), 1), logits, generator) < 0.5)
         return torch.where(use, truth, predicted)
 
 
 def _build(config: ContactConfig, sizes: Sizes, normaliser: Normaliser) -> ContactDiffusion:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return seeded(config.seed, lambda: ContactDiffusion(config, sizes, normaliser))
+    return with_seed(config.seed, lambda: ContactDiffusion(config, sizes, normaliser))
 
 
 MODEL = Model(

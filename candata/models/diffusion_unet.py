@@ -11,7 +11,7 @@ from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, normal
 from candata.models._encoders import Encoder
 from candata.models._inputs import Inputs, Reader, masked_mean
-from candata.models._seed import seeded
+from candata.models._seed import with_seed
 from candata.models._unet import UNet
 
 
@@ -20,7 +20,7 @@ class DiffusionUNet(nn.Module):
 
     alpha_bars: Tensor
 
-    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser, extra: int = 0) -> None:
+    def __init__(self, config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser, extra_features: int = 0) -> None:
         super().__init__()
         self.config, self.sizes = config, sizes
         self.process = Process(tuple(cosine_alpha_bars(config.train_steps)), config.target, config.sampler)
@@ -31,7 +31,7 @@ class DiffusionUNet(nn.Module):
         self.unet = UNet(
             6 + self.reader.plan_size,
             6,
-            config.latent + extra,
+            config.latent + extra_features,
             config.time_features,
             config.widths,
             config.kernel,
@@ -51,7 +51,7 @@ class DiffusionUNet(nn.Module):
 
     def diffusion_loss(self, batch: Batch, inputs: Inputs, condition: Tensor, generator: torch.Generator) -> Tensor:
         """Return the mean squared error of the denoiser at one random time a window."""
-        value, known = self.reader.target(batch)
+        value, is_known = self.reader.target(batch)
         value = value / self.unit
         count = len(value)
         time = torch.randint(self.config.train_steps, (count,), generator=generator, device=generator.device)
@@ -61,8 +61,8 @@ class DiffusionUNet(nn.Module):
         noisy = level.sqrt() * value + (1 - level).sqrt() * noise
         film = self.unet.window_film(condition) + self.unet.time_film(time.to(value.dtype))
         output = self._denoise(noisy, inputs.plan, film)
-        wanted = value if self.config.target == "x0" else noise
-        return masked_mean((output - wanted).square().mean(-1), known)
+        target = value if self.config.target == "x0" else noise
+        return masked_mean((output - target).square().mean(-1), is_known)
 
     def sample(self, inputs: Inputs, condition: Tensor, samples: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return sampled increments `(M, B, H, 6)` [m, rad]."""
@@ -71,24 +71,24 @@ class DiffusionUNet(nn.Module):
         plan = inputs.plan.repeat(samples, 1, 1)
         times = torch.tensor(self.process.times(steps), dtype=condition.dtype, device=condition.device)
         by_time = self.unet.time_film(times)
-        found = self.process.sample(
+        increments = self.process.sample(
             lambda x, i: self._denoise(x, plan, by_window + by_time[i]),
             normal((samples * count, horizon, 6), condition, generator),
             steps,
             generator,
         )
-        return self.reader.to_si(self.unit * found.unflatten(0, (samples, count)))
+        return self.reader.to_si(self.unit * increments.unflatten(0, (samples, count)))
 
     def _denoise(self, x: Tensor, plan: Tensor, film: Tensor) -> Tensor:
         """Return the network's output `(B, H, 6)`."""
-        found: Tensor = self.unet(torch.cat([x, plan], dim=-1).transpose(1, 2), film)
-        return found.transpose(1, 2)
+        output: Tensor = self.unet(torch.cat([x, plan], dim=-1).transpose(1, 2), film)
+        return output.transpose(1, 2)
 
 
 def _build(config: DiffusionConfig, sizes: Sizes, normaliser: Normaliser) -> DiffusionUNet:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return seeded(config.seed, lambda: DiffusionUNet(config, sizes, normaliser))
+    return with_seed(config.seed, lambda: DiffusionUNet(config, sizes, normaliser))
 
 
 MODEL = Model(

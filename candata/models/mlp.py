@@ -10,7 +10,7 @@ from candata.models._config import MlpConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._encoders import mlp
 from candata.models._inputs import Reader, masked_mean
-from candata.models._seed import seeded
+from candata.models._seed import with_seed
 
 
 class Mlp(nn.Module):
@@ -20,31 +20,31 @@ class Mlp(nn.Module):
         super().__init__()
         self.sizes = sizes
         self.reader = reader = Reader(config, sizes, normaliser)
-        past = sizes.history * (reader.history_size + reader.contact_size)
-        inputs = past + reader.place_size + sizes.horizon * reader.plan_size
+        history_inputs = sizes.history * (reader.history_size + reader.contact_size)
+        inputs = history_inputs + reader.place_size + sizes.horizon * reader.plan_size
         self.layers = mlp(inputs, *[config.width] * config.layers, sizes.horizon * 6)
 
     def losses(self, batch: Batch, generator: torch.Generator) -> Losses:
         """Return `loss`, the mean squared error of the normalised increments over the steps that are known."""
-        value, known = self.reader.target(batch)
-        return {"loss": masked_mean((self._scaled(batch) - value).square().mean(-1), known)}
+        value, is_known = self.reader.target(batch)
+        return {"loss": masked_mean((self._normalised_increments(batch) - value).square().mean(-1), is_known)}
 
     @torch.no_grad()
     def forecast(self, batch: Batch, samples: int, steps: int, generator: torch.Generator) -> Forecast:
         """Return the one forecast, `samples` times; `steps` and `generator` change nothing."""
-        found = self.reader.to_si(self._scaled(batch))
-        return Forecast(found.expand(samples, *found.shape), None)
+        increments = self.reader.to_si(self._normalised_increments(batch))
+        return Forecast(increments.expand(samples, *increments.shape), None)
 
-    def _scaled(self, batch: Batch) -> Tensor:
+    def _normalised_increments(self, batch: Batch) -> Tensor:
         """Return normalised increments `(B, H, 6)`."""
-        found: Tensor = self.layers(torch.cat([part.flatten(1) for part in self.reader(batch)], dim=-1))
-        return found.unflatten(-1, (self.sizes.horizon, 6))
+        increments: Tensor = self.layers(torch.cat([part.flatten(1) for part in self.reader(batch)], dim=-1))
+        return increments.unflatten(-1, (self.sizes.horizon, 6))
 
 
 def _build(config: MlpConfig, sizes: Sizes, normaliser: Normaliser) -> Mlp:
     """Return the module with the first weights of the configuration's seed."""
     check_sizes(config, sizes)
-    return seeded(config.seed, lambda: Mlp(config, sizes, normaliser))
+    return with_seed(config.seed, lambda: Mlp(config, sizes, normaliser))
 
 
 MODEL = Model(

@@ -34,5 +34,5 @@ def policy(name: str) -> Policy:
     UnknownNameError
         When there is none; lists those there are.
     """
-    found: Policy = load(PACKAGE, "POLICY", name)
-    return found
+    registered_policy: Policy = load(PACKAGE, "POLICY", name)
+    return registered_policy

@@ -47,7 +47,7 @@ def servos(scene: Scene) -> NDArray[np.bool_]:
     return position_servos(scene.model, scene.actuator_ids)
 
 
-def holding(scene: Scene, length: Array) -> Array:
+def holding_commands(scene: Scene, length: Array) -> Array:
     """Return the commands `(A,)` at which servos rest at an actuator length `(A,)`; 0 for others."""
     model, ids = scene.model, scene.actuator_ids
     bias, gain = model.actuator_biasprm[ids], model.actuator_gainprm[ids, 0]
@@ -70,40 +70,40 @@ def lengths(scene: Scene, commands: Array) -> Array:
 def command_range(scene: Scene) -> Array:
     """Return `(A, 2)` smallest and largest command: control range, else what it can travel, else +-1 about rest."""
     model, ids = scene.model, scene.actuator_ids
-    own = model.actuator_ctrllimited[ids].astype(bool)[:, None]
-    rest = holding(scene, model.actuator_length0[ids])[:, None] + np.array([-1.0, 1.0])
+    is_limited = model.actuator_ctrllimited[ids].astype(bool)[:, None]
+    rest = holding_commands(scene, model.actuator_length0[ids])[:, None] + np.array([-1.0, 1.0])
     travel = _travel(scene)
-    return np.where(own, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest))
+    return np.where(is_limited, model.actuator_ctrlrange[ids], np.where(np.isfinite(travel), travel, rest))
 
 
 def useful_range(scene: Scene) -> Array:
     """Return `(A, 2)` the commands within both the control range and the travel; the control range where none is."""
-    allowed, travel = command_range(scene), _travel(scene)
-    low, high = np.maximum(allowed[:, 0], travel[:, 0]), np.minimum(allowed[:, 1], travel[:, 1])
-    return np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed)
+    allowed_range, travel = command_range(scene), _travel(scene)
+    low, high = np.maximum(allowed_range[:, 0], travel[:, 0]), np.minimum(allowed_range[:, 1], travel[:, 1])
+    return np.where((low < high)[:, None], np.stack([low, high], axis=1), allowed_range)
 
 
 def _travel(scene: Scene) -> Array:
     """Return `(A, 2)` the commands that lead to both ends of what an actuator drives; infinite where nothing ends."""
     limits = [_length_range(scene, int(a)) for a in scene.actuator_ids]
-    bounded = servos(scene) & np.array([r is not None for r in limits], bool)
+    has_ends = servos(scene) & np.array([r is not None for r in limits], bool)
     ends = np.array([r if r is not None else (0.0, 0.0) for r in limits]).reshape(-1, 2)
-    asked = np.stack([holding(scene, ends[:, 0]), holding(scene, ends[:, 1])], axis=1)
-    return np.where(bounded[:, None], np.sort(asked, axis=1), np.array([-np.inf, np.inf]))
+    end_commands = np.stack([holding_commands(scene, ends[:, 0]), holding_commands(scene, ends[:, 1])], axis=1)
+    return np.where(has_ends[:, None], np.sort(end_commands, axis=1), np.array([-np.inf, np.inf]))
 
 
 def _length_range(scene: Scene, actuator: int) -> tuple[float, float] | None:
     """Return the shortest and longest length of an actuator; None where nothing limits it."""
     model, gear = scene.model, float(scene.model.actuator_gear[actuator, 0])
-    joint, own = scene.driven_joints.get(actuator), None
+    joint, limits = scene.driven_joints.get(actuator), None
     if joint is not None and model.jnt_limited[joint]:
-        own = model.jnt_range[joint]
+        limits = model.jnt_range[joint]
     elif model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_TENDON:
         tendon = model.actuator_trnid[actuator, 0]
-        own = model.tendon_range[tendon] if model.tendon_limited[tendon] else None
-    if own is None:
+        limits = model.tendon_range[tendon] if model.tendon_limited[tendon] else None
+    if limits is None:
         return None
-    low, high = sorted(gear * float(v) for v in own)
+    low, high = sorted(gear * float(v) for v in limits)
     return low, high
 
 
@@ -136,24 +136,24 @@ def carriers(scene: Scene) -> frozenset[int]:
 
     Without fingertips it is the slides; of a single fingertip too, since its hinges are its finger.
     """
-    model, found = scene.model, set()
+    model, columns = scene.model, set()
     for i, a in enumerate(scene.actuator_ids.tolist()):
         joint = scene.driven_joints.get(a)
         if joint is None:
             continue
         body = int(model.jnt_bodyid[joint])
         all_tips = all(_carries(model, body, int(tip)) for tip in scene.fingertip_bodies)
-        several = len(set(scene.fingertip_bodies.tolist())) > 1
-        if all_tips and (several or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE):
-            found.add(i)
-    return frozenset(found)
+        has_several_tips = len(set(scene.fingertip_bodies.tolist())) > 1
+        if all_tips and (has_several_tips or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE):
+            columns.add(i)
+    return frozenset(columns)
 
 
-def _carries(model: mujoco.MjModel, body: int, other: int) -> bool:
-    """Tell whether `other` is `body` or hangs on it."""
-    while other != body and other != 0:
-        other = int(model.body_parentid[other])
-    return other == body
+def _carries(model: mujoco.MjModel, body: int, descendant: int) -> bool:
+    """Tell whether `descendant` is `body` or hangs on it."""
+    while descendant != body and descendant != 0:
+        descendant = int(model.body_parentid[descendant])
+    return descendant == body
 
 
 @lru_cache(maxsize=16)
@@ -170,8 +170,8 @@ def rails(scene: Scene) -> Rails:
     joints = [_joint(scene, c) for c in columns]
     axes = data.xaxis[joints] * np.sign(model.actuator_gear[scene.actuator_ids[columns], 0])[:, None]
     base = data.xanchor[joints].mean(0)
-    back = base - data.xpos[scene.object_id] if scene.object_id is not None else np.array([-1.0, 0, 0])
-    return _roles(columns, axes, back)
+    stand_off = base - data.xpos[scene.object_id] if scene.object_id is not None else np.array([-1.0, 0, 0])
+    return _roles(columns, axes, stand_off)
 
 
 def _joint(scene: Scene, column: int) -> int:
@@ -179,20 +179,20 @@ def _joint(scene: Scene, column: int) -> int:
     return scene.driven_joints[int(scene.actuator_ids[column])]
 
 
-def _roles(columns: list[int], axes: Array, back: Array) -> Rails:
+def _roles(columns: list[int], axes: Array, stand_off: Array) -> Rails:
     """Return the roles of rails with axes `(R, 3)` when the hand stands `back (3,)` of the object."""
     upright = int(np.argmax(np.abs(axes[:, 2])))
     lifts = bool(abs(axes[upright, 2]) > UPRIGHT)
-    along = axes @ back
-    away = int(np.argmax(np.abs(along)))
-    flat = [i for i in range(len(columns)) if abs(axes[i, 2]) <= UPRIGHT]
-    stroke = next((i for i in [*(i for i in flat if i != away), *flat]), None)
+    along_stand_off = axes @ stand_off
+    away_rail = int(np.argmax(np.abs(along_stand_off)))
+    level_rails = [i for i in range(len(columns)) if abs(axes[i, 2]) <= UPRIGHT]
+    stroke = next((i for i in [*(i for i in level_rails if i != away_rail), *level_rails]), None)
     return Rails(
         np.array(columns, int),
         Rail(columns[upright], _sign(axes[upright, 2])) if lifts else None,
-        Rail(columns[away], _sign(along[away])),
-        None if stroke is None else Rail(columns[stroke], -_sign(along[stroke], zero=-1.0)),
-        away in flat,
+        Rail(columns[away_rail], _sign(along_stand_off[away_rail])),
+        None if stroke is None else Rail(columns[stroke], -_sign(along_stand_off[stroke], zero=-1.0)),
+        away_rail in level_rails,
     )
 
 

@@ -29,7 +29,7 @@ MARGINS = (0.1, 0.2, 0.3)
 #: A fingertip farther than this from the object after the search has not reached it [m].
 REACHED_M = 0.01
 #: A tendon couples its joints when its range is less than this share of what one of them alone can pull.
-TIGHT = 0.3
+TIGHT_SHARE = 0.3
 
 
 @lru_cache(maxsize=16)
@@ -43,18 +43,18 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
     """
     if scene.object_id is None:
         return None
-    free = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
+    finger_columns = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
     tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
     tips = [t for t in tips if len(t)]
-    if not len(free) or not tips:
+    if not len(finger_columns) or not tips:
         return None
-    hand = _Hand(scene, free, tips)
-    touching, distances = hand.touch()
+    hand = _Hand(scene, finger_columns, tips)
+    touch_commands, distances = hand.touch()
     if (distances < REACHED_M).sum() < min(2, len(tips)):
         return None
-    low, high = d.useful_range(scene)[free].T
-    commands = d.holding(scene, scene.model.actuator_length0[scene.actuator_ids])
-    commands[free] = np.clip(touching + hand.press(touching, distances), low, high)
+    low, high = d.useful_range(scene)[finger_columns].T
+    commands = d.holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids])
+    commands[finger_columns] = np.clip(touch_commands + hand.press(touch_commands, distances), low, high)
     return tuple(commands.tolist())
 
 
@@ -64,7 +64,7 @@ class _Hand:
     def __init__(self, scene: Scene, free: Ids, tips: list[Ids]) -> None:
         self.scene, self.model, self.free, self.tips = scene, scene.model, free, tips
         self.data = mujoco.MjData(self.model)
-        self.start = d.holding(scene, self.model.actuator_length0[scene.actuator_ids])
+        self.start = d.holding_commands(scene, self.model.actuator_length0[scene.actuator_ids])
         self.qpos0 = d.start_qpos(scene, self.start)
         self.data.qpos[:] = self.qpos0
         self._drop()
@@ -72,45 +72,47 @@ class _Hand:
 
     def _drop(self) -> None:
         """Let the object down until it touches: it can always fall by its smallest distance to anything."""
-        at, fallen = self.scene.object_qpos + 2, 0.0
-        others = [g for g in _contact.geoms(self.scene, None) if g not in self.scene.object_geoms]
-        height = float(self.qpos0[at])
-        while fallen < FALL_M:
+        height_address, fallen_m = self.scene.object_qpos + 2, 0.0
+        obstacle_geoms = [g for g in _contact.geoms(self.scene, None) if g not in self.scene.object_geoms]
+        height = float(self.qpos0[height_address])
+        while fallen_m < FALL_M:
             mujoco.mj_kinematics(self.model, self.data)
-            gap = min((self._distance(int(g))[0] for g in others), default=FALL_M)
+            gap = min((self._distance(int(g))[0] for g in obstacle_geoms), default=FALL_M)
             if gap < TOUCH_M:
-                self.qpos0[at] = self.data.qpos[at]
+                self.qpos0[height_address] = self.data.qpos[height_address]
                 return
-            fallen += gap
-            self.data.qpos[at] = height - fallen
-        self.data.qpos[at] = height
+            fallen_m += gap
+            self.data.qpos[height_address] = height - fallen_m
+        self.data.qpos[height_address] = height
 
     def _distance(self, geom: int) -> tuple[float, Array]:
         """Return the signed distance of a geom to the object [m] and the segment `(6,)` between them."""
-        best, where, segment = 1.0, np.zeros(6), np.zeros(6)
-        for own in self.scene.object_geoms:
-            found = mujoco.mj_geomDistance(self.model, self.data, geom, int(own), best, segment)
-            if found < best:
-                best, where = found, segment.copy()
-        return best, where
+        distance, best_segment, segment = 1.0, np.zeros(6), np.zeros(6)
+        for object_geom in self.scene.object_geoms:
+            geom_distance = mujoco.mj_geomDistance(self.model, self.data, geom, int(object_geom), distance, segment)
+            if geom_distance < distance:
+                distance, best_segment = geom_distance, segment.copy()
+        return distance, best_segment
 
     def _moment(self) -> Array:
         """Return `(A + C, nv)` how fast each free actuator's length, and each coupling, grows with each joint."""
         model, data = self.model, self.data
         mujoco.mj_fwdPosition(model, data)
-        dense = np.zeros((model.nu, model.nv))
-        mujoco.mju_sparse2dense(dense, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
-        equal = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        coupled = data.efc_J[: data.nefc * model.nv].reshape(-1, model.nv)[equal]
-        return np.concatenate([dense[self.scene.actuator_ids][self.free], coupled, *_tight_tendons(model)])
+        moment = np.zeros((model.nu, model.nv))
+        mujoco.mju_sparse2dense(
+            moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind
+        )
+        equality_rows = data.efc_type[: data.nefc] == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        coupled_moment = data.efc_J[: data.nefc * model.nv].reshape(-1, model.nv)[equality_rows]
+        return np.concatenate([moment[self.scene.actuator_ids][self.free], coupled_moment, *_tight_tendons(model)])
 
     def _pose(self, commands: Array) -> None:
         """Put the joints where the servos rest; tendons pull their joints alike, couplings and limits hold."""
-        model, whole = self.model, self.start.copy()
-        whole[self.free] = commands
-        longer = d.lengths(self.scene, whole)[self.free] - d.lengths(self.scene, self.start)[self.free]
+        model, commands_all = self.model, self.start.copy()
+        commands_all[self.free] = commands
+        length_change = d.lengths(self.scene, commands_all)[self.free] - d.lengths(self.scene, self.start)[self.free]
         self.data.qpos[:] = self.qpos0
-        mujoco.mj_integratePos(model, self.data.qpos, self.answer @ longer, 1.0)
+        mujoco.mj_integratePos(model, self.data.qpos, self.answer @ length_change, 1.0)
         for joint in np.flatnonzero(model.jnt_limited):
             at = model.jnt_qposadr[joint]
             self.data.qpos[at] = np.clip(self.data.qpos[at], *model.jnt_range[joint])
@@ -118,8 +120,8 @@ class _Hand:
 
     def _contacts(self) -> tuple[Array, Array]:
         """Return where each fingertip is nearest to the object `(F, 3)` [m], and how far from it `(F,)` [m]."""
-        near = [min((self._distance(int(g)) for g in tip), key=lambda found: found[0]) for tip in self.tips]
-        return np.array([segment[:3] for _, segment in near]), np.array([gap for gap, _ in near])
+        nearest_pairs = [min((self._distance(int(g)) for g in tip), key=lambda pair: pair[0]) for tip in self.tips]
+        return np.array([segment[:3] for _, segment in nearest_pairs]), np.array([gap for gap, _ in nearest_pairs])
 
     def _forces(self, points: Array) -> Array:
         """Return `(F, 3)` forces towards the object's centre whose sizes sum to 1 and that cancel as far as they can.
@@ -140,28 +142,28 @@ class _Hand:
         """Return the commands at which the fingertips come nearest to touching, and the distances left [m]."""
         low, high = d.useful_range(self.scene)[self.free].T
         span = high - low
-        own = np.clip((self.start[self.free] - low) / span, 0.0, 1.0)
+        start_share = np.clip((self.start[self.free] - low) / span, 0.0, 1.0)
 
         def errors(share: Array) -> Array:
             self._pose(low + share * span)
             points, gaps = self._contacts()
-            return np.concatenate([gaps / SCALE_M, BALANCE * self._forces(points).sum(0), share - own])
+            return np.concatenate([gaps / SCALE_M, BALANCE * self._forces(points).sum(0), share - start_share])
 
-        starts = [np.clip(own, margin, 1 - margin) for margin in MARGINS]
+        starts = [np.clip(start_share, margin, 1 - margin) for margin in MARGINS]
         ends = [least_squares(errors, s, bounds=(0.0, 1.0), diff_step=1e-4, max_nfev=40) for s in starts]
-        best = low + min(ends, key=lambda end: float(end.cost)).x * span
-        self._pose(best)
-        return best, self._contacts()[1]
+        best_commands = low + min(ends, key=lambda end: float(end.cost)).x * span
+        self._pose(best_commands)
+        return best_commands, self._contacts()[1]
 
     def press(self, commands: Array, distances: Array) -> Array:
         """Return how much more to ask of the servos, so that the fingertips that touch press on the object."""
         self._pose(commands)
         mujoco.mj_comPos(self.model, self.data)
         weight = float(self.model.body_subtreemass[self.scene.object_id] * np.linalg.norm(self.model.opt.gravity))
-        reached = np.flatnonzero(distances < REACHED_M)
-        points = self._contacts()[0][reached]
+        reached_tips = np.flatnonzero(distances < REACHED_M)
+        points = self._contacts()[0][reached_tips]
         torque, jacobian = np.zeros(self.model.nv), np.zeros((3, self.model.nv))
-        for tip, point, force in zip(reached, points, self._forces(points), strict=True):
+        for tip, point, force in zip(reached_tips, points, self._forces(points), strict=True):
             body = int(self.model.geom_bodyid[self.tips[tip][0]])
             mujoco.mj_jac(self.model, self.data, jacobian, None, point, body)
             torque += jacobian.T @ force * max(WEIGHTS * weight, LEAST_N)
@@ -179,6 +181,6 @@ def _tight_tendons(model: mujoco.MjModel) -> list[Array]:
         for joint, coefficient in zip(model.wrap_objid[span], model.wrap_prm[span], strict=True):
             row[0, model.jnt_dofadr[joint]] = coefficient
             pulls.append(abs(coefficient) * np.ptp(model.jnt_range[joint]))
-        if len(pulls) > 1 and np.ptp(model.tendon_range[tendon]) < TIGHT * max(pulls):
+        if len(pulls) > 1 and np.ptp(model.tendon_range[tendon]) < TIGHT_SHARE * max(pulls):
             out.append(row / np.linalg.norm(row))
     return out

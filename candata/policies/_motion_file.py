@@ -28,9 +28,9 @@ TIME, MOTION = "time_s", "motion"
 #: Key of the metadata of the table (JSON), and of a column's unit.
 _KEY, _UNIT = b"candata", b"unit"
 #: The stamps of a file at the scene's rate lie this close to the beat [share of a period].
-_ON_BEAT = 0.01
+_ON_BEAT_SHARE = 0.01
 #: A command passes a limit when it does so by more than this share of the range: text and float32 round.
-_ROUNDING = 1e-6
+_ROUNDING_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -66,26 +66,29 @@ def write_motions(path: str | Path, scene: Scene, motions: Sequence[Motion]) -> 
     """
     path = Path(path)
     lengths = [len(m.commands) for m in motions]
-    stacked = np.concatenate([m.commands for m in motions])
+    all_commands = np.concatenate([m.commands for m in motions])
     columns = {TIME: np.concatenate([np.arange(n) for n in lengths]) / scene.file.rate_hz}
     if len(motions) > 1:
         columns[MOTION] = np.repeat([m.name for m in motions], lengths)
-    columns |= {name: stacked[:, i] for i, name in enumerate(scene.file.actuator_names)}
+    columns |= {name: all_commands[:, i] for i, name in enumerate(scene.file.actuator_names)}
     units = {TIME: "s"} | dict(zip(scene.file.actuator_names, command_units(scene), strict=True))
     arrays = [pa.array(v) for v in columns.values()]
     fields = [
         pa.field(n, a.type, metadata={_UNIT: units[n]} if n in units else None)
         for n, a in zip(columns, arrays, strict=True)
     ]
-    about = {
-        "names": [m.name for m in motions], "scene": scene.name, "scene_digest": scene.digest,
-        "rate_hz": scene.file.rate_hz, "object_shift_m": [[float(v) for v in m.object_shift_m] for m in motions],
-    }  # fmt: skip
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={_KEY: json.dumps(about)}))
+    metadata = {
+        "names": [m.name for m in motions],
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+        "rate_hz": scene.file.rate_hz,
+        "object_shift_m": [[float(v) for v in m.object_shift_m] for m in motions],
+    }
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={_KEY: json.dumps(metadata)}))
     path.parent.mkdir(parents=True, exist_ok=True)
-    staged = path.with_name(f".{path.name}.part")
-    pq.write_table(table, staged, compression="zstd")
-    os.replace(staged, path)
+    part_path = path.with_name(f".{path.name}.part")
+    pq.write_table(table, part_path, compression="zstd")
+    os.replace(part_path, path)
     return path
 
 
@@ -114,18 +117,18 @@ def read_motions(path: str | Path, scene: Scene) -> MotionFile:
     columns = read_columns(path, [TIME, *names])
     schema = pq.read_schema(path)
     _check_units(schema, scene, path)
-    about = _about(schema)
+    metadata = _metadata(schema)
     values = np.stack([numbers(columns[n], n, path) for n in names], axis=1)
     time_s = numbers(columns[TIME], TIME, path)
     _check_finite(np.c_[time_s, values], (TIME, *names), path)
-    parts = _parts(path, schema, len(time_s), about)
-    shifts = _shifts(about, len(parts))
+    parts = _parts(path, schema, len(time_s), metadata)
+    shifts = _shifts(metadata, len(parts))
     motions = []
     for (name, rows), shift in zip(parts, shifts, strict=True):
         commands = _on_beat(scene, time_s[rows], values[rows], rows, path)
         motions.append(Motion(name, commands, shift))
     _check_limits(scene, motions, path)
-    return MotionFile(tuple(motions), about.get("scene_digest"), motions_digest(motions))
+    return MotionFile(tuple(motions), metadata.get("scene_digest"), motions_digest(motions))
 
 
 def motion_plan(scene: Scene, motion: Motion, rng: np.random.Generator) -> Plan:
@@ -135,10 +138,10 @@ def motion_plan(scene: Scene, motion: Motion, rng: np.random.Generator) -> Plan:
 
 def motions_digest(motions: Sequence[Motion]) -> str:
     """Return the SHA-256 over names, commands and places of motions."""
-    found = hashlib.sha256()
+    sha256 = hashlib.sha256()
     for m in motions:
-        found.update(m.name.encode() + m.commands.tobytes() + np.asarray(m.object_shift_m, float).tobytes())
-    return found.hexdigest()
+        sha256.update(m.name.encode() + m.commands.tobytes() + np.asarray(m.object_shift_m, float).tobytes())
+    return sha256.hexdigest()
 
 
 def command_units(scene: Scene) -> tuple[str, ...]:
@@ -174,29 +177,29 @@ def command_limits(scene: Scene) -> Array:
     return limits
 
 
-def _about(schema: pa.Schema) -> dict:
+def _metadata(schema: pa.Schema) -> dict:
     """Return the metadata that candata writes; empty in a file of another's."""
     try:
-        found = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
+        metadata = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
     except ValueError:
         return {}
-    return found if isinstance(found, dict) else {}
+    return metadata if isinstance(metadata, dict) else {}
 
 
-def _shifts(about: dict, count: int) -> list[Array]:
+def _shifts(metadata: dict, count: int) -> list[Array]:
     """Return where the object stands in each motion; its own place where the file does not say."""
     shifts = np.zeros((count, 3))
     try:
-        said = np.asarray(about.get("object_shift_m", shifts), float)
+        stored_shifts = np.asarray(metadata.get("object_shift_m", shifts), float)
     except (TypeError, ValueError):
         return list(shifts)
-    return list(said if said.shape == shifts.shape and np.isfinite(said).all() else shifts)
+    return list(stored_shifts if stored_shifts.shape == shifts.shape and np.isfinite(stored_shifts).all() else shifts)
 
 
-def _parts(path: Path, schema: pa.Schema, count: int, about: dict) -> list[tuple[str, NDArray[np.int64]]]:
+def _parts(path: Path, schema: pa.Schema, count: int, metadata: dict) -> list[tuple[str, NDArray[np.int64]]]:
     """Return the name and rows of each motion, in the file's order."""
     if MOTION not in schema.names:
-        names = about.get("names")
+        names = metadata.get("names")
         return [(str(names[0]) if names else path.stem, np.arange(count))]
     labels = read_columns(path, [MOTION])[MOTION].astype(str)
     return [(str(n), np.flatnonzero(labels == n)) for n in dict.fromkeys(labels.tolist())]
@@ -205,24 +208,28 @@ def _parts(path: Path, schema: pa.Schema, count: int, about: dict) -> list[tuple
 def _check_units(schema: pa.Schema, scene: Scene, path: Path) -> None:
     """Refuse a column whose unit is said, and another than the scene's."""
     for name, unit in zip(scene.file.actuator_names, command_units(scene), strict=True):
-        said = (schema.field(name).metadata or {}).get(_UNIT, unit.encode()).decode()
-        if said != unit:
+        stored_unit = (schema.field(name).metadata or {}).get(_UNIT, unit.encode()).decode()
+        if stored_unit != unit:
             raise DataError(
-                f"commands of {name} are in another unit", expected=unit, found=said,
-                where=Where(path=str(path), channel=name), fix=f"convert the column to {unit}",
-            )  # fmt: skip
+                f"commands of {name} are in another unit",
+                expected=unit,
+                found=stored_unit,
+                where=Where(path=str(path), channel=name),
+                fix=f"convert the column to {unit}",
+            )
 
 
 def _check_finite(values: Array, names: Sequence[str], path: Path) -> None:
     """Refuse what is no number."""
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, column = (int(i) for i in wrong[0])
+    bad_places = np.argwhere(~np.isfinite(values))
+    if len(bad_places):
+        row, column = (int(i) for i in bad_places[0])
         raise DataError(
             "a command is no number" if column else "a time is no number",
-            expected="finite numbers", found=f"{values[row, column]} ({len(wrong)} such values)",
+            expected="finite numbers",
+            found=f"{values[row, column]} ({len(bad_places)} such values)",
             where=Where(path=str(path), channel=names[column], index=row),
-        )  # fmt: skip
+        )
 
 
 def _on_beat(scene: Scene, time_s: Array, values: Array, rows: NDArray[np.int64], path: Path) -> Array:
@@ -231,41 +238,45 @@ def _on_beat(scene: Scene, time_s: Array, values: Array, rows: NDArray[np.int64]
         raise DataError(
             "a motion is too short", expected="at least 2 rows", found=str(len(time_s)), where=Where(path=str(path))
         )
-    back = np.flatnonzero(np.diff(time_s) <= 0)
-    if len(back):
+    falling_rows = np.flatnonzero(np.diff(time_s) <= 0)
+    if len(falling_rows):
         raise DataError(
-            "time does not rise", expected=f"more than {time_s[back[0]]:g} s", found=f"{time_s[back[0] + 1]:g} s",
-            where=Where(path=str(path), channel=TIME, index=int(rows[back[0] + 1])),
-        )  # fmt: skip
+            "time does not rise",
+            expected=f"more than {time_s[falling_rows[0]]:g} s",
+            found=f"{time_s[falling_rows[0] + 1]:g} s",
+            where=Where(path=str(path), channel=TIME, index=int(rows[falling_rows[0] + 1])),
+        )
     rate_hz = scene.file.rate_hz
-    if np.abs((time_s - time_s[0]) * rate_hz - np.arange(len(time_s))).max() < _ON_BEAT:
+    if np.abs((time_s - time_s[0]) * rate_hz - np.arange(len(time_s))).max() < _ON_BEAT_SHARE:
         return values
     stamps = np.round((time_s - time_s[0]) * 1e9).astype(np.int64)
-    asked = grid(0, int(stamps[-1]), rate_hz)
-    found = resample(stamps, values, asked, "command")
-    if len(asked) < 2 or not found.valid.all():
+    beat_ns = grid(0, int(stamps[-1]), rate_hz)
+    resampled_commands = resample(stamps, values, beat_ns, "command")
+    if len(beat_ns) < 2 or not resampled_commands.valid.all():
         gap = int(np.argmax(np.diff(stamps)))
         raise DataError(
-            "a motion has a gap", expected=f"a command every {1e-9 * period_ns(stamps):g} s",
+            "a motion has a gap",
+            expected=f"a command every {1e-9 * period_ns(stamps):g} s",
             found=f"{1e-9 * float(stamps[gap + 1] - stamps[gap]):g} s without",
             where=Where(path=str(path), channel=TIME, index=int(rows[gap + 1])),
             fix="write every command, also where it does not change",
-        )  # fmt: skip
-    return np.asarray(found.values, float)
+        )
+    return np.asarray(resampled_commands.values, float)
 
 
 def _check_limits(scene: Scene, motions: Sequence[Motion], path: Path) -> None:
     """Refuse a command beyond its limits."""
     low, high = command_limits(scene).T
-    slack = _ROUNDING * (high - low)
+    slack = _ROUNDING_SHARE * (high - low)
     for m in motions:
-        wrong = np.argwhere((m.commands < low - slack) | (m.commands > high + slack))
-        if len(wrong):
-            row, i = (int(v) for v in wrong[0])
+        bad_places = np.argwhere((m.commands < low - slack) | (m.commands > high + slack))
+        if len(bad_places):
+            row, i = (int(v) for v in bad_places[0])
             unit = command_units(scene)[i]
             raise DataError(
-                f"motion {m.name!r} goes beyond a limit", expected=f"{low[i]:g} to {high[i]:g} {unit}",
+                f"motion {m.name!r} goes beyond a limit",
+                expected=f"{low[i]:g} to {high[i]:g} {unit}",
                 found=f"{m.commands[row, i]:g} {unit} at {row / scene.file.rate_hz:g} s",
                 where=Where(path=str(path), channel=scene.file.actuator_names[i]),
                 fix="is the unit right? rad and m, not deg and mm",
-            )  # fmt: skip
+            )

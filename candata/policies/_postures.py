@@ -37,23 +37,23 @@ def postures(scene: Scene) -> Postures:
     model, ids, rails = scene.model, scene.actuator_ids, d.rails(scene)
     keys = {model.key(k).name: k for k in range(model.nkey)}
     if {"open", "grasp"} <= set(keys):
-        opened, closed = (np.array(model.key_ctrl[keys[name]][ids]) for name in ("open", "grasp"))
-        return Postures(opened, closed, closed - opened, rails)
-    start = np.clip(d.holding(scene, model.actuator_length0[ids]), *d.command_range(scene).T)
+        open_commands, closed_commands = (np.array(model.key_ctrl[keys[name]][ids]) for name in ("open", "grasp"))
+        return Postures(open_commands, closed_commands, closed_commands - open_commands, rails)
+    start = np.clip(d.holding_commands(scene, model.actuator_length0[ids]), *d.command_range(scene).T)
     travel = _travel(scene, start)
-    found = grasp(scene)
-    closed = start + travel if found is None else np.array(found)
-    little = np.abs(closed - start) < np.abs(travel) / 2
-    sweep = travel if found is None else np.where(little, travel / 2, closed - start)
-    return Postures(start, closed, sweep, rails)
+    grasp_commands = grasp(scene)
+    closed_commands = start + travel if grasp_commands is None else np.array(grasp_commands)
+    moves_little = np.abs(closed_commands - start) < np.abs(travel) / 2
+    sweep = travel if grasp_commands is None else np.where(moves_little, travel / 2, closed_commands - start)
+    return Postures(start, closed_commands, sweep, rails)
 
 
 def _travel(scene: Scene, start: Array) -> Array:
     """Return `(A,)` 60 % of the way to the far end of each range; none for what carries the whole hand."""
-    return np.where(d.servos(scene), 0.6, d.MOTOR_SHARE) * far(scene, start)
+    return np.where(d.servos(scene), 0.6, d.MOTOR_SHARE) * way_to_far_end(scene, start)
 
 
-def far(scene: Scene, start: Array) -> Array:
+def way_to_far_end(scene: Scene, start: Array) -> Array:
     """Return `(A,)` the way from `start` to the far end of each range; none for what carries the whole hand."""
     low, high = d.useful_range(scene).T
     way = np.where(np.abs(high - start) >= np.abs(low - start), high, low) - start
@@ -82,10 +82,10 @@ def has_hand_and_object(scene: Scene) -> bool:
     return has_hand(scene) and scene.object_id is not None
 
 
-def shift(commands: Array, rail: d.Rail | None, by: Array | float) -> None:
-    """Add `by`, (T,) or a number [m], in place to the commands of a rail, as its name says; nothing without one."""
+def shift(commands: Array, rail: d.Rail | None, distance: Array | float) -> None:
+    """Move a rail by `distance`, (T,) or a number [m], in place, as its name says; nothing without a rail."""
     if rail is not None:
-        commands[:, rail.column] += rail.sign * by
+        commands[:, rail.column] += rail.sign * distance
 
 
 def finish(

@@ -14,9 +14,9 @@ AWAY_M = 0.14
 #: Share of an episode that is swept, the rest being a jump out and back; its stroke over the way to the far end of the
 #: range; how long the sweep takes to end [s]. (Of a quarter of a clear damping of the joints, damping of their servos
 #: leaves nothing on a sweep alone, and with the jumps 0.3 to 1.2 floors of that motion, on four hands.)
-SWEPT, STROKE, END_S = 0.7, 0.8, 0.25
+SWEEP_SHARE, STROKE, END_S = 0.7, 0.8, 0.25
 #: When joints jump out, at random within the first share of what is left, and how much later each comes back. Chosen.
-WITHIN, AWAY = 0.3, 0.45
+JUMP_WITHIN_SHARE, RETURN_AFTER_SHARE = 0.3, 0.45
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -27,25 +27,27 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """
     hand, t = p.postures(scene), p.times(scene, duration_s)
     commands = np.repeat(hand.open[None], len(t), axis=0)
-    travel, until = 0.9 * hand.sweep, SWEPT * duration_s
-    slow, fast = rng.uniform(0.3, 0.6, len(travel)), rng.uniform(1.5, 3.0, len(travel))
-    phase = 2 * np.pi * (slow * t[:, None] + (fast - slow) * t[:, None] ** 2 / (2 * until))
-    swept = p.blend(t, 0, 0.3) - p.blend(t, until - END_S, END_S)
-    commands += swept[:, None] * 0.5 * (1 - np.cos(phase)) * travel
+    travel, sweep_end_s = 0.9 * hand.sweep, SWEEP_SHARE * duration_s
+    slow_hz, fast_hz = rng.uniform(0.3, 0.6, len(travel)), rng.uniform(1.5, 3.0, len(travel))
+    phase = 2 * np.pi * (slow_hz * t[:, None] + (fast_hz - slow_hz) * t[:, None] ** 2 / (2 * sweep_end_s))
+    sweep_envelope = p.blend(t, 0, 0.3) - p.blend(t, sweep_end_s - END_S, END_S)
+    commands += sweep_envelope[:, None] * 0.5 * (1 - np.cos(phase)) * travel
     # Each joint at its own time: of commands that are all alike, which joint follows which could not be told.
-    out = until + (duration_s - until) * (rng.uniform(0.0, WITHIN, len(travel)) + np.array([[0.0], [AWAY]]))
+    out = sweep_end_s + (duration_s - sweep_end_s) * (
+        rng.uniform(0.0, JUMP_WITHIN_SHARE, len(travel)) + np.array([[0.0], [RETURN_AFTER_SHARE]])
+    )
     # A motor without a servo has nothing that would stop it at the far end, nor damping to be told from its joint's.
-    stroke = np.where(servos(scene) & (hand.sweep != 0), STROKE * p.far(scene, hand.open), 0.0)
+    stroke = np.where(servos(scene) & (hand.sweep != 0), STROKE * p.way_to_far_end(scene, hand.open), 0.0)
     commands += ((t[:, None] >= out[0]) & (t[:, None] < out[1])) * stroke
-    aside = _apart(scene, hand, commands)
+    object_shift = _clear_of_object(scene, hand, commands)
     if hand.rails.away is not None:
         rails = hand.rails.columns
         waves = np.sin(2 * np.pi * rng.uniform(0.4, 1.5, len(rails)) * t[:, None])
         commands[:, rails] += p.blend(t, 0, 0.3)[:, None] * rng.uniform(0.005, 0.02) * waves
-    return p.finish(scene, commands, rng, shift=aside)
+    return p.finish(scene, commands, rng, shift=object_shift)
 
 
-def _apart(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
+def _clear_of_object(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
     """Move the wrist away in place; where no rail can, return how far the object is put away [m]."""
     if hand.rails.away is not None:
         p.shift(commands, hand.rails.away, AWAY_M)
@@ -53,7 +55,7 @@ def _apart(scene: Scene, hand: p.Postures, commands: Array) -> Array | None:
     return None if scene.object_id is None else np.array([2 * AWAY_M, 0, 0])
 
 
-def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) -> Planner:
+def _reversals(share: float, low_hz: float, high_hz: float, sharpness: float = 0.0) -> Planner:
     """Return a planner of reversals about the middle of each joint's travel.
 
     Parameters
@@ -62,7 +64,7 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) 
         Stroke over the travel from open to closed.
     low_hz, high_hz : float
         Rates at the start and at the end; the rate grows by equal factors.
-    sharp : float
+    sharpness : float
         Above 0 the wave has flat tops: steps between two places.
     """
 
@@ -72,10 +74,10 @@ def _reversals(share: float, low_hz: float, high_hz: float, sharp: float = 0.0) 
         turns = low_hz * duration_s * np.expm1(growth * t / duration_s) / growth if growth else low_hz * t
         # Joints half a turn apart or less: their torques on each other do not repeat from stroke to stroke.
         wave = np.sin(2 * np.pi * turns[:, None] + rng.uniform(0, np.pi, len(hand.open)))
-        wave = np.tanh(sharp * wave) / np.tanh(sharp) if sharp else wave
+        wave = np.tanh(sharpness * wave) / np.tanh(sharpness) if sharpness else wave
         travel = hand.closed - hand.open
         commands = hand.open + 0.5 * travel + 0.5 * share * p.blend(t, 0, 0.3)[:, None] * wave * travel
-        return p.finish(scene, commands, rng, shift=_apart(scene, hand, commands), dither=False)
+        return p.finish(scene, commands, rng, shift=_clear_of_object(scene, hand, commands), dither=False)
 
     return plan
 
@@ -94,17 +96,17 @@ def _jumps(share: float, rate_hz: float | None) -> Planner:
 
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         hand, t = p.postures(scene), p.times(scene, duration_s)
-        stroke = share * p.far(scene, hand.open)
-        moving = np.flatnonzero(stroke)
+        stroke = share * p.way_to_far_end(scene, hand.open)
+        moving_columns = np.flatnonzero(stroke)
         out = np.zeros((len(t), len(stroke)))
         if rate_hz is None:
-            turn = t / duration_s * len(moving)
-            for k, joint in enumerate(rng.permutation(moving)):
+            turn = t / duration_s * len(moving_columns)
+            for k, joint in enumerate(rng.permutation(moving_columns)):
                 out[:, joint] = (turn >= k) & (turn < k + 0.5)
         else:
-            out[:, moving] = ((rate_hz * t) % 1 >= 0.5)[:, None]
+            out[:, moving_columns] = ((rate_hz * t) % 1 >= 0.5)[:, None]
         commands = hand.open + out * stroke
-        return p.finish(scene, commands, rng, shift=_apart(scene, hand, commands), dither=False)
+        return p.finish(scene, commands, rng, shift=_clear_of_object(scene, hand, commands), dither=False)
 
     return plan
 
@@ -116,7 +118,7 @@ VARIANTS = (
     Variant("slow reversals in the air", _reversals(0.5, 0.3, 0.5)),
     Variant("reversals in the air at rising speed", _reversals(0.5, 0.25, 3.0)),
     Variant("fast reversals in the air", _reversals(0.9, 2.5, 4.0)),
-    Variant("large steps in the air", _reversals(0.9, 1.0, 1.6, sharp=6.0)),
+    Variant("large steps in the air", _reversals(0.9, 1.0, 1.6, sharpness=6.0)),
     Variant("jumps of all joints in the air", _jumps(0.8, 1.5)),
     Variant("jumps of one joint after the other in the air", _jumps(0.8, None)),
 )

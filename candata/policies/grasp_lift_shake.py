@@ -14,15 +14,15 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     hand, t = p.postures(scene), p.times(scene, duration_s)
     unit = duration_s / 3.2
     grip = rng.uniform(0.95, 1.12)
-    closed = p.blend(t, 0.1 * unit, rng.uniform(0.5, 0.8) * unit) - p.blend(t, 2.75 * unit, 0.3 * unit)
-    commands = hand.open + grip * closed[:, None] * (hand.closed - hand.open)
+    grip_profile = p.blend(t, 0.1 * unit, rng.uniform(0.5, 0.8) * unit) - p.blend(t, 2.75 * unit, 0.3 * unit)
+    commands = hand.open + grip * grip_profile[:, None] * (hand.closed - hand.open)
     if len(hand.rails.columns):
         lift = p.blend(t, 1.0 * unit, 0.5 * unit) - p.blend(t, 2.35 * unit, 0.35 * unit)
-        shaking = p.blend(t, 1.5 * unit, 0.15 * unit) - p.blend(t, 2.2 * unit, 0.15 * unit)
+        shake_envelope = p.blend(t, 1.5 * unit, 0.15 * unit) - p.blend(t, 2.2 * unit, 0.15 * unit)
         count = len(hand.rails.columns)
         amplitude = rng.uniform(0.006, 0.016, count) * rng.choice([-1, 1], count)
         wave = np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * (t - 1.5 * unit))
-        commands[:, hand.rails.columns] += (shaking * wave)[:, None] * amplitude
+        commands[:, hand.rails.columns] += (shake_envelope * wave)[:, None] * amplitude
         height = rng.uniform(0.04, 0.07)
         p.shift(commands, hand.rails.lift, height * lift)
     return p.finish(scene, commands, rng)
@@ -37,15 +37,15 @@ def _carry(lift_m: float, side_m: float) -> Planner:
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         hand, t = p.postures(scene), p.times(scene, duration_s)
         unit = duration_s / 3.2
-        closed = p.blend(t, 0.1 * unit, 0.6 * unit) - p.blend(t, 2.85 * unit, 0.25 * unit)
-        commands = hand.open + 1.05 * closed[:, None] * (hand.closed - hand.open)
+        grip_profile = p.blend(t, 0.1 * unit, 0.6 * unit) - p.blend(t, 2.85 * unit, 0.25 * unit)
+        commands = hand.open + 1.05 * grip_profile[:, None] * (hand.closed - hand.open)
         if len(hand.rails.columns):
             lift = p.blend(t, 0.8 * unit, 0.4 * unit) - p.blend(t, 2.4 * unit, 0.4 * unit)
-            there = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
-            back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
+            way_out = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
+            way_back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
             upright = hand.rails.lift.column if hand.rails.lift else -1
             level = [column for column in hand.rails.columns if column != upright]
-            commands[:, level] += side_m * (there - back)[:, None]
+            commands[:, level] += side_m * (way_out - way_back)[:, None]
             p.shift(commands, hand.rails.lift, lift_m * lift)
         return p.finish(scene, commands, rng, dither=False)
 

@@ -20,26 +20,28 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan; without wrist slides the fingers alone push by closing and opening twice."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
     unit = duration_s / 3.2
-    half = rng.uniform(0.05, 0.2)
-    commands = np.repeat((hand.open + half * (hand.closed - hand.open))[None], len(t), axis=0)
+    closing_share = rng.uniform(0.05, 0.2)
+    commands = np.repeat((hand.open + closing_share * (hand.closed - hand.open))[None], len(t), axis=0)
     stroke = p.blend(t, 0.1 * unit, rng.uniform(1.1, 1.4) * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
-    again = p.blend(t, 2.2 * unit, 0.6 * unit)
+    second_stroke = p.blend(t, 2.2 * unit, 0.6 * unit)
     if hand.rails.stroke is not None:
         reach = rng.uniform(0.05, 0.08)
-        back = rng.uniform(0.045, 0.06)
+        back_off_m = rng.uniform(0.045, 0.06)
         if hand.rails.sideways:
             # Lower than the object's middle, or it would tip; backing off puts the fingertips, not the links behind
             # them, beside the object. A hand above the object pushes with the fingers that straddle it.
             p.shift(commands, hand.rails.lift, -LOW_M)
-            p.shift(commands, hand.rails.away, back)
+            p.shift(commands, hand.rails.away, back_off_m)
         # The stroke starts clear of the object, so that an episode holds the onset of contact.
-        p.shift(commands, hand.rails.stroke, (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * again) - CLEAR_M)
+        p.shift(
+            commands, hand.rails.stroke, (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * second_stroke) - CLEAR_M
+        )
     else:
-        commands += (0.6 * (stroke + again))[:, None] * (hand.closed - hand.open)
+        commands += (0.6 * (stroke + second_stroke))[:, None] * (hand.closed - hand.open)
     return p.finish(scene, commands, rng)
 
 
-def _far(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
+def _far_stroke(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan of one long even stroke and a slow way back; as `_plan` without a wrist."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
     if hand.rails.stroke is None:
@@ -54,5 +56,5 @@ def _far(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     return p.finish(scene, commands, rng, dither=False)
 
 
-VARIANTS = (Variant("push the object far at an even speed", _far),)
+VARIANTS = (Variant("push the object far at an even speed", _far_stroke),)
 POLICY = Policy("push the object over its support", p.has_hand_and_object, _plan, VARIANTS)

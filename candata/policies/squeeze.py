@@ -13,10 +13,10 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan; squeezing rate and depth are random, and the object is dragged up a little."""
     hand, t = p.postures(scene), p.times(scene, duration_s)
     unit = duration_s / 3.2
-    closed = p.blend(t, 0.1 * unit, rng.uniform(0.4, 0.7) * unit) - p.blend(t, 2.7 * unit, 0.35 * unit)
+    grip_profile = p.blend(t, 0.1 * unit, rng.uniform(0.4, 0.7) * unit) - p.blend(t, 2.7 * unit, 0.35 * unit)
     depth, rate = rng.uniform(0.1, 0.25), rng.uniform(0.7, 1.6)
     wave = 1 + depth * np.sin(2 * np.pi * rate * (t - 0.8 * unit)) * p.blend(t, 0.8 * unit, 0.2 * unit)
-    commands = hand.open + (closed * wave)[:, None] * (hand.closed - hand.open)
+    commands = hand.open + (grip_profile * wave)[:, None] * (hand.closed - hand.open)
     if len(hand.rails.columns):
         pull = p.blend(t, 1.2 * unit, 0.6 * unit) - p.blend(t, 2.1 * unit, 0.5 * unit)
         commands[:, hand.rails.columns] += pull[:, None] * rng.uniform(-0.012, 0.012, len(hand.rails.columns))
@@ -28,10 +28,10 @@ def _levels(*grips: float) -> Planner:
 
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         hand, t = p.postures(scene), p.times(scene, duration_s)
-        each = duration_s / (len(grips) + 1)
+        level_s = duration_s / (len(grips) + 1)
         steps = np.diff([0.0, *grips, 0.0])
-        closed = sum(step * p.blend(t, (k + 0.1) * each, 0.5 * each) for k, step in enumerate(steps))
-        commands = hand.open + np.asarray(closed)[:, None] * (hand.closed - hand.open)
+        grip_profile = sum(step * p.blend(t, (k + 0.1) * level_s, 0.5 * level_s) for k, step in enumerate(steps))
+        commands = hand.open + np.asarray(grip_profile)[:, None] * (hand.closed - hand.open)
         return p.finish(scene, commands, rng, dither=False)
 
     return plan

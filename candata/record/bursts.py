@@ -27,9 +27,9 @@ WINDOW_S, FEWEST = 2.0, 16
 #: is sent evenly may be (Mardia & Jupp 2000, section 2.3.1). Reads that come up to w late are in step to sin(x) / x,
 #: where x is pi w / 16 ms: 0.6 allows 8 ms. Jitter only lowers what an even stream reaches. (Of an emulated timer on a
 #: machine with three times as much to do as it can, windows had 0.70 to 0.96.)
-IN_STEP, EVEN = 0.6, 0.4
+IN_STEP, EVEN_SHARE = 0.6, 0.4
 #: Share of the windows that must be in step. Chosen.
-MOST = 0.5
+MOST_SHARE = 0.5
 #: How bytes come then, in words.
 WORDS = (
     f"come in bursts, every {1e3 * TIMER_S:.0f} ms, as a USB adapter's latency timer makes them: stamps are up to "
@@ -53,7 +53,7 @@ def comes_in_bursts(read_ns: Times, rates_hz: Sequence[float]) -> bool:
         At which the device may send, such as its nominal rate and the one that was seen. Where one of them is that of
         the timer, or a whole part of it, an even stream looks the same: then nothing is told, nor is it far off.
     """
-    return share_in_step(windows(read_ns)) >= MOST and not any(looks_timed(rate) for rate in rates_hz)
+    return share_in_step(windows(read_ns)) >= MOST_SHARE and not any(looks_timed(rate) for rate in rates_hz)
 
 
 def windows(read_ns: Times) -> Iterator[Times]:
@@ -85,7 +85,7 @@ def looks_timed(rate_hz: float) -> bool:
     if not rate_hz > 0:
         return True
     turns = abs(float(np.sin(np.pi / (rate_hz * TIMER_S))))
-    return WINDOW_S * rate_hz * turns * EVEN < 1
+    return WINDOW_S * rate_hz * turns * EVEN_SHARE < 1
 
 
 def seen_rate_hz(time_ns: Times) -> float:
@@ -116,7 +116,7 @@ class Rhythm:
 
     def is_in_bursts(self, rates_hz: Sequence[float]) -> bool:
         """Tell whether most of what was read so far came at the beat of a latency timer; rates as `comes_in_bursts`."""
-        in_step_so_far = self._judged > 0 and self._steps >= MOST * self._judged
+        in_step_so_far = self._judged > 0 and self._steps >= MOST_SHARE * self._judged
         return in_step_so_far and not any(looks_timed(rate) for rate in rates_hz)
 
     def _judge(self) -> None:

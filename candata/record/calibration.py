@@ -144,12 +144,14 @@ def from_metadata(values: Mapping[str, Any]) -> Calibration:
 
 def _refuse_motion(travel: NDArray[np.float64], names: tuple[str, ...], limits: Limits) -> None:
     """Refuse a hand of which a joint moved, naming the joints that did."""
-    moved = [f"{name} {x:.3f} rad" for name, x in zip(names, travel, strict=True) if not x <= limits.joint_range_rad]
-    if moved:
+    moved_joints = [
+        f"{name} {x:.3f} rad" for name, x in zip(names, travel, strict=True) if not x <= limits.joint_range_rad
+    ]
+    if moved_joints:
         raise SetupError(
             "the hand moved during calibration",
             expected=f"each joint within {limits.joint_range_rad:g} rad",
-            found=", ".join(moved),
+            found=", ".join(moved_joints),
             fix=_FIX,
         )
 
@@ -159,16 +161,16 @@ def _refuse_touch(
 ) -> None:
     """Refuse a hand of which a fingertip was touched, naming the fingertips that were."""
     level_N = np.abs(bias_N).sum(axis=1)
-    touched = []
+    touched_tips = []
     for name, change, level in zip(names, spread_N.max(axis=1), level_N, strict=True):
         if change > limits.force_spread_N:
-            touched.append(f"{name} changed by {change:.2f} N")
+            touched_tips.append(f"{name} changed by {change:.2f} N")
         elif level > limits.force_level_N:
-            touched.append(f"{name} under {level:.2f} N")
-    if touched:
+            touched_tips.append(f"{name} under {level:.2f} N")
+    if touched_tips:
         raise SetupError(
             "the hand was touched during calibration",
             expected=f"each fingertip under {limits.force_level_N:g} N and steady to {limits.force_spread_N:g} N",
-            found=", ".join(touched),
+            found=", ".join(touched_tips),
             fix=_FIX,
         )

@@ -19,7 +19,7 @@ from candata.formats._mapping import read_map
 from candata.schema.episode import Episode
 
 #: Channels that are taken from a companion; forces and contact come from the wire alone.
-TAKEN = ("object_pose", "object_velocity", "hand_pose", "joint_position", "action")
+IMPORTED_CHANNELS = ("object_pose", "object_velocity", "hand_pose", "joint_position", "action")
 _NAMES = {"joint_position": "joint_names", "action": "actuator_names"}
 
 
@@ -106,25 +106,25 @@ def read_companion(path: Path) -> Companion:
 
 def _map_of(path: Path) -> Path:
     """Return the map beside a table."""
-    beside = path.parent / "map.yaml"
-    if not beside.is_file() or (beside.parent / read_map(beside).file).resolve() != path.resolve():
+    map_path = path.parent / "map.yaml"
+    if not map_path.is_file() or (map_path.parent / read_map(map_path).file).resolve() != path.resolve():
         raise UsageError(
             "the table has no map",
-            expected=f"{beside} with `file: {path.name}`",
-            found="a map of another file" if beside.is_file() else "no such file",
+            expected=f"{map_path} with `file: {path.name}`",
+            found="a map of another file" if map_path.is_file() else "no such file",
             where=Where(path=str(path)),
             fix="write a map.yaml that names its columns, and give that",
         )
-    return beside
+    return map_path
 
 
 def _from_table(path: Path) -> Companion:
     """Return the streams of a mapped table; several episodes in it are one stream."""
     episodes = sorted(table.read(path, allow_gaps=True), key=lambda e: int(e["time_ns"][0]))
-    taken = [c for c in TAKEN if c in episodes[0]]
-    skipped = set(episodes[0].arrays) - {*TAKEN, "time_ns", "contact"}
-    left_out = tuple(c for c in episodes[0].arrays if c in skipped and not c.endswith("_valid"))
-    streams = tuple(_stream(channel, episodes, path) for channel in taken)
+    channels = [c for c in IMPORTED_CHANNELS if c in episodes[0]]
+    skipped_channels = set(episodes[0].arrays) - {*IMPORTED_CHANNELS, "time_ns", "contact"}
+    left_out = tuple(c for c in episodes[0].arrays if c in skipped_channels and not c.endswith("_valid"))
+    streams = tuple(_stream(channel, episodes, path) for channel in channels)
     meta = episodes[0].meta
     return Companion(path.name, streams, table.digest(path), left_out, meta.scene, meta.object, meta.task)
 
@@ -140,18 +140,18 @@ def _stream(channel: str, episodes: list[Episode], path: Path) -> Stream:
         times.append(time_ns)
         values.append(rows)
     names = getattr(episodes[0].meta, _NAMES.get(channel, ""), ())
-    return _checked(Stream(channel, names, np.concatenate(times), np.concatenate(values), path.name), path)
+    return _check_stamps(Stream(channel, names, np.concatenate(times), np.concatenate(values), path.name), path)
 
 
-def _checked(stream: Stream, path: Path) -> Stream:
+def _check_stamps(stream: Stream, path: Path) -> Stream:
     """Return a stream whose stamps do not run back."""
-    back = np.flatnonzero(np.diff(stream.time_ns) < 0)
-    if len(back):
+    falling_rows = np.flatnonzero(np.diff(stream.time_ns) < 0)
+    if len(falling_rows):
         raise DataError(
             "the stamps run back",
             expected="one recording, in the order of time",
-            found=f"{len(back)} steps back",
-            where=Where(path=str(path), channel=stream.channel, index=int(back[0]) + 1),
+            found=f"{len(falling_rows)} steps back",
+            where=Where(path=str(path), channel=stream.channel, index=int(falling_rows[0]) + 1),
             fix="sort the rows by time; give recordings of several clocks apart",
         )
     return stream
@@ -162,12 +162,12 @@ def _from_mcap(path: Path) -> Companion:
     rows: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     schema_of: dict[str, str] = {}
     for topic, schema, log_time, data in _messages(path):
-        read = _READERS.get(schema)
-        if read is not None:
+        reader = _READERS.get(schema)
+        if reader is not None:
             schema_of[topic] = schema
-            rows[topic].append(read(data, log_time))
+            rows[topic].append(reader(data, log_time))
     _one_object(path, [topic for topic, schema in schema_of.items() if schema == _POSE])
-    streams = tuple(_topic(path, topic, schema_of[topic], found) for topic, found in sorted(rows.items()))
+    streams = tuple(_topic(path, topic, schema_of[topic], topic_rows) for topic, topic_rows in sorted(rows.items()))
     if not streams:
         raise DataError(
             "the file holds nothing to import",
@@ -202,18 +202,18 @@ _POSE, _JOINTS = "foxglove.PoseInFrame", "foxglove.JointStates"
 
 def _pose(data: bytes, log_time: int) -> tuple[int, Any]:
     """Return the stamp and (m, w x y z) of a pose."""
-    found = _decoded(_POSE, data)
-    at, turn = found.pose.position, found.pose.orientation
-    return _stamp(found, log_time), (at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z)
+    message = _decode(_POSE, data)
+    at, turn = message.pose.position, message.pose.orientation
+    return _stamp(message, log_time), (at.x, at.y, at.z, turn.w, turn.x, turn.y, turn.z)
 
 
 def _joints(data: bytes, log_time: int) -> tuple[int, Any]:
     """Return the stamp, and positions by joint name."""
-    found = _decoded(_JOINTS, data)
-    return _stamp(found, log_time), {joint.name: joint.position for joint in found.joints}
+    message = _decode(_JOINTS, data)
+    return _stamp(message, log_time), {joint.name: joint.position for joint in message.joints}
 
 
-def _decoded(name: str, data: bytes) -> Any:
+def _decode(name: str, data: bytes) -> Any:
     """Return a protobuf message; bytes that are none are refused."""
     from candata.formats._mcap_messages import message
 
@@ -226,9 +226,9 @@ def _decoded(name: str, data: bytes) -> Any:
         raise DataError(f"a message is no {name}", found=str(error)) from None
 
 
-def _stamp(found: Any, log_time: int) -> int:
+def _stamp(message: Any, log_time: int) -> int:
     """Return the message's own stamp, or when it was logged if it has none."""
-    return found.timestamp.ToNanoseconds() or log_time
+    return message.timestamp.ToNanoseconds() or log_time
 
 
 _READERS: dict[str, Callable[[bytes, int], tuple[int, Any]]] = {_POSE: _pose, _JOINTS: _joints}
@@ -246,15 +246,15 @@ def _one_object(path: Path, topics: list[str]) -> None:
         )
 
 
-def _topic(path: Path, topic: str, schema: str, found: list[tuple[int, Any]]) -> Stream:
+def _topic(path: Path, topic: str, schema: str, topic_rows: list[tuple[int, Any]]) -> Stream:
     """Return the stream of one topic; of joints, what is commanded bears `target` or `command` in its name."""
-    found = sorted(found, key=lambda row: row[0])
-    time_ns = np.array([stamp for stamp, _ in found], np.int64)
+    topic_rows = sorted(topic_rows, key=lambda row: row[0])
+    time_ns = np.array([stamp for stamp, _ in topic_rows], np.int64)
     origin = f"{path.name} {topic}"
     if schema == _POSE:
-        return Stream("object_pose", (), time_ns, _unit(np.array([row for _, row in found]), path, topic), origin)
-    names = tuple(found[0][1])
-    for index, (_, row) in enumerate(found):
+        return Stream("object_pose", (), time_ns, _unit(np.array([row for _, row in topic_rows]), path, topic), origin)
+    names = tuple(topic_rows[0][1])
+    for index, (_, row) in enumerate(topic_rows):
         if set(row) != set(names):
             raise DataError(
                 f"the joints of {topic} change",
@@ -262,22 +262,22 @@ def _topic(path: Path, topic: str, schema: str, found: list[tuple[int, Any]]) ->
                 found=", ".join(row),
                 where=Where(path=str(path), index=index),
             )
-    values = np.array([[row[name] for name in names] for _, row in found], np.float64)
-    last = topic.rsplit("/", 1)[-1]
-    channel = "action" if "target" in last or "command" in last else "joint_position"
+    values = np.array([[row[name] for name in names] for _, row in topic_rows], np.float64)
+    topic_name = topic.rsplit("/", 1)[-1]
+    channel = "action" if "target" in topic_name or "command" in topic_name else "joint_position"
     return Stream(channel, names, time_ns, values, origin)
 
 
 def _unit(poses: NDArray[np.float64], path: Path, topic: str) -> NDArray[np.float64]:
     """Return poses whose quaternions are unit; a zero one (a message that was never filled) is refused."""
     norm = np.linalg.norm(poses[:, 3:], axis=1)
-    bad = np.flatnonzero(~(np.abs(norm - 1) < 0.01))
-    if len(bad):
+    bad_rows = np.flatnonzero(~(np.abs(norm - 1) < 0.01))
+    if len(bad_rows):
         raise DataError(
             f"{topic} holds a quaternion that is not unit",
             expected="norm 1",
-            found=f"norm {norm[bad[0]]:.4g} ({len(bad)} messages)",
-            where=Where(path=str(path), channel="object_pose", index=int(bad[0])),
+            found=f"norm {norm[bad_rows[0]]:.4g} ({len(bad_rows)} messages)",
+            where=Where(path=str(path), channel="object_pose", index=int(bad_rows[0])),
         )
     poses[:, 3:] /= norm[:, None]
     return poses

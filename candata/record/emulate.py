@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.record.devices._wire import wire_time_ns
-from candata.record.emulate_faults import NO_FAULTS, Faults, damaged
+from candata.record.emulate_faults import NO_FAULTS, Faults, with_fault
 from candata.record.emulate_line import Line
 from candata.record.emulate_script import Script
 
@@ -25,7 +25,7 @@ _NAP_NS = 50_000_000
 
 
 @dataclass(frozen=True)
-class Sent:
+class Transmission:
     """What an emulation sent, a row for each request and reply.
 
     Attributes
@@ -56,11 +56,11 @@ class Sent:
 
     def report(self) -> dict[str, Any]:
         """Return the counts, with what the device's range clipped, as plain values."""
-        played = len(self.index)
+        row_count = len(self.index)
         return {
-            "rows": played,
+            "rows": row_count,
             "rate_hz": self.script.rate_hz,
-            "seconds": round((self.state_time_ns[-1] - self.command_time_ns[0]) * 1e-9, 3) if played else 0.0,
+            "seconds": round((self.state_time_ns[-1] - self.command_time_ns[0]) * 1e-9, 3) if row_count else 0.0,
             **self.counts,
             "clipped": {
                 "force_counts": int(self.script.force_clipped[self.index].sum()),
@@ -76,7 +76,7 @@ class _Tally:
 
     index: list[int] = field(default_factory=list)
     times: list[tuple[int, int]] = field(default_factory=list)
-    whole: list[list[bool]] = field(default_factory=list)
+    arrived_whole: list[list[bool]] = field(default_factory=list)
     late_ns: int = 0
     dropped_frames: int = 0
     dropped_bytes: int = 0
@@ -84,12 +84,12 @@ class _Tally:
     faults: Counter[str] = field(default_factory=Counter)
 
 
-class _Held(NamedTuple):
+class _HeldFrame(NamedTuple):
     """A frame that an adapter holds: what arrives of it, whether that is undamaged, and where to note that it did."""
 
     data: bytes
-    sound: bool
-    whole: list[bool]
+    is_undamaged: bool
+    arrived_whole: list[bool]
     place: int
 
 
@@ -99,7 +99,7 @@ class _Wire:
     def __init__(self, line: Line, script: Script, faults: Faults, rng: np.random.Generator) -> None:
         self.line: Line | None = line
         self._link, self._script, self._faults, self._rng = line.link, script, faults, rng
-        self._held: list[_Held] = []
+        self._held: list[_HeldFrame] = []
         self._timer_ns = round(1e9 * faults.burst_s)
         self._tick_ns = time.monotonic_ns() + self._timer_ns
         self.tally = _Tally()
@@ -109,13 +109,13 @@ class _Wire:
         if self._faults.unplug is None:
             return True
         begin, length = self._faults.unplug
-        away = begin <= at_s and (length is None or at_s < begin + length)
-        if away and self.line is not None:
+        is_unplugged = begin <= at_s and (length is None or at_s < begin + length)
+        if is_unplugged and self.line is not None:
             self.close()
-        elif not away and self.line is None:
+        elif not is_unplugged and self.line is None:
             self.line = Line(self._link)
             on_port(self.line.port)
-        return not away or length is not None
+        return not is_unplugged or length is not None
 
     def close(self) -> None:
         """Close the line."""
@@ -126,19 +126,19 @@ class _Wire:
             self.tally.received_bytes += line.received_bytes
             line.close()
 
-    def silent(self, at_s: float) -> bool:
+    def is_silent(self, at_s: float) -> bool:
         """Tell whether nothing is sent in second `at_s`."""
         return self.line is None or any(t <= at_s < t + length for t, length in self._faults.stalls)
 
-    def send(self, frame: bytes, silent: bool, whole: list[bool]) -> None:
-        """Send a frame, or hold it until the timer runs out; `whole` takes whether it goes out whole and undamaged."""
-        whole.append(False)
-        if silent or self.line is None:
+    def send(self, frame: bytes, is_silent: bool, arrived_whole: list[bool]) -> None:
+        """Send a frame, or hold it until the timer runs out; `arrived_whole` takes whether it went out undamaged."""
+        arrived_whole.append(False)
+        if is_silent or self.line is None:
             return
-        data, fault = damaged(frame, self._faults, self._script.encoder.with_heads, self._rng)
+        data, fault = with_fault(frame, self._faults, self._script.encoder.with_heads, self._rng)
         if fault:
             self.tally.faults[fault] += 1
-        self._held.append(_Held(data, fault in (None, "head"), whole, len(whole) - 1))
+        self._held.append(_HeldFrame(data, fault in (None, "head"), arrived_whole, len(arrived_whole) - 1))
         if not self._timer_ns:
             self._hand_over()
 
@@ -160,11 +160,11 @@ class _Wire:
 
     def _hand_over(self) -> None:
         """Write what is held; what the reader has not taken in time, or no line takes, is lost."""
-        for one in self._held:
-            lost = len(one.data) - (self.line.write(one.data) if self.line else 0)
-            self.tally.dropped_bytes += lost
-            self.tally.dropped_frames += lost > 0
-            one.whole[one.place] = one.sound and not lost
+        for frame in self._held:
+            lost_bytes = len(frame.data) - (self.line.write(frame.data) if self.line else 0)
+            self.tally.dropped_bytes += lost_bytes
+            self.tally.dropped_frames += lost_bytes > 0
+            frame.arrived_whole[frame.place] = frame.is_undamaged and not lost_bytes
         self._held = []
 
 
@@ -188,7 +188,7 @@ def play(
     hold: bool = False,
     stop: Callable[[], bool] = lambda: False,
     on_port: Callable[[str], None] = lambda _port: None,
-) -> Sent:
+) -> Transmission:
     """Return what was sent, once the script has been played, the port unplugged for good, or a stop asked for.
 
     Each row is sent at its own absolute time, so that no delay adds up; one that is late is followed as fast as the
@@ -223,47 +223,47 @@ def play(
             at_s = (due - begin) * 1e-9
             if not wire.follow(at_s, on_port):
                 break
-            done = _send_row(wire, script, index, max(due, free), wire.silent(at_s), stop)
-            if done is None:
+            timing = _send_row(wire, script, index, max(due, free), wire.is_silent(at_s), stop)
+            if timing is None:
                 break
-            free, times = done
+            free, times = timing
             wire.tally.index.append(index)
             wire.tally.times.append((times[0] + wall_ns, times[1] + wall_ns))
             wire.tally.late_ns = max(wire.tally.late_ns, times[0] - due)
         wire.drain()
     finally:
         wire.close()
-    return _sent(script, wire.tally)
+    return _transmission(script, wire.tally)
 
 
 def _rows(count: int, passes: int, hold: bool) -> Iterator[int]:
     """Yield rows of the script in the order in which they are sent."""
-    done = 0
-    while passes == 0 or done < passes:
+    passes_done = 0
+    while passes == 0 or passes_done < passes:
         yield from range(count)
-        done += 1
+        passes_done += 1
     while hold:
         yield count - 1
 
 
 def _send_row(
-    wire: _Wire, script: Script, index: int, start_ns: int, silent: bool, stop: Callable[[], bool]
+    wire: _Wire, script: Script, index: int, start_ns: int, is_silent: bool, stop: Callable[[], bool]
 ) -> tuple[int, tuple[int, int]] | None:
     """Send request and reply; return when the wire is free and when each began, or None when stopped before."""
-    begun: list[int] = []
-    whole: list[bool] = []
+    begin_times: list[int] = []
+    arrived_whole: list[bool] = []
     free_ns = start_ns
     for frame in (script.commands[index], script.states[index]):
         length_ns = wire_time_ns(len(frame), script.device.baud)
         # A request that went out is answered: a stop ends between rows.
-        now = _wait(free_ns + length_ns, (lambda: False) if whole else stop, wire)
-        if now is None:
+        moment_ns = _wait(free_ns + length_ns, (lambda: False) if arrived_whole else stop, wire)
+        if moment_ns is None:
             return None
-        wire.send(frame, silent, whole)
-        begun.append(now - length_ns)
-        free_ns = now
-    wire.tally.whole.append(whole)
-    return free_ns, (begun[0], begun[1])
+        wire.send(frame, is_silent, arrived_whole)
+        begin_times.append(moment_ns - length_ns)
+        free_ns = moment_ns
+    wire.tally.arrived_whole.append(arrived_whole)
+    return free_ns, (begin_times[0], begin_times[1])
 
 
 def _wait(until_ns: int, stop: Callable[[], bool], wire: _Wire) -> int | None:
@@ -271,27 +271,33 @@ def _wait(until_ns: int, stop: Callable[[], bool], wire: _Wire) -> int | None:
     while True:
         if stop():
             return None
-        left = until_ns - (now := time.monotonic_ns())
-        nap = wire.tick(now)
-        if left <= 0:
-            return now
-        time.sleep(min(left, nap, _NAP_NS) * 1e-9)
+        remaining_ns = until_ns - (moment_ns := time.monotonic_ns())
+        nap = wire.tick(moment_ns)
+        if remaining_ns <= 0:
+            return moment_ns
+        time.sleep(min(remaining_ns, nap, _NAP_NS) * 1e-9)
 
 
-def _sent(script: Script, tally: _Tally) -> Sent:
+def _transmission(script: Script, tally: _Tally) -> Transmission:
     """Return the value of a tally."""
     count = len(tally.index)
     times = np.array(tally.times, np.int64).reshape(count, 2)
-    whole = np.array(tally.whole, bool).reshape(count, 2)
+    arrived_whole = np.array(tally.arrived_whole, bool).reshape(count, 2)
     counts = {
-        "whole_commands": int(whole[:, 0].sum()),
-        "whole_states": int(whole[:, 1].sum()),
+        "whole_commands": int(arrived_whole[:, 0].sum()),
+        "whole_states": int(arrived_whole[:, 1].sum()),
         "dropped_frames": tally.dropped_frames,
         "dropped_bytes": tally.dropped_bytes,
         "received_bytes": tally.received_bytes,
         "faults": dict(sorted(tally.faults.items())),
     }
-    return Sent(
-        script, np.array(tally.index, np.int64), times[:, 0], times[:, 1], whole[:, 0], whole[:, 1], counts,
+    return Transmission(
+        script,
+        np.array(tally.index, np.int64),
+        times[:, 0],
+        times[:, 1],
+        arrived_whole[:, 0],
+        arrived_whole[:, 1],
+        counts,
         tally.late_ns * 1e-9,
-    )  # fmt: skip
+    )

@@ -80,10 +80,10 @@ def parse_faults(text: str) -> Faults:
             raise UnknownNameError("fault", name, _WORDS)
         number = r"(\d+\.?\d*|\.\d+)"
         pattern = {"stall": f":{number}@{number}", "unplug": f"(?::{number})?@{number}"}.get(name, f":{number}")
-        found = re.fullmatch(name + pattern, word)
-        if found is None or name in shares or (name == "unplug" and unplug) or (name == "burst" and burst_s):
+        match = re.fullmatch(name + pattern, word)
+        if match is None or name in shares or (name == "unplug" and unplug) or (name == "burst" and burst_s):
             raise UsageError(f"the fault {word!r} is not well formed", expected=f"{_WORDS[name]}, numbers, once")
-        values = [None if value is None else float(value) for value in found.groups()]
+        values = [None if value is None else float(value) for value in match.groups()]
         if name == "stall":
             stalls.append((float(values[1] or 0), float(values[0] or 0)))
         elif name == "unplug":
@@ -111,7 +111,7 @@ def _burst(period_s: float) -> float:
     return period_s
 
 
-def damaged(
+def with_fault(
     frame: bytes, faults: Faults, with_heads: Callable[[bytes], bytes], rng: np.random.Generator
 ) -> tuple[bytes, str | None]:
     """Return the bytes that arrive in place of a frame, and the name of the fault, if it has one.
@@ -127,11 +127,11 @@ def damaged(
     rng : numpy.random.Generator
         Draws once for a frame without a fault.
     """
-    drawn = rng.random()
+    chance = rng.random()
     for name, share in faults.shares.items():
-        if drawn < share:
+        if chance < share:
             return _DAMAGE[name](frame, with_heads, rng), name
-        drawn -= share
+        chance -= share
     return frame, None
 
 

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import yaml
 
 from candata.errors import SetupError, UsageError, Where
-from candata.record.emulate import Sent
+from candata.record.emulate import Transmission
 from candata.record.emulate_script import Script
 from candata.schema.scene import TableMap
 
@@ -32,7 +32,7 @@ def check_table(path: Path, script: Script) -> None:
     """
     if path.suffix != ".parquet":
         raise UsageError("the table is a Parquet file", expected="a name that ends in .parquet", found=path.name)
-    if not {"joint_position", "object_pose"} & set(script.unwired):
+    if not {"joint_position", "object_pose"} & set(script.unwired_channels):
         raise UsageError("the wire carries all of this episode", fix="leave out --with-table")
     prepare(path)
     prepare(path.with_name(MAP))
@@ -56,7 +56,7 @@ def prepare(path: Path) -> None:
         raise _unwritten(path, error) from None
 
 
-def write_table(path: Path, sent: Sent) -> None:
+def write_table(path: Path, transmission: Transmission) -> None:
     """Write the table, a row for each reply with its time, and `map.yaml` beside it for `candata import table`.
 
     Raises
@@ -64,17 +64,24 @@ def write_table(path: Path, sent: Sent) -> None:
     SetupError
         When a file cannot be written.
     """
-    script = sent.script
-    named = _columns(script)
-    table = {"t": sent.state_time_ns * 1e-9}
-    for channel, columns in named.items():
-        block = script.unwired[channel][sent.index]
+    script = transmission.script
+    channel_columns = _columns(script)
+    table = {"t": transmission.state_time_ns * 1e-9}
+    for channel, columns in channel_columns.items():
+        block = script.unwired_channels[channel][transmission.index]
         table |= {column: block[:, k] for k, column in enumerate(columns)}
     meta = script.meta
     mapping = TableMap(
-        file=path.name, source=meta.source, time_s="t", rate_hz=script.rate_hz, scene=meta.scene, object=meta.object,
-        task=meta.task, channels=dict(named), force=meta.force,
-    )  # fmt: skip
+        file=path.name,
+        source=meta.source,
+        time_s="t",
+        rate_hz=script.rate_hz,
+        scene=meta.scene,
+        object=meta.object,
+        task=meta.task,
+        channels=dict(channel_columns),
+        force=meta.force,
+    )
     text = yaml.safe_dump(mapping.model_dump(mode="json", exclude_none=True, exclude={"units"}), sort_keys=False)
     try:
         columns = pa.table(table).replace_schema_metadata({META_KEY: meta.model_dump_json().encode()})
@@ -86,15 +93,15 @@ def write_table(path: Path, sent: Sent) -> None:
 
 def _columns(script: Script) -> dict[str, tuple[str, ...]]:
     """Return the columns of each channel that the wire does not carry."""
-    named = {
+    channel_columns = {
         "object_pose": _POSE,
         "joint_position": tuple(f"q_{name}" for name in script.unwired_joints),
         "action": tuple(f"a_{name}" for name in script.unwired_actuators),
     }
-    return {channel: columns for channel, columns in named.items() if channel in script.unwired}
+    return {channel: columns for channel, columns in channel_columns.items() if channel in script.unwired_channels}
 
 
-def write_truth(path: Path, sent: Sent) -> None:
+def write_truth(path: Path, transmission: Transmission) -> None:
     """Write the values sent as npz: `command_time_ns`, `state_time_ns`, `*_whole`, joints, targets, forces, counts.
 
     Raises
@@ -102,18 +109,25 @@ def write_truth(path: Path, sent: Sent) -> None:
     SetupError
         When the file cannot be written.
     """
-    script, index = sent.script, sent.index
+    script, index = transmission.script, transmission.index
     arrays = {
-        "row": script.row[index], "still": index < script.still,
-        "command_time_ns": sent.command_time_ns, "state_time_ns": sent.state_time_ns,
-        "command_whole": sent.command_whole, "state_whole": sent.state_whole,
-        "joint_position": script.joint_position[index], "joint_target": script.joint_target[index],
-        "force": script.force[index], "force_counts": script.force_counts[index],
-        "taxel_counts": script.taxel_counts[index], "newton_per_count": np.array(script.newton_per_count),
-        "joint_names": np.array(script.device.joint_names), "fingertip_names": np.array(script.device.fingertip_names),
+        "row": script.row[index],
+        "still": index < script.rest_rows,
+        "command_time_ns": transmission.command_time_ns,
+        "state_time_ns": transmission.state_time_ns,
+        "command_whole": transmission.command_whole,
+        "state_whole": transmission.state_whole,
+        "joint_position": script.joint_position[index],
+        "joint_target": script.joint_target[index],
+        "force": script.force[index],
+        "force_counts": script.force_counts[index],
+        "taxel_counts": script.taxel_counts[index],
+        "newton_per_count": np.array(script.newton_per_count),
+        "joint_names": np.array(script.device.joint_names),
+        "fingertip_names": np.array(script.device.fingertip_names),
         "meta": np.array(script.meta.model_dump_json()),
-    }  # fmt: skip
-    arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired.items()}
+    }
+    arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired_channels.items()}
     try:
         with path.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)

@@ -18,7 +18,7 @@ from candata.errors import SetupError, UsageError, Where
 
 #: Looks in a row that must find nothing waiting before a port counts as read out: on a busy machine the system hands on
 #: in pieces what was written.
-EMPTY = 5
+EMPTY_POLLS = 5
 
 
 class Line:
@@ -102,16 +102,16 @@ class Line:
         """Wait until the reader has taken what is on the line, at most `limit_s`: a port that goes takes it along."""
         if not self.has_reader():
             return
-        until = time.monotonic() + limit_s
+        end_s = time.monotonic() + limit_s
         try:
             port = os.open(self.port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:
             return
-        empty = 0
-        while time.monotonic() < until and empty < EMPTY:
+        empty_polls = 0
+        while time.monotonic() < end_s and empty_polls < EMPTY_POLLS:
             time.sleep(0.02)  # what is still between the two ends comes when the system gets to it
-            waiting = int.from_bytes(fcntl.ioctl(port, termios.FIONREAD, bytes(4)), sys.byteorder)
-            empty = 0 if waiting else empty + 1
+            unread_bytes = int.from_bytes(fcntl.ioctl(port, termios.FIONREAD, bytes(4)), sys.byteorder)
+            empty_polls = 0 if unread_bytes else empty_polls + 1
         os.close(port)
 
     def close(self) -> None:
@@ -126,12 +126,12 @@ class Line:
 
 def _point(link: Path, port: str) -> None:
     """Make `link` lead to `port`, at once in place of an older link."""
-    where = Where(path=str(link))
+    place = Where(path=str(link))
     if link.exists() and not link.is_symlink():
-        raise UsageError("the link's place is taken", where=where, fix="choose another --link")
-    fresh = link.with_name(f".{link.name}.{os.getpid()}")
+        raise UsageError("the link's place is taken", where=place, fix="choose another --link")
+    new_link = link.with_name(f".{link.name}.{os.getpid()}")
     try:
-        fresh.symlink_to(port)
-        fresh.replace(link)
+        new_link.symlink_to(port)
+        new_link.replace(link)
     except OSError as error:
-        raise SetupError("the link cannot be made", found=error.strerror, where=where) from None
+        raise SetupError("the link cannot be made", found=error.strerror, where=place) from None

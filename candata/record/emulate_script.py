@@ -62,7 +62,7 @@ class Script:
     encoder: Encoder
     rate_hz: float
     newton_per_count: float
-    still: int
+    rest_rows: int
     row: NDArray[np.int64]
     joint_position: NDArray[np.float32]
     joint_target: NDArray[np.float32]
@@ -71,7 +71,7 @@ class Script:
     taxel_counts: NDArray[np.int16]
     force_clipped: NDArray[np.int64]
     taxels_clipped: NDArray[np.int64]
-    unwired: dict[str, NDArray[np.float64]]
+    unwired_channels: dict[str, NDArray[np.float64]]
     unwired_joints: tuple[str, ...]
     unwired_actuators: tuple[str, ...]
     commands: tuple[bytes, ...]
@@ -93,7 +93,7 @@ def tip_pattern(taxels: int) -> NDArray[np.float64]:
     return share / share.sum()
 
 
-def counted(force: NDArray, device: Device, newton_per_count: float) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
+def to_counts(force: NDArray, device: Device, newton_per_count: float) -> tuple[NDArray[np.int16], NDArray[np.int64]]:
     """Return forces as the device counts them, and how many counts of each row its range clipped.
 
     Parameters
@@ -106,10 +106,10 @@ def counted(force: NDArray, device: Device, newton_per_count: float) -> tuple[ND
         Scale.
     """
     # To a millionth first: the noise of float32 must not decide halves, nor make a half below zero a clipped count.
-    whole = np.rint(np.round(force / newton_per_count, 6))
-    kept = np.clip(whole, device.count_low, device.count_high)
-    clipped = (kept != whole).reshape(len(force), -1).sum(axis=1)
-    return kept.astype(np.int16), clipped.astype(np.int64)
+    counts = np.rint(np.round(force / newton_per_count, 6))
+    clipped_counts = np.clip(counts, device.count_low, device.count_high)
+    clip_count = (clipped_counts != counts).reshape(len(force), -1).sum(axis=1)
+    return clipped_counts.astype(np.int16), clip_count.astype(np.int64)
 
 
 def write_script(
@@ -150,31 +150,44 @@ def write_script(
     actuators = _places("actuators", device.joint_names, episode.meta.actuator_names, episode)
     tips = _places("fingertips", device.fingertip_names, episode.meta.fingertip_names, episode)
     _check_numbers(rate, still_s, scale, encoder, device)
-    still = round(still_s * rate)
-    row = np.concatenate([np.zeros(still, np.int64), np.arange(len(episode))])
-    position, action = _whole(episode, "joint_position"), _next(_whole(episode, "action"), episode.meta)
-    force = _whole(episode, "fingertip_force")[row][:, tips].astype(np.float64)
-    force[:still] = 0
-    force_counts, force_clipped = counted(force, device, scale)
+    rest_rows = round(still_s * rate)
+    row = np.concatenate([np.zeros(rest_rows, np.int64), np.arange(len(episode))])
+    position, action = (
+        _complete_channel(episode, "joint_position"),
+        _next_actions(_complete_channel(episode, "action"), episode.meta),
+    )
+    force = _complete_channel(episode, "fingertip_force")[row][:, tips].astype(np.float64)
+    force[:rest_rows] = 0
+    force_counts, force_clipped = to_counts(force, device, scale)
     shares = tip_pattern(device.taxels)[:, None]
-    taxel_counts, taxels_clipped = counted(force[:, :, None] * shares, device, scale)
-    wired = position[row][:, joints], action[row][:, actuators]
-    others = [k for k in range(position.shape[1]) if k not in joints]
-    driven = [k for k in range(action.shape[1]) if k not in actuators]
-    unwired = {"joint_position": position[row][:, others], "action": action[row][:, driven]}
+    taxel_counts, taxels_clipped = to_counts(force[:, :, None] * shares, device, scale)
+    wire_values = position[row][:, joints], action[row][:, actuators]
+    unwired_joints = [k for k in range(position.shape[1]) if k not in joints]
+    unwired_actuators = [k for k in range(action.shape[1]) if k not in actuators]
+    unwired_channels = {"joint_position": position[row][:, unwired_joints], "action": action[row][:, unwired_actuators]}
     if "object_pose" in episode:
-        unwired["object_pose"] = _whole(episode, "object_pose")[row]
+        unwired_channels["object_pose"] = _complete_channel(episode, "object_pose")[row]
     return Script(
-        meta=episode.meta, device=device, encoder=encoder, rate_hz=rate, newton_per_count=scale, still=still, row=row,
-        joint_position=wired[0].astype(np.float32), joint_target=wired[1].astype(np.float32), force=force,
-        force_counts=force_counts, taxel_counts=taxel_counts,
-        force_clipped=force_clipped, taxels_clipped=taxels_clipped,
-        unwired={name: block.astype(np.float64) for name, block in unwired.items() if block.shape[1]},
-        unwired_joints=tuple(episode.meta.joint_names[k] for k in others),
-        unwired_actuators=tuple(episode.meta.actuator_names[k] for k in driven),
-        commands=tuple(encoder.command_frames(wired[1])),
-        states=tuple(encoder.state_frames(wired[0], force_counts, taxel_counts)),
-    )  # fmt: skip
+        meta=episode.meta,
+        device=device,
+        encoder=encoder,
+        rate_hz=rate,
+        newton_per_count=scale,
+        rest_rows=rest_rows,
+        row=row,
+        joint_position=wire_values[0].astype(np.float32),
+        joint_target=wire_values[1].astype(np.float32),
+        force=force,
+        force_counts=force_counts,
+        taxel_counts=taxel_counts,
+        force_clipped=force_clipped,
+        taxels_clipped=taxels_clipped,
+        unwired_channels={name: block.astype(np.float64) for name, block in unwired_channels.items() if block.shape[1]},
+        unwired_joints=tuple(episode.meta.joint_names[k] for k in unwired_joints),
+        unwired_actuators=tuple(episode.meta.actuator_names[k] for k in unwired_actuators),
+        commands=tuple(encoder.command_frames(wire_values[1])),
+        states=tuple(encoder.state_frames(wire_values[0], force_counts, taxel_counts)),
+    )
 
 
 def encoder_of(name: str) -> Encoder:
@@ -188,10 +201,10 @@ def encoder_of(name: str) -> Encoder:
         When its file exports no `ENCODER`.
     """
     try:
-        found: Encoder = load(PACKAGE, "ENCODER", name)
+        encoder: Encoder = load(PACKAGE, "ENCODER", name)
     except AttributeError:
         raise UsageError(f"{name} cannot be emulated", expected="a device whose file exports ENCODER") from None
-    return found
+    return encoder
 
 
 def ceiling_hz(encoder: Encoder, device: Device) -> float:
@@ -206,38 +219,47 @@ def _check_numbers(rate_hz: float, still_s: float, scale: float, encoder: Encode
     """Refuse a rate, a still stretch or a scale that makes no sense."""
     ceiling = ceiling_hz(encoder, device)
     if not 0 < rate_hz <= ceiling:
-        raise UsageError("the wire cannot carry this rate", expected=f"above 0, at most {ceiling:.0f} Hz",
-                         found=f"{rate_hz:g} Hz", fix="give a --rate that request and reply fit in")  # fmt: skip
+        raise UsageError(
+            "the wire cannot carry this rate",
+            expected=f"above 0, at most {ceiling:.0f} Hz",
+            found=f"{rate_hz:g} Hz",
+            fix="give a --rate that request and reply fit in",
+        )
     if not 0 <= still_s <= STILL_MAX_S:
-        raise UsageError("the still stretch has a wrong length", expected=f"0 to {STILL_MAX_S:g} s",
-                         found=f"{still_s:g} s")  # fmt: skip
+        raise UsageError(
+            "the still stretch has a wrong length", expected=f"0 to {STILL_MAX_S:g} s", found=f"{still_s:g} s"
+        )
     if not 0 < scale < np.inf:
         raise UsageError("the scale of the forces is wrong", expected="more than 0 N a count", found=f"{scale:g}")
 
 
-def _places(kind: str, wanted: tuple[str, ...], known: tuple[str, ...], episode: Episode) -> list[int]:
+def _places(kind: str, device_names: tuple[str, ...], episode_names: tuple[str, ...], episode: Episode) -> list[int]:
     """Return where the device's parts are among the episode's."""
-    missing = [name for name in wanted if name not in known]
-    if missing:
+    absent_names = [name for name in device_names if name not in episode_names]
+    if absent_names:
         raise UsageError(
-            f"the episode lacks {kind} of the device", expected=", ".join(missing),
-            found=", ".join(known) or "no names", where=Where(episode=episode.meta.id),
+            f"the episode lacks {kind} of the device",
+            expected=", ".join(absent_names),
+            found=", ".join(episode_names) or "no names",
+            where=Where(episode=episode.meta.id),
             fix="take an episode of a scene with this hand, such as xhand_tabletop",
-        )  # fmt: skip
-    return [known.index(name) for name in wanted]
+        )
+    return [episode_names.index(name) for name in device_names]
 
 
-def _whole(episode: Episode, channel: str) -> NDArray:
+def _complete_channel(episode: Episode, channel: str) -> NDArray:
     """Return a channel that has no gaps."""
     invalid = int((~episode.valid(channel)).sum())
     if invalid:
         raise DataError(
-            f"{channel} has gaps, and a hand cannot send them", found=f"{invalid} invalid rows",
-            where=Where(episode=episode.meta.id, channel=channel + VALID_SUFFIX), fix="take an episode without gaps",
-        )  # fmt: skip
+            f"{channel} has gaps, and a hand cannot send them",
+            found=f"{invalid} invalid rows",
+            where=Where(episode=episode.meta.id, channel=channel + VALID_SUFFIX),
+            fix="take an episode without gaps",
+        )
     return episode[channel]
 
 
-def _next(action: NDArray, meta: EpisodeMeta) -> NDArray:
+def _next_actions(action: NDArray, meta: EpisodeMeta) -> NDArray:
     """Return the actions such that row k is held from row k on; the last is held where the episode says no more."""
     return action if meta.action == "next" else np.concatenate([action[1:], action[-1:]])

@@ -36,24 +36,24 @@ def came_late(time_ns: NDArray[np.int64], max_gap_periods: float) -> NDArray[np.
         Neighbours further apart, in periods of the stream, are the ends of a gap.
     """
     steps, period = np.diff(time_ns), align.period_ns(time_ns)
-    close = np.append(steps < BURST_PERIODS * period, False)
-    found = np.zeros(len(time_ns), bool)
-    for first in np.flatnonzero(steps > max_gap_periods * period) + 1:
-        last = first + int(np.argmin(close[first:]))
-        found[first : last + 1] = last > first
-    return found
+    is_close = np.append(steps < BURST_PERIODS * period, False)
+    is_late = np.zeros(len(time_ns), bool)
+    for begin in np.flatnonzero(steps > max_gap_periods * period) + 1:
+        end = begin + int(np.argmin(is_close[begin:]))
+        is_late[begin : end + 1] = end > begin
+    return is_late
 
 
-def gap_periods(stream: Stream, most: float, timed: bool) -> float:
-    """Return from how many median intervals on neighbours of a stream are the ends of a gap: `most`.
+def gap_periods(stream: Stream, periods: float, in_bursts: bool) -> float:
+    """Return from how many median intervals on neighbours of a stream are the ends of a gap: `periods`.
 
-    Of a wire that is read in bursts (`timed`) that interval is the timer's, not the stream's; so many of its mean
+    Of a wire that is read in bursts (`in_bursts`) that interval is the timer's, not the stream's; so many of its mean
     periods, and one of the timer, are allowed.
     """
     rate_hz, period = seen_rate_hz(stream.time_ns), align.period_ns(stream.time_ns)
-    if not timed or stream.origin != WIRE or not rate_hz:
-        return most
-    return 1e9 * (most / rate_hz + TIMER_S) / period
+    if not in_bursts or stream.origin != WIRE or not rate_hz:
+        return periods
+    return 1e9 * (periods / rate_hz + TIMER_S) / period
 
 
 def punctual(log: Log, max_gap_periods: float) -> tuple[Log, str]:
@@ -62,27 +62,27 @@ def punctual(log: Log, max_gap_periods: float) -> tuple[Log, str]:
     if not (states.any() or commands.any()):
         return log, ""
     by_state = ("state_time_ns", "joint_position", "motor_current", "force_counts", "taxel_counts")
-    kept = {name: getattr(log, name)[~states] for name in by_state if getattr(log, name) is not None}
-    kept |= {name: getattr(log, name)[~commands] for name in ("command_time_ns", "joint_target")}
+    timely_arrays = {name: getattr(log, name)[~states] for name in by_state if getattr(log, name) is not None}
+    timely_arrays |= {name: getattr(log, name)[~commands] for name in ("command_time_ns", "joint_target")}
     counts = f"{int(states.sum())} states, {int(commands.sum())} commands"
-    return replace(log, **kept), f"left out, read late in a burst after a gap: {counts}"
+    return replace(log, **timely_arrays), f"left out, read late in a burst after a gap: {counts}"
 
 
 def wire_streams(log: Log, newton_per_count: float) -> list[Stream]:
     """Return what the wire carries: joints, targets, calibrated forces [N] and raw taxels."""
     meta, bias = log.meta, 0.0 if log.calibration is None else log.calibration.force_bias_counts
-    found = [Stream("joint_position", meta.joint_names, log.state_time_ns, log.joint_position, WIRE)]
+    streams = [Stream("joint_position", meta.joint_names, log.state_time_ns, log.joint_position, WIRE)]
     if len(log.command_time_ns):
-        found.append(Stream("action", meta.joint_names, log.command_time_ns, log.joint_target, WIRE))
+        streams.append(Stream("action", meta.joint_names, log.command_time_ns, log.joint_target, WIRE))
     if meta.fingertip_names:
         force = (log.force_counts - bias) * newton_per_count
-        found.append(Stream("fingertip_force", meta.fingertip_names, log.state_time_ns, force, WIRE))
+        streams.append(Stream("fingertip_force", meta.fingertip_names, log.state_time_ns, force, WIRE))
     if log.taxel_counts is not None and log.taxel_counts.size:
-        found.append(Stream("taxels", meta.fingertip_names, log.state_time_ns, log.taxel_counts, WIRE))
-    return found
+        streams.append(Stream("taxels", meta.fingertip_names, log.state_time_ns, log.taxel_counts, WIRE))
+    return streams
 
 
-def merged(wire: Sequence[Stream], companions: Sequence[Companion]) -> tuple[list[Stream], list[str]]:
+def merge_streams(wire: Sequence[Stream], companions: Sequence[Companion]) -> tuple[list[Stream], list[str]]:
     """Return the streams of an import, a joint from one place only, and what was not taken, as lines for people.
 
     The wire comes before its companions, these in the order given.
@@ -97,31 +97,35 @@ def merged(wire: Sequence[Stream], companions: Sequence[Companion]) -> tuple[lis
         if companion.left_out:
             notes.append(f"{companion.name}: {', '.join(companion.left_out)} not taken; forces come from the wire")
         for stream in companion.streams:
-            kept, note = _new_columns(stream, [s for s in streams if s.channel == stream.channel])
-            streams += [kept] if kept else []
+            new_stream, note = _new_columns(stream, [s for s in streams if s.channel == stream.channel])
+            streams += [new_stream] if new_stream else []
             notes += [note] if note else []
     return streams, notes
 
 
-def _new_columns(stream: Stream, standing: Sequence[Stream]) -> tuple[Stream | None, str]:
+def _new_columns(stream: Stream, present_streams: Sequence[Stream]) -> tuple[Stream | None, str]:
     """Return the columns that no standing stream has, and a line about the others."""
-    if not standing:
+    if not present_streams:
         return stream, ""
     if not stream.names:
         raise DataError(
             f"two files hold {stream.channel}",
             expected="one",
-            found=f"{standing[0].origin} and {stream.origin}",
+            found=f"{present_streams[0].origin} and {stream.origin}",
             fix="import with one of them",
         )
-    known = {name for s in standing for name in s.names}
-    twice = [name for name in stream.names if name in known]
-    fresh = [k for k, name in enumerate(stream.names) if name not in known]
-    note = f"{stream.origin}: {stream.channel} of {', '.join(twice)} not taken; {WIRE} carries it" if twice else ""
-    if not fresh:
+    present_names = {name for s in present_streams for name in s.names}
+    repeated_names = [name for name in stream.names if name in present_names]
+    new_columns = [k for k, name in enumerate(stream.names) if name not in present_names]
+    note = (
+        f"{stream.origin}: {stream.channel} of {', '.join(repeated_names)} not taken; {WIRE} carries it"
+        if repeated_names
+        else ""
+    )
+    if not new_columns:
         return None, note
-    names = tuple(stream.names[k] for k in fresh)
-    return Stream(stream.channel, names, stream.time_ns, stream.values[:, fresh], stream.origin), note
+    names = tuple(stream.names[k] for k in new_columns)
+    return Stream(stream.channel, names, stream.time_ns, stream.values[:, new_columns], stream.origin), note
 
 
 def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[NDArray[np.intp] | None, tuple[str, ...]]:
@@ -138,26 +142,26 @@ def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[ND
     if not names:
         return None, ()
     channel = streams[0].channel
-    wanted = _scene_order(channel, roles)
-    missing = [name for name in wanted if name not in names]
-    if missing and channel in ("joint_position", "action"):
+    scene_names = _scene_order(channel, roles)
+    absent_names = [name for name in scene_names if name not in names]
+    if absent_names and channel in ("joint_position", "action"):
         raise DataError(
             f"{channel} lacks joints of the scene",
-            expected=", ".join(wanted),
+            expected=", ".join(scene_names),
             found=", ".join(names),
             where=Where(channel=channel),
-            fix=f"bring {', '.join(missing)} by --with TABLE, or import without --scene",
+            fix=f"bring {', '.join(absent_names)} by --with TABLE, or import without --scene",
         )
-    if channel == "joint_position" and roles is not None and not set(wanted) & set(names):
+    if channel == "joint_position" and roles is not None and not set(scene_names) & set(names):
         raise DataError(
             "the scene has none of the hand's joints",
             expected=", ".join(names),
-            found=", ".join(wanted) or "a scene without joints",
+            found=", ".join(scene_names) or "a scene without joints",
             fix="give the scene of this hand, or import without --scene",
         )
-    if missing or not wanted:
-        wanted = () if missing else tuple(name for s in streams if s.origin != WIRE for name in s.names)
-    order = [names.index(name) for name in wanted] + [k for k, name in enumerate(names) if name not in wanted]
+    if absent_names or not scene_names:
+        scene_names = () if absent_names else tuple(name for s in streams if s.origin != WIRE for name in s.names)
+    order = [names.index(name) for name in scene_names] + [k for k, name in enumerate(names) if name not in scene_names]
     in_place = order == list(range(len(names)))
     return None if in_place else np.array(order, np.intp), tuple(names[k] for k in order)
 

@@ -29,7 +29,7 @@ from candata.record.companions import Companion, Stream
 from candata.record.import_streams import (
     column_order,
     gap_periods,
-    merged,
+    merge_streams,
     punctual,
     require_overlap,
     span,
@@ -89,7 +89,7 @@ class Recipe(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Imported:
+class ImportedLog:
     """What a log became.
 
     Attributes
@@ -110,7 +110,7 @@ class Imported:
     notes: tuple[str, ...]
 
 
-def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[Companion] = ()) -> Imported:
+def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[Companion] = ()) -> ImportedLog:
     """Return the episode in a log and the files recorded beside it.
 
     Parameters
@@ -135,24 +135,24 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
     path = Path(path)
     _refuse(path, log, recipe)
     scale = recipe.newton_per_count or log.meta.newton_per_count
-    timed = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
-    log, late = (log, "") if timed else punctual(log, recipe.max_gap_periods)
-    streams, notes = merged(wire_streams(log, scale), companions)
+    in_bursts = comes_in_bursts(log.read_time_ns, (log.meta.rate_hz, seen_rate_hz(log.state_time_ns)))
+    log, late_note = (log, "") if in_bursts else punctual(log, recipe.max_gap_periods)
+    streams, notes = merge_streams(wire_streams(log, scale), companions)
     require_overlap(str(path), streams)
     rate_hz = recipe.roles.rate_hz if recipe.roles else recipe.rate_hz or log.meta.rate_hz
     _refuse_rate(path, log, rate_hz)
     grid_ns = _grid(path, log, streams, rate_hz)
-    arrays, names = _aligned(streams, grid_ns, recipe, timed)
+    arrays, names = _align_streams(streams, grid_ns, recipe, in_bursts)
     _add_contact(arrays, recipe.threshold_n)
     arrays = _from_first_command(arrays)
     flags = {n: n.removesuffix(VALID_SUFFIX) for n in arrays if n.endswith(VALID_SUFFIX)}
     invalid = {channel: int((~arrays[name]).sum()) for name, channel in flags.items() if not arrays[name].all()}
-    kept = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
-    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), kept)
+    episode_arrays = {name: values for name, values in arrays.items() if name not in flags or flags[name] in invalid}
+    episode = Episode(_meta(log, recipe, companions, names, rate_hz, invalid), episode_arrays)
     details = _details(path, log, recipe, companions, episode, scale)
-    notes += [late] if late else []
-    notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if timed else []
-    return Imported(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
+    notes += [late_note] if late_note else []
+    notes += [f"bytes {WORDS}, half of that in the mean; do: {remedy(log.meta.port)}"] if in_bursts else []
+    return ImportedLog(episode, _digest(log, recipe, companions), details, (*notes, *_notes(log, episode, details)))
 
 
 def _meta(
@@ -170,10 +170,10 @@ def _meta(
         id=recipe.episode,
         source="real",
         rate_hz=rate_hz,
-        scene=recipe.scene or _first(c.scene for c in companions),
+        scene=recipe.scene or _first_stated(c.scene for c in companions),
         object=recipe.object
-        or _first([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
-        task=recipe.task or _first(c.task for c in companions),
+        or _first_stated([*(c.object for c in companions), recipe.roles.object if recipe.roles else None]),
+        task=recipe.task or _first_stated(c.task for c in companions),
         joint_names=names.get("joint_position", ()),
         actuator_names=names.get("action", ()),
         fingertip_names=names.get("fingertip_force", ()),
@@ -186,20 +186,20 @@ def _meta(
 
 def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
     """Refuse a log without states, and one without calibration unless it is asked for."""
-    where = Where(path=str(path))
+    place = Where(path=str(path))
     if not len(log.state_time_ns):
         raise DataError(
             "the log holds no states",
             expected=f"state frames of {log.meta.device}",
             found=f"{len(log.command_time_ns)} commands, no states",
-            where=where,
+            where=place,
             fix="check port, baud rate and power of the hand, and record again",
         )
     if log.calibration is None and log.meta.fingertip_names and not recipe.uncalibrated:
         raise DataError(
             "the log has no calibration",
             expected="what the fingertips read at rest",
-            where=where,
+            where=place,
             fix="record with calibration; or import with --uncalibrated: forces then keep their offset, "
             "and contact may be wrong",
         )
@@ -207,11 +207,11 @@ def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
 
 def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
     """Refuse a rate so far above the hand's that nearly every row would be made up."""
-    most = RATES * log.meta.rate_hz
-    if rate_hz > most:
+    highest_hz = RATES * log.meta.rate_hz
+    if rate_hz > highest_hz:
         raise UsageError(
             "the rate is far above the hand's",
-            expected=f"at most {most:g} Hz for a hand of {log.meta.rate_hz:g} Hz",
+            expected=f"at most {highest_hz:g} Hz for a hand of {log.meta.rate_hz:g} Hz",
             found=f"{rate_hz:g} Hz",
             where=Where(path=str(path)),
             fix="give the rate that the model runs at, or another scene",
@@ -221,51 +221,51 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
 def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> NDArray[np.int64]:
     """Return the times that all streams cover, after the calibration."""
     states = log.state_time_ns
-    settled = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
-    earliest = max(settled, *(int(s.time_ns[0]) for s in streams))
-    last = min(int(s.time_ns[-1]) for s in streams)
+    calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
+    earliest = max(calibrated_ns, *(int(s.time_ns[0]) for s in streams))
+    end_ns = min(int(s.time_ns[-1]) for s in streams)
     row = int(np.searchsorted(states, earliest))
     period = align.period_ns(states)
-    found = np.zeros(0, np.int64)
+    grid_ns = np.zeros(0, np.int64)
     if row < len(states) and np.isfinite(period):
-        found = align.grid(_on_beat(states[row : row + BEAT_ROWS], period, earliest), last, rate_hz)
-    if len(found) < 2:
+        grid_ns = align.grid(_on_beat(states[row : row + BEAT_ROWS], period, earliest), end_ns, rate_hz)
+    if len(grid_ns) < 2:
         spans = "; ".join(f"{s.channel} of {s.origin} {span(s.time_ns)}" for s in streams)
         raise DataError(
             "too little is left of the log: all streams together cover less than two rows",
-            expected=f"time that all streams cover after {utc(settled)}, when the calibration ended",
+            expected=f"time that all streams cover after {utc(calibrated_ns)}, when the calibration ended",
             found=spans,
             where=Where(path=str(path)),
             fix="record longer",
         )
-    return found
+    return grid_ns
 
 
 def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> int:
     """Return the first time from `earliest_ns` on that lies on the median beat of `states`."""
     # From the first state on: unix nanoseconds are more than a float holds.
-    late = (states - states[0] + period_ns / 2) % period_ns - period_ns / 2
-    beat, least = float(np.median(late)), int(earliest_ns - states[0])
-    return int(states[0]) + round(beat + period_ns * np.ceil((least - beat - 1) / period_ns))
+    phase_ns = (states - states[0] + period_ns / 2) % period_ns - period_ns / 2
+    beat, earliest = float(np.median(phase_ns)), int(earliest_ns - states[0])
+    return int(states[0]) + round(beat + period_ns * np.ceil((earliest - beat - 1) / period_ns))
 
 
-def _aligned(
-    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe, timed: bool
+def _align_streams(
+    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe, in_bursts: bool
 ) -> tuple[Arrays, dict[str, tuple[str, ...]]]:
-    """Return every channel with its flags on the grid, and the names of their columns; `timed`: read in bursts."""
+    """Return every channel with its flags on the grid, and the names of their columns; `in_bursts`: read in bursts."""
     arrays: Arrays = {"time_ns": grid_ns}
     names: dict[str, tuple[str, ...]] = {}
     for channel in dict.fromkeys(s.channel for s in streams):
-        same = [s for s in streams if s.channel == channel]
-        order, names[channel] = column_order(same, recipe.roles)
-        gaps = [gap_periods(s, recipe.max_gap_periods, timed) for s in same]
-        found = [
+        channel_streams = [s for s in streams if s.channel == channel]
+        order, names[channel] = column_order(channel_streams, recipe.roles)
+        gaps = [gap_periods(s, recipe.max_gap_periods, in_bursts) for s in channel_streams]
+        sampled = [
             align.on_rows(s.channel, s.time_ns, s.values, grid_ns, max_gap_periods=gap)
-            for s, gap in zip(same, gaps, strict=True)
+            for s, gap in zip(channel_streams, gaps, strict=True)
         ]
-        values = np.concatenate([f.values for f in found], axis=1) if len(found) > 1 else found[0].values
+        values = np.concatenate([f.values for f in sampled], axis=1) if len(sampled) > 1 else sampled[0].values
         arrays[channel] = values if order is None else values[:, order]
-        arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in found])
+        arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in sampled])
     return arrays, names
 
 
@@ -282,8 +282,8 @@ def _add_contact(arrays: Arrays, threshold_n: float) -> None:
 def _from_first_command(arrays: Arrays) -> Arrays:
     """Return the rows from the first whose command is known: nothing can be replayed before."""
     valid = arrays.get("action" + VALID_SUFFIX)
-    first = 0 if valid is None or not valid.any() else int(np.argmax(valid))
-    return {name: values[first:] for name, values in arrays.items()} if first else arrays
+    begin = 0 if valid is None or not valid.any() else int(np.argmax(valid))
+    return {name: values[begin:] for name, values in arrays.items()} if begin else arrays
 
 
 def _clock(log: Log, recipe: Recipe) -> Alignment:
@@ -297,9 +297,9 @@ def _clock(log: Log, recipe: Recipe) -> Alignment:
     return align.clock_fit(reference, np.array([p["wall_ns"] for p in pairs], np.int64), method)
 
 
-def _first(found: Iterable[str | None]) -> str | None:
+def _first_stated(values: Iterable[str | None]) -> str | None:
     """Return the first that is stated, None if none is."""
-    return next((value for value in found if value is not None), None)
+    return next((value for value in values if value is not None), None)
 
 
 def _digest(log: Log, recipe: Recipe, companions: Sequence[Companion]) -> str:
@@ -329,8 +329,8 @@ def _details(
         "newton_per_count": scale,
         "saturated": {
             "state_frames": rows.stop - rows.start,
-            "force": _saturated(log, log.force_counts[rows]),
-            "taxels": {} if log.taxel_counts is None else _saturated(log, log.taxel_counts[rows]),
+            "force": _saturation_counts(log, log.force_counts[rows]),
+            "taxels": {} if log.taxel_counts is None else _saturation_counts(log, log.taxel_counts[rows]),
         },
         "invalid": dict(episode.meta.invalid_counts),
         "left_out_s": {
@@ -343,7 +343,7 @@ def _details(
     }
 
 
-def _saturated(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
+def _saturation_counts(log: Log, counts: NDArray[np.int16]) -> dict[str, int]:
     """Return, for each fingertip, the readings of which an axis stands at an end of its range.
 
     An axis that cannot be negative rests at its lower end: nothing can be said of it there.
@@ -367,16 +367,16 @@ def _contact_shares(episode: Episode, threshold_n: float, scale: float) -> dict[
 
 def _notes(log: Log, episode: Episode, details: dict[str, Any]) -> list[str]:
     """Return what a person should know of the import."""
-    left_out, saturated = details["left_out_s"], details["saturated"]
+    left_out, saturation = details["left_out_s"], details["saturated"]
     notes = [
         f"{details['log']}: {len(episode)} rows at {episode.meta.rate_hz:g} Hz; left out {left_out['before']:.2f} s "
         f"before (calibration, streams that had not begun) and {left_out['after']:.2f} s after",
-        f"saturated readings: {sum(saturated['force'].values())} of fingertips, "
-        f"{sum(saturated['taxels'].values())} of taxels, in {saturated['state_frames']} states",
+        f"saturated readings: {sum(saturation['force'].values())} of fingertips, "
+        f"{sum(saturation['taxels'].values())} of taxels, in {saturation['state_frames']} states",
     ]
     if episode.meta.invalid_counts:
-        marked = ", ".join(f"{name} {count}" for name, count in episode.meta.invalid_counts.items())
-        notes.append(f"rows marked invalid by gaps: {marked}")
+        invalid_text = ", ".join(f"{name} {count}" for name, count in episode.meta.invalid_counts.items())
+        notes.append(f"rows marked invalid by gaps: {invalid_text}")
     if log.calibration is None and log.meta.fingertip_names:
         notes.append("not calibrated: forces keep their offset, and contact may be wrong")
     if log.torn or log.damaged_chunks:

@@ -127,8 +127,8 @@ def meta_of(device: Device, name: str, **settings: Any) -> LogMeta:
         "rate_hz",
         "baud",
     )
-    own = {field: getattr(device, field) for field in fields}
-    return LogMeta.model_validate({"device": name, "version": __version__, **own, **settings})
+    device_fields = {field: getattr(device, field) for field in fields}
+    return LogMeta.model_validate({"device": name, "version": __version__, **device_fields, **settings})
 
 
 class LogWriter:
@@ -282,18 +282,18 @@ def read_log(path: str | Path) -> Log:
     path = Path(path)
     scan = Scan(path)
     messages, metadata, reads = _collect(scan)
-    where = Where(path=str(path))
+    place = Where(path=str(path))
     if META not in metadata:
         raise DataError(
-            "the file is no log of candata", expected=f"the metadata record {META!r}", found="none", where=where
+            "the file is no log of candata", expected=f"the metadata record {META!r}", found="none", where=place
         )
-    meta = LogMeta.parse(_unpacked(metadata[META], where), path)
+    meta = LogMeta.parse(_parse_values(metadata[META], place), path)
     try:
-        calibration = from_metadata(_unpacked(metadata[CALIBRATION], where)) if CALIBRATION in metadata else None
+        calibration = from_metadata(_parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
         arrays = {**_states(messages, meta), **_targets(messages, meta)}
         statistics = tuple(json.loads(data) for _, data in messages[STATISTICS].values())
     except (KeyError, TypeError, ValueError) as error:
-        raise DataError("the log does not hold what its metadata says", found=str(error), where=where) from None
+        raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
     with path.open("rb") as file:
         sha256 = hashlib.file_digest(file, "sha256").hexdigest()
     return Log(
@@ -323,11 +323,11 @@ def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[
     for record in scan:
         if isinstance(record, Message):
             topic = topics.get(record.channel_id, "")
-            kept = messages.get(topic)
+            topic_messages = messages.get(topic)
             if topic == WIRE:
                 reads.append(record.log_time)
-            elif kept is not None:
-                kept[record.sequence or len(kept)] = (record.log_time, record.data)
+            elif topic_messages is not None:
+                topic_messages[record.sequence or len(topic_messages)] = (record.log_time, record.data)
         elif isinstance(record, Channel):
             topics[record.id] = record.topic
         elif isinstance(record, Metadata):
@@ -335,12 +335,12 @@ def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[
     return messages, metadata, reads
 
 
-def _unpacked(values: Mapping[str, str], where: Where) -> dict[str, Any]:
+def _parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
     """Return the values of a metadata record, each of which is JSON."""
     try:
         return {name: json.loads(value) for name, value in values.items()}
     except ValueError as error:
-        raise DataError("a metadata record of the log is not JSON", found=str(error), where=where) from None
+        raise DataError("a metadata record of the log is not JSON", found=str(error), where=place) from None
 
 
 def _states(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
@@ -353,10 +353,10 @@ def _states(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
     counts = [message("candata.FingertipForces").FromString(d).counts for d in data[FORCES]]
     taxels = None
     if meta.taxels:
-        read = message("candata.TactileFrame").FromString
+        parse = message("candata.TactileFrame").FromString
         taxels = np.empty((n, f, meta.taxels, 3), np.int16)  # filled row by row: they are most of a long log
         for row, item in zip(taxels, data[TAXELS], strict=True):
-            row[...] = np.frombuffer(read(item).counts, dtype="<i2").reshape(row.shape)
+            row[...] = np.frombuffer(parse(item).counts, dtype="<i2").reshape(row.shape)
     return {
         "state_time_ns": _times(messages[JOINTS], numbers),
         "joint_position": _positions(data[JOINTS], j),
@@ -376,12 +376,12 @@ def _targets(messages: _Messages, meta: LogMeta) -> dict[str, Any]:
     }
 
 
-def _times(kept: Mapping[int, tuple[int, bytes]], numbers: Sequence[int]) -> NDArray[np.int64]:
-    return np.array([kept[number][0] for number in numbers], dtype=np.int64)
+def _times(messages: Mapping[int, tuple[int, bytes]], numbers: Sequence[int]) -> NDArray[np.int64]:
+    return np.array([messages[number][0] for number in numbers], dtype=np.int64)
 
 
 def _positions(data: Sequence[bytes], joints: int) -> NDArray[np.float64]:
     """Return the positions (n, joints) of serialised `foxglove.JointStates`."""
-    read = message("foxglove.JointStates").FromString
-    positions = [[joint.position for joint in read(item).joints] for item in data]
+    parse = message("foxglove.JointStates").FromString
+    positions = [[joint.position for joint in parse(item).joints] for item in data]
     return np.array(positions, dtype=np.float64).reshape(len(data), joints)

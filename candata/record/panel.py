@@ -42,22 +42,22 @@ def panel(view: View, title: str, notes: Sequence[str] = ()) -> RenderableType:
 def line(view: View) -> str:
     """Return a view as one line of plain text."""
     force = " ".join(
-        f"{name}={total:.1f}{'*' if touched else ''}"
-        for name, total, touched in zip(
+        f"{name}={total:.1f}{'*' if is_touched else ''}"
+        for name, total, is_touched in zip(
             view.fingertip_names, _total_N(view), fingertip_contact(view.force_N), strict=True
         )
     )
     return (
         f"{_clock(view.elapsed_s)} {view.phase}: {view.rate_hz:.0f} Hz, {view.frames['state']} states, "
-        f"{view.gaps} gaps, {_lost(view)}, {view.size_bytes / 1e6:.1f} MB | N: {force}"
+        f"{view.gaps} gaps, {_loss_text(view)}, {view.size_bytes / 1e6:.1f} MB | N: {force}"
     )
 
 
 def _rate(view: View) -> Text:
-    good = view.rate_hz >= 0.9 * view.nominal_hz
+    is_full_rate = view.rate_hz >= 0.9 * view.nominal_hz
     return Text.assemble(
         "  ",
-        (f"{view.rate_hz:.0f} Hz", "bold green" if good else "bold red"),
+        (f"{view.rate_hz:.0f} Hz", "bold green" if is_full_rate else "bold red"),
         f" of {view.nominal_hz:.0f}   {view.frames['command']} commands",
     )
 
@@ -68,10 +68,10 @@ def _fingertips(view: View) -> Table:
     for column in ("fingertip", "contact", "force", "N", "x", "y", "z"):
         table.add_column(column, justify="right" if column in "Nxyz" else "left", no_wrap=True)
     rows = zip(view.fingertip_names, view.force_N, _total_N(view), fingertip_contact(view.force_N), strict=True)
-    for name, force, total, touched in rows:
-        light = Text("● touch", style="bold green") if touched else Text("○", style="dim")
-        filled = min(_BAR_CELLS, round(float(total) / _FULL_N * _BAR_CELLS))
-        bar = Text("█" * filled, style="cyan") + Text("·" * (_BAR_CELLS - filled), style="dim")
+    for name, force, total, is_touched in rows:
+        light = Text("● touch", style="bold green") if is_touched else Text("○", style="dim")
+        cells = min(_BAR_CELLS, round(float(total) / _FULL_N * _BAR_CELLS))
+        bar = Text("█" * cells, style="cyan") + Text("·" * (_BAR_CELLS - cells), style="dim")
         table.add_row(name, light, bar, f"{total:.1f}", *(f"{axis:+.1f}" for axis in force))
     return table
 
@@ -79,18 +79,18 @@ def _fingertips(view: View) -> Table:
 def _losses(view: View) -> Table:
     """Return the counts of what went wrong, the ones that happened in colour."""
     table = Table.grid(padding=(0, 1))
-    lost = {_WORDS.get(kind, kind): count for kind, count in view.losses.items()}
-    counts = {"gaps": view.gaps, **lost, **{f"saturated_{kind}": n for kind, n in view.saturated.items()}}
+    loss_counts = {_WORDS.get(kind, kind): count for kind, count in view.losses.items()}
+    counts = {"gaps": view.gaps, **loss_counts, **{f"saturated_{kind}": n for kind, n in view.saturated.items()}}
     cells = [Text(f"{n:>6} {kind.replace('_', ' ')}", style="bold red" if n else "dim") for kind, n in counts.items()]
     for at in range(0, len(cells), _COLUMNS):
         table.add_row(*cells[at : at + _COLUMNS])
     return table
 
 
-def _lost(view: View) -> str:
+def _loss_text(view: View) -> str:
     """Return the losses that happened, in words."""
-    lost = [f"{count} {kind.replace('_', ' ')}" for kind, count in view.losses.items() if count]
-    return ", ".join(lost) or "nothing lost"
+    loss_texts = [f"{count} {kind.replace('_', ' ')}" for kind, count in view.losses.items() if count]
+    return ", ".join(loss_texts) or "nothing lost"
 
 
 def _total_N(view: View) -> np.ndarray:
@@ -98,5 +98,5 @@ def _total_N(view: View) -> np.ndarray:
 
 
 def _clock(seconds: float) -> str:
-    whole = int(seconds)
-    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+    total_s = int(seconds)
+    return f"{total_s // 3600}:{total_s // 60 % 60:02d}:{total_s % 60:02d}"

@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import Any
 
 HEAD = struct.Struct("<BqI")
-DATA, OPENED, LOST, BACK, FAILED = range(5)
+DATA, EVENT_OPENED, EVENT_LOST, EVENT_BACK, EVENT_FAILED = range(5)
 
 _READ_BYTES = 65536
 #: Ahead of other work, where the user may.
@@ -91,16 +91,16 @@ def main(arguments: list[str]) -> int:
     outlet = Outlet(sys.stdout.fileno())
     try:
         port, note = open_port(settings["port"], settings["baud"])
-        outlet.tell(OPENED, note=note)
+        outlet.tell(EVENT_OPENED, note=note)
         while port is not None:
             read_until_lost(port, outlet)
             port.close()
-            outlet.tell(LOST)
+            outlet.tell(EVENT_LOST)
             port = reopen(settings, outlet)
     except BrokenPipeError:
         return 0
     except (OSError, ValueError) as error:
-        outlet.tell(FAILED, reason="open", found=str(error), errno=getattr(error, "errno", None))
+        outlet.tell(EVENT_FAILED, reason="open", found=str(error), errno=getattr(error, "errno", None))
     outlet.finish()
     return 0
 
@@ -141,8 +141,8 @@ def read_until_lost(port: Any, outlet: Outlet) -> None:
         if not outlet.full:
             poll.register(handle, select.POLLIN)
         poll.register(outlet.handle, 0 if outlet.empty else select.POLLOUT)
-        ready = dict(poll.poll())
-        if handle in ready:
+        ready_handles = dict(poll.poll())
+        if handle in ready_handles:
             try:
                 data = os.read(handle, _READ_BYTES)
             except BlockingIOError:
@@ -153,7 +153,7 @@ def read_until_lost(port: Any, outlet: Outlet) -> None:
             if not data:
                 return
             outlet.put(DATA, stamp_ns, data)
-        if ready.get(outlet.handle, 0) & select.POLLERR:
+        if ready_handles.get(outlet.handle, 0) & select.POLLERR:
             raise BrokenPipeError
         outlet.drain()
 
@@ -171,9 +171,11 @@ def reopen(settings: dict[str, Any], outlet: Outlet) -> Any:
                 raise BrokenPipeError from None
             outlet.drain()
             continue
-        outlet.tell(BACK)
+        outlet.tell(EVENT_BACK)
         return port
-    outlet.tell(FAILED, reason="unplugged", found=f"it did not come back in {settings['reconnect_s']:g} s", errno=None)
+    outlet.tell(
+        EVENT_FAILED, reason="unplugged", found=f"it did not come back in {settings['reconnect_s']:g} s", errno=None
+    )
     return None
 
 

@@ -19,10 +19,10 @@ from candata.record import reader
 
 _KINDS: dict[int, Literal["data", "opened", "lost", "back", "failed"]] = {
     reader.DATA: "data",
-    reader.OPENED: "opened",
-    reader.LOST: "lost",
-    reader.BACK: "back",
-    reader.FAILED: "failed",
+    reader.EVENT_OPENED: "opened",
+    reader.EVENT_LOST: "lost",
+    reader.EVENT_BACK: "back",
+    reader.EVENT_FAILED: "failed",
 }
 _PIPE_BYTES = 1 << 20
 _START_S = 20.0
@@ -96,19 +96,19 @@ class ReaderLink:
         events = self.receive(_START_S)
         if not events:
             raise SetupError("the reader did not start", found=f"nothing in {_START_S:g} s", fix="try again")
-        first, *self._kept = events
-        if first.kind == "failed":
-            raise port_error(self.port, first.facts)
-        return first
+        first_event, *self._kept = events
+        if first_event.kind == "failed":
+            raise port_error(self.port, first_event.facts)
+        return first_event
 
     def receive(self, timeout_s: float) -> list[Event]:
         """Return what the reader said, waiting for it up to `timeout_s`; `ended` is set once it is gone."""
-        kept, self._kept = self._kept, []
-        if not self.ended and select.select([self._pipe], [], [], 0 if kept else timeout_s)[0]:
+        kept_events, self._kept = self._kept, []
+        if not self.ended and select.select([self._pipe], [], [], 0 if kept_events else timeout_s)[0]:
             data = os.read(self._pipe, _PIPE_BYTES)
             self.ended = not data
             self._rest += data
-        return kept + self._take()
+        return kept_events + self._take()
 
     def close(self) -> None:
         """End the reader: it stops by itself once its pipe has no reader."""
@@ -163,27 +163,27 @@ def check_port(port: str) -> None:
 
 def port_error(port: str, facts: dict[str, Any]) -> CandataError:
     """Return the error of a port that failed, with what to do about it."""
-    where, code, found = Where(path=port), facts.get("errno"), facts.get("found")
+    place, code, reason = Where(path=port), facts.get("errno"), facts.get("found")
     if facts.get("reason") == "unplugged":
         return SetupError(
-            "the port is gone", found=found, where=where, fix="plug it in again; --reconnect sets how long to wait"
+            "the port is gone", found=reason, where=place, fix="plug it in again; --reconnect sets how long to wait"
         )
     if code == errno.ENOENT:
-        return SetupError("no such port", found=_ports_seen(), where=where, fix="plug it in, or give another --port")
+        return SetupError("no such port", found=_ports_seen(), where=place, fix="plug it in, or give another --port")
     if code == errno.ENOTTY:
         return SetupError(
-            "not a serial port", found=_ports_seen(), where=where, fix="give a serial port, such as /dev/ttyUSB0"
+            "not a serial port", found=_ports_seen(), where=place, fix="give a serial port, such as /dev/ttyUSB0"
         )
     if code in (errno.EACCES, errno.EPERM):
         return SetupError(
             "no permission for the port",
-            where=where,
+            where=place,
             fix='join the group that owns it, often `sudo usermod -aG dialout "$USER"`, and log in again',
         )
     return SetupError(
         "the port cannot be opened",
-        found=found,
-        where=where,
+        found=reason,
+        where=place,
         fix="end the program that holds it, or give another --port",
     )
 
@@ -192,5 +192,5 @@ def _ports_seen() -> str:
     """Return the ports of this machine, for people."""
     from serial.tools import list_ports
 
-    seen = [f"{port.device} ({port.description})" for port in list_ports.comports()]
-    return "these ports: " + ", ".join(seen) if seen else "no serial port on this machine"
+    ports = [f"{port.device} ({port.description})" for port in list_ports.comports()]
+    return "these ports: " + ", ".join(ports) if ports else "no serial port on this machine"

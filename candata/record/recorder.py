@@ -17,7 +17,7 @@ from candata.record.calibration import Calibration, calibrate
 from candata.record.devices._contract import Device, Frame, States
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.reader_link import Event, ReaderLink, port_error
-from candata.record.recorder_tally import Tally, joined
+from candata.record.recorder_tally import Tally, join_states
 from candata.record.recorder_values import Phase, Report, Settings, View
 
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
@@ -70,10 +70,10 @@ def record(
     offset_ns = time.time_ns() - time.monotonic_ns()
     meta = meta_of(device, name, **{**(overrides or {}), "port": port, "wall_offset_ns": offset_ns})
     with ReaderLink(port, meta.baud, settings.reconnect_s) as link:
-        opened = link.opened()
-        if opened.facts.get("note"):
-            say(opened.facts["note"])
-        session = _Session(device, meta, LogWriter(out, meta), settings, opened.stamp_ns, say)
+        open_event = link.opened()
+        if open_event.facts.get("note"):
+            say(open_event.facts["note"])
+        session = _Session(device, meta, LogWriter(out, meta), settings, open_event.stamp_ns, say)
         failure: CandataError | None = None
         try:
             session.run(link, stop, show)
@@ -140,7 +140,7 @@ class _Session:
             now_ns, end_ns = time.monotonic_ns(), self._end_ns()
             if stop() or now_ns >= end_ns:
                 self.ended = "stopped" if now_ns < end_ns else "duration"
-                self._last(link, now_ns)
+                self._take_last(link, now_ns)
                 return
             self._take(link.receive(0.05))
             self._tick(show)
@@ -194,7 +194,7 @@ class _Session:
             return float("inf")
         return self._resting_ns + 1e9 * (self._settings.duration_s + self._settings.calibrate_s)
 
-    def _last(self, link: ReaderLink, end_ns: int) -> None:
+    def _take_last(self, link: ReaderLink, end_ns: int) -> None:
         """Take what the reader had read by `end_ns`."""
         while events := link.receive(0.05):
             self._take([event for event in events if event.stamp_ns <= end_ns])
@@ -210,16 +210,16 @@ class _Session:
             elif event.kind == "lost":
                 self._unplugged = True
                 self._frames(self._framer.finish())
-                self._tally.lost(event.stamp_ns)
+                self._tally.note_lost(event.stamp_ns)
                 self._say(f"the port is gone; waiting {self._settings.reconnect_s:g} s for it to come back")
             elif event.kind == "back":
-                self._replugged(event)
+                self._go_on_replugged(event)
             elif event.kind == "failed":
                 raise port_error(self._meta.port, event.facts)
 
-    def _replugged(self, event: Event) -> None:
+    def _go_on_replugged(self, event: Event) -> None:
         self._unplugged = False
-        self._tally.back(event.stamp_ns)
+        self._tally.note_back(event.stamp_ns)
         self._framer = self._device.framer()
         self._tally.use(self._framer)
         self._heard_ns, self._bad_since_ns = event.stamp_ns, 0
@@ -245,8 +245,8 @@ class _Session:
             self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
         if commands:
-            decoded = self._device.decode_commands([frame.data for frame in commands])
-            self._writer.commands([frame.stamp_ns for frame in commands], decoded)
+            positions = self._device.decode_commands([frame.data for frame in commands])
+            self._writer.commands([frame.stamp_ns for frame in commands], positions)
         states = [frame for frame in frames if frame.kind == "state"]
         if states:
             self._states([frame.stamp_ns for frame in states], [frame.data for frame in states])
@@ -263,7 +263,7 @@ class _Session:
             self._window_start_ns = self._resting_ns = stamps_ns[0]
         self._window.append(states)
         if stamps_ns[-1] - self._window_start_ns >= 1e9 * self._settings.calibrate_s:
-            self._calibrate(joined(self._window))
+            self._calibrate(join_states(self._window))
 
     def _calibrate(self, states: States) -> None:
         meta = self._meta
@@ -323,23 +323,23 @@ class _Session:
             self._say(f"bytes {bursts.WORDS}; do: {bursts.remedy(self._meta.port)}")
 
     def _no_state(self) -> SetupError:
-        where = Where(path=self._meta.port)
+        place = Where(path=self._meta.port)
         if not self._tally.bytes:
             return SetupError(
-                "the port gave no byte", where=where, fix="switch the hand on, start the program that drives it"
+                "the port gave no byte", where=place, fix="switch the hand on, start the program that drives it"
             )
         if self._tally.frames["command"]:
             return SetupError(
                 "the hand gave no state",
                 found=f"{self._tally.frames['command']} requests without a reply",
-                where=where,
+                where=place,
                 fix="switch the hand on; check that the receiver hears both directions of the pair",
             )
         return SetupError(
             "the port gives bytes but no good frame: the baud rate is wrong, or it is another device",
             expected=f"frames of {self._meta.device} at {self._meta.baud} baud",
             found=f"{self._tally.bytes} bytes without one",
-            where=where,
+            where=place,
             fix="check --baud, --device and the wiring",
         )
 

@@ -80,14 +80,14 @@ class Tally:
 
     def states(self, states: States) -> None:
         """Count the saturated readings of n states."""
-        self.saturated_forces += self._saturated(states.force_counts)
-        self.saturated_taxels += self._saturated(states.taxel_counts)
+        self.saturated_forces += self._saturated_count(states.force_counts)
+        self.saturated_taxels += self._saturated_count(states.taxel_counts)
 
-    def lost(self, stamp_ns: int) -> None:
+    def note_lost(self, stamp_ns: int) -> None:
         """Note that the port was lost."""
         self.unplugs.append({"lost_ns": stamp_ns + self._offset_ns, "back_ns": None})
 
-    def back(self, stamp_ns: int) -> None:
+    def note_back(self, stamp_ns: int) -> None:
         """Note that the port came back."""
         self.unplugs[-1]["back_ns"] = stamp_ns + self._offset_ns
 
@@ -121,8 +121,8 @@ class Tally:
         return {"forces": self.saturated_forces, "taxels": self.saturated_taxels}
 
     def _losses(self) -> dict[str, int]:
-        now = self._framer.counts if self._framer else {}
-        return {kind: self._past[kind] + int(now.get(kind, 0)) for kind in _LOSSES}
+        counts = self._framer.counts if self._framer else {}
+        return {kind: self._past[kind] + int(counts.get(kind, 0)) for kind in _LOSSES}
 
     def _interval(self, stamp_ns: int) -> None:
         if self.first_ns is None:
@@ -135,11 +135,11 @@ class Tally:
         self.last_ns = stamp_ns
         self._recent.append(stamp_ns)
 
-    def _saturated(self, counts: NDArray[np.int16]) -> int:
+    def _saturated_count(self, counts: NDArray[np.int16]) -> int:
         at_end = (counts <= self._low) | (counts >= self._high)
         return int(np.count_nonzero(at_end.any(axis=-1)))
 
 
-def joined(parts: Sequence[States]) -> States:
+def join_states(parts: Sequence[States]) -> States:
     """Return several batches of states as one."""
     return States(*(np.concatenate([getattr(part, name) for part in parts]) for name in States.__dataclass_fields__))

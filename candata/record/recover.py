@@ -13,7 +13,7 @@ from candata.formats._mcap_scan import Scan
 
 
 @dataclass(frozen=True)
-class Recovered:
+class RecoveredLog:
     """What was saved of a log.
 
     Attributes
@@ -42,7 +42,7 @@ class Recovered:
     total_bytes: int
 
 
-def recover(log: Path, out: Path | None = None) -> Recovered:
+def recover(log: Path, out: Path | None = None) -> RecoveredLog:
     """Write what can be read of `log` as a whole file and return what was saved; any MCAP file will do.
 
     Parameters
@@ -80,7 +80,7 @@ def recover(log: Path, out: Path | None = None) -> Recovered:
     finally:
         draft.unlink(missing_ok=True)
     size = log.stat().st_size
-    return Recovered(str(log), str(out), not scan.whole, scan.damaged_chunks, counts, duration_s, scan.end, size)
+    return RecoveredLog(str(log), str(out), not scan.whole, scan.damaged_chunks, counts, duration_s, scan.end, size)
 
 
 def _copy(scan: Scan, draft: Path) -> tuple[dict[str, int], float]:
@@ -151,8 +151,8 @@ class _Copy:
 
     def _message(self, record: Any) -> str | None:
         """Write a message; one whose channel stood in a damaged chunk is left out."""
-        known = self._channels.get(record.channel_id)
-        if known is None:
+        channel = self._channels.get(record.channel_id)
+        if channel is None:
             return None
-        self._writer.add_message(known[0], record.log_time, record.data, record.publish_time, record.sequence)
-        return known[1]
+        self._writer.add_message(channel[0], record.log_time, record.data, record.publish_time, record.sequence)
+        return channel[1]

@@ -91,18 +91,19 @@ def make_episodes(
     DataError
         When MuJoCo could not step a simulation to its end.
     """
-    made, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
+    episodes, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
     for job, failed_s in zip(jobs, fails, strict=True):
         if np.isfinite(failed_s):
             step_ms = 1000 * scene.model.opt.timestep
-            when = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
+            failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
             raise DataError(
-                "the simulation is unstable", expected=f"a finite state after every step of {step_ms:g} ms",
-                found=f"{job.policy} {_in_words(job)}: none {when}",
+                "the simulation is unstable",
+                expected=f"a finite state after every step of {step_ms:g} ms",
+                found=f"{job.policy} {_in_words(job)}: none {failure_time}",
                 where=Where(path=scene.name, episode=job.id),
                 fix="give the model a smaller time step, more damping or armature, or milder effects",
-            )  # fmt: skip
-    return made
+            )
+    return episodes
 
 
 def tried_episodes(
@@ -122,8 +123,8 @@ def tried_episodes(
     plans = [_plan(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
     rows = max(len(p.commands) for p in plans)
-    commands = np.stack([_settling(p, settle, rows) for p in plans])
-    played = rollout(
+    commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
+    trajectory = rollout(
         scene,
         commands,
         np.stack([p.qpos for p in plans]),
@@ -134,9 +135,9 @@ def tried_episodes(
         alter=alter,
     )
     ends = np.array([settle + len(p.commands) for p in plans])
-    fails = np.where(played.failed < ends, (played.failed - settle) / scene.file.rate_hz, np.nan)
-    numbered = enumerate(zip(jobs, plans, strict=True))
-    return [_episode(scene, j, p, played, i, settle, noise) for i, (j, p) in numbered], fails
+    fails = np.where(trajectory.failed < ends, (trajectory.failed - settle) / scene.file.rate_hz, np.nan)
+    numbered_jobs = enumerate(zip(jobs, plans, strict=True))
+    return [_episode(scene, j, p, trajectory, i, settle, noise) for i, (j, p) in numbered_jobs], fails
 
 
 def _in_words(job: Job) -> str:
@@ -154,24 +155,24 @@ def _plan(scene: Scene, job: Job, duration_s: float) -> Plan:
 
 def _rng(job: Job, stream: int) -> np.random.Generator:
     """Return the generator of one stream of a job."""
-    own = job.noise_seed if stream == NOISE_STREAM else None
-    return np.random.default_rng([job.seed if own is None else own, job.index, stream])
+    noise_seed = job.noise_seed if stream == NOISE_STREAM else None
+    return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream])
 
 
-def _settling(plan: Plan, settle: int, rows: int) -> Array:
+def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
     """Return the commands with the first held for `settle` rows before and the last held to `rows` after."""
-    before = np.repeat(plan.commands[:1], settle, axis=0)
-    after = np.repeat(plan.commands[-1:], rows - len(plan.commands), axis=0)
-    return np.concatenate([before, plan.commands, after])
+    first_rows = np.repeat(plan.commands[:1], settle, axis=0)
+    last_rows = np.repeat(plan.commands[-1:], rows - len(plan.commands), axis=0)
+    return np.concatenate([first_rows, plan.commands, last_rows])
 
 
 def _episode(
-    scene: Scene, job: Job, plan: Plan, played: Trajectory, index: int, settle: int, noise: Noise | None
+    scene: Scene, job: Job, plan: Plan, trajectory: Trajectory, index: int, settle: int, noise: Noise | None
 ) -> Episode:
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
-    read = {name: value[index, part] for name, value in played.readings.items()}
-    arrays: dict[str, NDArray] = {**add_noise(read, noise, _rng(job, NOISE_STREAM))}
+    readings = {name: value[index, part] for name, value in trajectory.readings.items()}
+    arrays: dict[str, NDArray] = {**add_noise(readings, noise, _rng(job, NOISE_STREAM))}
     count = len(plan.commands)
     arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
     if plan.commands.shape[1]:

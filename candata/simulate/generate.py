@@ -101,9 +101,13 @@ def generate(
     model = load_scene(scene)
     _check_count(episodes, seed, workers)
     recipe = Recipe(
-        scene=scene, seed=seed, effects=tuple(effects), policies=tuple(policies) or possible_policies(model),
-        duration_s=duration_s, noise=noise,
-    )  # fmt: skip
+        scene=scene,
+        seed=seed,
+        effects=tuple(effects),
+        policies=tuple(policies) or possible_policies(model),
+        duration_s=duration_s,
+        noise=noise,
+    )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
     check(recipe, model)
@@ -127,27 +131,27 @@ def _complete(
     note: Callable[[str], None],
 ) -> VersionFile:
     """Make what is missing of the set and publish it."""
-    standing = set(_index(root))
+    present_ids = set(_index(root))
     config = str(history.config_digest)
-    ours = [p for p in pending_parts(root) if p.producer == producer(config)]
-    done = standing | {name for part in ours for name, _ in part.episodes}
-    wanted = [tuple(n for n in c if episode_id(recipe, n) not in done) for c in chunks(episodes)]
-    missing = [Chunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in wanted if numbers]
-    stand = episodes - sum(len(c.numbers) for c in missing)
-    if 0 < stand < episodes:
-        note(f"going on: {stand} of {episodes} episodes stand already")
-    progress(stand)
-    made = run_chunks(missing, workers or len(os.sched_getaffinity(0)), progress)
-    return publish(root, [*(part.id for part in ours), *made], history)
+    pending = [p for p in pending_parts(root) if p.producer == producer(config)]
+    done_ids = present_ids | {name for part in pending for name, _ in part.episodes}
+    numbers_left = [tuple(n for n in c if episode_id(recipe, n) not in done_ids) for c in chunks(episodes)]
+    chunks_left = [Chunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in numbers_left if numbers]
+    done_count = episodes - sum(len(c.numbers) for c in chunks_left)
+    if 0 < done_count < episodes:
+        note(f"going on: {done_count} of {episodes} episodes stand already")
+    progress(done_count)
+    new_parts = run_chunks(chunks_left, workers or len(os.sched_getaffinity(0)), progress)
+    return publish(root, [*(part.id for part in pending), *new_parts], history)
 
 
 def _with_file(recipe: Recipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> Recipe:
     """Return the recipe that plays the motions of a file."""
     if policies:
         raise UsageError("policies and a policy file at once", fix="leave one of them out")
-    found = read_motions(path, scene)
-    names = tuple(m.name for m in found.motions)
-    return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": found.digest})
+    motion_file = read_motions(path, scene)
+    names = tuple(m.name for m in motion_file.motions)
+    return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": motion_file.digest})
 
 
 def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> Recipe:
@@ -158,9 +162,11 @@ def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, se
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
     if (out / DATASET).exists() and not withheld.seal.exists():
         raise UsageError(
-            "the dataset stands, its sealed file does not", expected="the sealed file of the first run",
-            where=Where(path=str(withheld.seal)), fix="name it with --seal, or choose another --out",
-        )  # fmt: skip
+            "the dataset stands, its sealed file does not",
+            expected="the sealed file of the first run",
+            where=Where(path=str(withheld.seal)),
+            fix="name it with --seal, or choose another --out",
+        )
     seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
     secret = {"seed": seal.stream, "effects": (seal.effect,), "sealed": seal.sealed}
     return recipe.model_copy(update=secret)
@@ -168,9 +174,9 @@ def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, se
 
 def _check_count(episodes: int, seed: int, workers: int | None) -> None:
     """Refuse counts and seeds that mean nothing."""
-    for name, value, least in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
-        if value is not None and value < least:
-            raise UsageError(f"--{name} is too small", expected=f"at least {least}", found=str(value))
+    for name, value, minimum in (("episodes", episodes, 1), ("seed", seed, 0), ("jobs", workers, 1)):
+        if value is not None and value < minimum:
+            raise UsageError(f"--{name} is too small", expected=f"at least {minimum}", found=str(value))
 
 
 def _index(root: Path) -> dict[str, str]:
@@ -181,28 +187,30 @@ def _index(root: Path) -> dict[str, str]:
 
 def _refuse_other(root: Path, recipe: Recipe, episodes: int, history: Lineage) -> None:
     """Refuse a dataset that holds one of our ids made from another configuration."""
-    standing = _index(root)
-    taken = next((i for n in range(episodes) if (i := episode_id(recipe, n)) in standing), None)
-    if taken is None:
+    present_ids = _index(root)
+    taken_id = next((i for n in range(episodes) if (i := episode_id(recipe, n)) in present_ids), None)
+    if taken_id is None:
         return
     earlier = [step for step in newest(root).lineage if step.operation == OPERATION]  # type: ignore[union-attr]
     if history.config_digest in [step.config_digest for step in earlier]:
         return
-    there, asked = _difference(earlier, history)
+    theirs_text, ours_text = _difference(earlier, history)
     raise UsageError(
         "the dataset holds episodes of these ids, made from another configuration",
-        expected=there, found=asked, where=Where(path=str(root), episode=taken),
+        expected=theirs_text,
+        found=ours_text,
+        where=Where(path=str(root), episode=taken_id),
         fix="choose another --seed or another --out",
-    )  # fmt: skip
+    )
 
 
-def _difference(earlier: Sequence[Lineage], ours: Lineage) -> tuple[str, str]:
+def _difference(earlier: Sequence[Lineage], lineage: Lineage) -> tuple[str, str]:
     """Return what differs, there and here, from the nearest earlier set."""
-    found = [[k for k, v in _facts(ours).items() if _facts(step).get(k) != v] for step in earlier]
-    if not found:
+    differing_keys = [[k for k, v in _facts(lineage).items() if _facts(step).get(k) != v] for step in earlier]
+    if not differing_keys:
         return "a dataset of generate-sim", "another producer"
-    step, keys = min(zip(earlier, found, strict=True), key=lambda pair: len(pair[1]))
-    texts = [", ".join(f"{k} {_facts(s).get(k)}" for k in keys) for s in (step, ours)]
+    step, keys = min(zip(earlier, differing_keys, strict=True), key=lambda pair: len(pair[1]))
+    texts = [", ".join(f"{k} {_facts(s).get(k)}" for k in keys) for s in (step, lineage)]
     return texts[0], texts[1]
 
 

@@ -63,9 +63,11 @@ def check(recipe: Recipe, scene: Scene) -> None:
         raise UsageError(f"no policy can act in scene {scene.name}", fix="add actuators or an object")
     if recipe.duration_s * scene.file.rate_hz < 2:
         raise UsageError(
-            "the episodes are too short", expected=f"at least {2 / scene.file.rate_hz:g} s",
-            found=f"{recipe.duration_s:g} s", fix="give a longer --duration-s",
-        )  # fmt: skip
+            "the episodes are too short",
+            expected=f"at least {2 / scene.file.rate_hz:g} s",
+            found=f"{recipe.duration_s:g} s",
+            fix="give a longer --duration-s",
+        )
     build_worlds(scene, [recipe.effects])
 
 
@@ -78,10 +80,15 @@ def job(recipe: Recipe, index: int, motions: Sequence[Motion] = ()) -> Job:
     """Return the job of episode `index`; policies, or the motions of a file, take turns."""
     turn = index % len(recipe.policies)
     return Job(
-        id=episode_id(recipe, index), index=index, policy=recipe.policies[turn],
-        seed=recipe.seed, effects=recipe.effects, hidden=recipe.sealed is not None,
-        point_cloud=recipe.point_cloud, motion=motions[turn] if motions else None,
-    )  # fmt: skip
+        id=episode_id(recipe, index),
+        index=index,
+        policy=recipe.policies[turn],
+        seed=recipe.seed,
+        effects=recipe.effects,
+        hidden=recipe.sealed is not None,
+        point_cloud=recipe.point_cloud,
+        motion=motions[turn] if motions else None,
+    )
 
 
 def motions_of(recipe: Recipe, scene: Scene) -> tuple[Motion, ...]:
@@ -94,10 +101,10 @@ def motions_of(recipe: Recipe, scene: Scene) -> tuple[Motion, ...]:
     """
     if recipe.policy_file is None:
         return ()
-    found = read_motions(recipe.policy_file, scene)
-    if found.digest != recipe.policy_digest:
+    motion_file = read_motions(recipe.policy_file, scene)
+    if motion_file.digest != recipe.policy_digest:
         raise DataError("the policy file has changed while it was played", where=Where(path=recipe.policy_file))
-    return found.motions
+    return motion_file.motions
 
 
 def episode_id(recipe: Recipe, index: int) -> str:
@@ -121,25 +128,33 @@ def chunks(episodes: int) -> list[range]:
 
 def lineage(recipe: Recipe, scene: Scene, tools: dict[str, str]) -> Lineage:
     """Return how the set came to be; of a withheld set neither seed nor effects, only the commitment."""
-    hidden = recipe.sealed is not None
+    is_withheld = recipe.sealed is not None
     details = {
-        "scene": scene.name, "scene_digest": scene.digest, "policies": list(recipe.policies),
-        "duration_s": recipe.duration_s, "noise": recipe.noise,
-    }  # fmt: skip
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+        "policies": list(recipe.policies),
+        "duration_s": recipe.duration_s,
+        "noise": recipe.noise,
+    }
     if recipe.policy_digest is not None:
         details["policy_file"] = recipe.policy_digest
-    if not hidden:
+    if not is_withheld:
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
-    seeds = () if hidden else (recipe.seed,)
+    seeds = () if is_withheld else (recipe.seed,)
     return Lineage(
-        operation=OPERATION, config_digest=_digest(details, seeds, recipe.sealed), seeds=seeds,
-        revision=__version__, tools=tools, details=details, sealed=recipe.sealed,
-    )  # fmt: skip
+        operation=OPERATION,
+        config_digest=_digest(details, seeds, recipe.sealed),
+        seeds=seeds,
+        revision=__version__,
+        tools=tools,
+        details=details,
+        sealed=recipe.sealed,
+    )
 
 
-def _digest(details: dict, seeds: Sequence[int], sealed: str | None) -> str:
+def _digest(details: dict, seeds: Sequence[int], commitment: str | None) -> str:
     """Return sha256 over all that decides what an episode holds, the simulator's version included."""
     # Where a scene lies decides nothing; what it is does.
     decides = {k: v for k, v in details.items() if k != "scene"}
-    text = json.dumps([decides, list(seeds), sealed, mujoco.__version__, __version__], sort_keys=True)
+    text = json.dumps([decides, list(seeds), commitment, mujoco.__version__, __version__], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

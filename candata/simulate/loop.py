@@ -16,7 +16,7 @@ from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
-from candata.simulate.timing import resampled, retimed, steps_of
+from candata.simulate.timing import resample_control, retime_commands, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
 Array = NDArray[np.float64]
@@ -90,7 +90,7 @@ def rollout(
     threads: int = 1,
     alter: Alter | None = None,
     memory: Array | None = None,
-    before: Array | None = None,
+    earlier_commands: Array | None = None,
 ) -> Trajectory:
     """Return the readings of n simulations that play recorded commands.
 
@@ -120,7 +120,7 @@ def rollout(
         `(batch, worlds) -> worlds`, for stand-in real worlds that the effects cannot make.
     memory : (n, M) float64, optional
         What actuators and plugins remember at row 0, see `MEMORY`; by default what the model begins with.
-    before : (n, L, A) float64, optional
+    earlier_commands : (n, L, A) float64, optional
         Commands of the rows before row 0, which effects that delay commands remember; the first command by default.
 
     Raises
@@ -133,22 +133,22 @@ def rollout(
     )
     if memory is not None and memory.size:
         run.remember(memory)
-    if before is not None:
-        run.hear(before)
-    with _silent():
+    if earlier_commands is not None:
+        run.hear(earlier_commands)
+    with _without_warnings():
         return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def _without_warnings() -> Iterator[None]:
     """Keep MuJoCo from writing warnings to the console and to a file of the working directory: they are counted."""
-    before, now = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    now.logto_console = now.logto_file = False
-    now.set()
+    usual_config, quiet_config = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    quiet_config.logto_console = quiet_config.logto_file = False
+    quiet_config.set()
     try:
         yield
     finally:
-        before.set()
+        usual_config.set()
 
 
 class _Run:
@@ -207,39 +207,41 @@ class _Run:
     ) -> Trajectory:
         """Step through all rows and collect the readings."""
         scene, count, substeps = self.scene, commands.shape[1], self.scene.substeps
-        drifting = np.flatnonzero(self.worlds.pace != 1)
-        own_time = retimed(commands[drifting], self.worlds.pace[drifting], substeps, settle)
+        drifting_ids = np.flatnonzero(self.worlds.pace != 1)
+        retimed_commands = retime_commands(commands[drifting_ids], self.worlds.pace[drifting_ids], substeps, settle)
         follower = Follower(scene, observer) if isinstance(observer, Observer) else observer
-        at_once = 1 if self.worlds.force or self.push else ROWS
+        rows_together = 1 if self.worlds.force or self.push else ROWS
         force = np.zeros((1, self.n, len(scene.force_sensors), 3))
-        sensed, touch = self._nothing(), np.zeros(self.n, bool)
-        waiting: list[tuple[dict[str, Array], list[Array]]] = []
+        sensor_data, touch = self._nothing(), np.zeros(self.n, bool)
+        unread_rows: list[tuple[dict[str, Array], list[Array]]] = []
         rows: dict[str, list[Array]] = {}
         touches, sizes, states = [], [], []
-        failed = np.full(self.n, count)
+        failed_row = np.full(self.n, count)
         for k in range(count):
             state = self._readings()
-            waiting.append((state, sensed))
-            if len(waiting) == at_once or k + 1 == count:
-                force = self._forces([data for _, data in waiting], instant)
+            unread_rows.append((state, sensor_data))
+            if len(unread_rows) == rows_together or k + 1 == count:
+                force = self._forces([data for _, data in unread_rows], instant)
                 sizes.append(np.sqrt((force**2).sum(-1)))
-                self._read(rows, [each for each, _ in waiting], force)
-                waiting = []
+                self._read(rows, [each for each, _ in unread_rows], force)
+                unread_rows = []
             touches.append(touch)
             if keep:
                 states.append((self.qpos.copy(), self.qvel.copy()))
             if follower is not None:
                 follower.correct(k, state, touch, self.qpos, self.qvel)
             if k + 1 < count:
-                held = np.repeat(commands[:, k][:, None], substeps, axis=1)
-                held[drifting] = own_time[:, k]
+                held_commands = np.repeat(commands[:, k][:, None], substeps, axis=1)
+                held_commands[drifting_ids] = retimed_commands[:, k]
                 self._apply_forces(k, force[-1], touch)
-                sensed, touch = self._step(held)
-                failed[self.batch.warning[:, :, 1].any(1) & (failed == count)] = k + 1
-        kept = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
+                sensor_data, touch = self._step(held_commands)
+                failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
+        state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
-        played = Trajectory(readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed, *kept)
-        return replace(played, memory=self._remembered(), first_memory=self.first_memory) if keep else played
+        trajectory = Trajectory(
+            readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed_row, *state_arrays
+        )
+        return replace(trajectory, memory=self._remembered(), first_memory=self.first_memory) if keep else trajectory
 
     def _readings(self) -> dict[str, Array]:
         """Return what perfect sensors but those of force read now."""
@@ -255,16 +257,16 @@ class _Run:
         """Return what the sensors read before the first step, for each number of physics steps."""
         return [np.zeros((len(ids), steps, self.scene.model.nsensordata)) for steps, ids in self.groups]
 
-    def _forces(self, sensed: Sequence[list[Array]], instant: bool) -> Array:
+    def _forces(self, sensor_data: Sequence[list[Array]], instant: bool) -> Array:
         """Return the forces `(R, n, F, 3)` on the fingertips in their frames, of R rows together: few at once cost as
         much as one.
         """
         scene = self.scene
-        force = np.zeros((len(sensed), self.n, len(scene.force_sensors), 3))
+        force = np.zeros((len(sensor_data), self.n, len(scene.force_sensors), 3))
         if not len(scene.force_sensors):
             return force
-        for (_, ids), each in zip(self.groups, zip(*sensed, strict=True), strict=True):
-            data = np.stack(each)
+        for (_, ids), group_data in zip(self.groups, zip(*sensor_data, strict=True), strict=True):
+            data = np.stack(group_data)
             net = data[..., scene.force_sensors]
             for tip, address in scene.internal_sensors.items():
                 net[..., tip, :] -= data[..., address]
@@ -290,29 +292,29 @@ class _Run:
         """Set the generalised forces that are added over the next step."""
         if not self.worlds.force and self.push is None:
             return
-        none = np.zeros((self.n, self.scene.model.nv))
-        x = Forces(none, self.qpos.copy(), self.qvel.copy(), self.effort.copy(), tip_force, touch)
+        no_force = np.zeros((self.n, self.scene.model.nv))
+        x = Forces(no_force, self.qpos.copy(), self.qvel.copy(), self.effort.copy(), tip_force, touch)
         x = self._filter("force", x)
         self.applied[:] = x.added if self.push is None else x.added + self.push(row, x)
 
-    def _step(self, held: Array) -> tuple[list[Array], NDArray[np.bool_]]:
+    def _step(self, commands: Array) -> tuple[list[Array], NDArray[np.bool_]]:
         """Advance one row under commands `(n, S, A)`; return what the sensors of the worlds read at each physics step
         `(n, steps, .)`, for each number of these, and touch `(n,)`.
         """
         scene = self.scene
         control = None
         if len(scene.actuator_ids):
-            control = np.zeros((self.n, held.shape[1], scene.model.nu))
-            control[:, :, scene.actuator_ids] = self._filter("command", held)
-        sensed, touch = [], np.zeros(self.n, bool)
+            control = np.zeros((self.n, commands.shape[1], scene.model.nu))
+            control[:, :, scene.actuator_ids] = self._filter("command", commands)
+        sensor_data, touch = [], np.zeros(self.n, bool)
         for steps, ids in self.groups:
-            own = None if control is None else resampled(control[ids], steps)
-            some = None if len(self.groups) == 1 else ids
-            data = self.batch.rollout(steps, own, record=("sensordata",), ids=some)["sensordata"]
-            sensed.append(data)
+            group_control = None if control is None else resample_control(control[ids], steps)
+            group_ids = None if len(self.groups) == 1 else ids
+            data = self.batch.rollout(steps, group_control, record=("sensordata",), ids=group_ids)["sensordata"]
+            sensor_data.append(data)
             if len(scene.touch_sensors):
                 touch[ids] = (data[:, :, scene.touch_sensors] > 0).any((1, 2))
-        return sensed, touch
+        return sensor_data, touch
 
 
 def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:

@@ -13,11 +13,11 @@ from candata.scenes import Scene
 
 Array = NDArray[np.float64]
 #: Sine of a turn below which its axis means nothing.
-TINY = 1e-12
+SMALLEST_SINE = 1e-12
 #: Share of a joint's error that its average takes up each control step, and the part of the encoders' noise up to which
 #: an average says nothing. The average holds a third of the noise, so this is one and a half of its standard errors.
 #: Chosen on seven hands: see docs/decisions/0010-observer.md.
-AVERAGED, HEARD = 0.2, 0.5
+ERROR_AVERAGE_SHARE, NOISE_SHARE = 0.2, 0.5
 
 
 @dataclass(frozen=True)
@@ -91,16 +91,16 @@ class Follower:
     def __init__(self, scene: Scene, observer: Observer) -> None:
         self._observer = observer
         self._joints, self._object = scene.joint_qpos, None
-        recorded = observer.recorded.get("joint_position") if len(scene.joint_qpos) else None
-        self._angles = None if recorded is None else _told(recorded, observer.joint_gain)
+        recorded_joints = observer.recorded.get("joint_position") if len(scene.joint_qpos) else None
+        self._angles = None if recorded_joints is None else _followed_joints(recorded_joints, observer.joint_gain)
         self._error: Array | float = 0.0
         pose = observer.recorded.get("object_pose") if scene.object_id is not None else None
         if pose is not None:
-            seen = np.asarray(np.isfinite(pose).all(2))
+            pose_seen = np.asarray(np.isfinite(pose).all(2))
             self._object = scene.object_qpos
-            self._position = np.where(seen[:, :, None], pose[:, :, :3], 0.0)
-            self._turn = np.where(seen[:, :, None], pose[:, :, 3:], [1.0, 0.0, 0.0, 0.0])
-            self._free, self._slow = observer.free_gain * seen, observer.pose_gain * seen
+            self._position = np.where(pose_seen[:, :, None], pose[:, :, :3], 0.0)
+            self._turn = np.where(pose_seen[:, :, None], pose[:, :, 3:], [1.0, 0.0, 0.0, 0.0])
+            self._free, self._slow = observer.free_gain * pose_seen, observer.pose_gain * pose_seen
 
     def correct(self, row: int, state: Mapping[str, Array], touch: NDArray[np.bool_], qpos: Array, qvel: Array) -> None:
         """Pull `qpos (n, nq)` in place towards the recording at `row`; `qvel` stays as it is.
@@ -109,7 +109,9 @@ class Follower:
         """
         if self._angles is not None:
             (target, gain), now = self._angles, state["joint_position"]
-            qpos[:, self._joints] = now + gain[:, row] * self._heard(target[:, row] - now, gain[:, row] > 0)
+            qpos[:, self._joints] = now + gain[:, row] * self._error_beyond_noise(
+                target[:, row] - now, gain[:, row] > 0
+            )
         at = self._object
         if at is None:
             return
@@ -124,20 +126,22 @@ class Follower:
         gain = np.where(far | ~touch, self._free[:, row], self._slow[:, row])[:, None]
         qpos[:, at : at + 3] += gain * shift
         # Of the shorter way round, that share.
-        size = np.copysign(np.sin(gain * half) / np.maximum(sine, TINY), cosine)
+        size = np.copysign(np.sin(gain * half) / np.maximum(sine, SMALLEST_SINE), cosine)
         part = np.concatenate([np.cos(gain * half), size * axis], axis=1)
         qpos[:, at + 3 : at + 7] = normalise(product(part, now))
 
-    def _heard(self, error: Array, seen: NDArray[np.bool_]) -> Array:
-        """Return what noise cannot explain of the joints' errors `(n, J)`, averaged over the rows that are `seen`."""
+    def _error_beyond_noise(self, error: Array, is_seen: NDArray[np.bool_]) -> Array:
+        """Return the averaged errors `(n, J)` of the joints beyond their noise; rows that were not seen add nothing."""
         noise = self._observer.joint_noise
         if not np.any(noise):
             return error
-        self._error = np.where(seen, AVERAGED * error + (1 - AVERAGED) * self._error, self._error)
-        return self._error - np.clip(self._error, -HEARD * noise, HEARD * noise)
+        self._error = np.where(
+            is_seen, ERROR_AVERAGE_SHARE * error + (1 - ERROR_AVERAGE_SHARE) * self._error, self._error
+        )
+        return self._error - np.clip(self._error, -NOISE_SHARE * noise, NOISE_SHARE * noise)
 
 
-def _told(recorded: Array, gain: float) -> tuple[Array, Array]:
+def _followed_joints(positions: Array, gain: float) -> tuple[Array, Array]:
     """Return what is pulled towards and how hard; not at all where the recording tells nothing."""
-    seen = np.isfinite(recorded)
-    return np.where(seen, recorded, 0.0), gain * seen
+    is_seen = np.isfinite(positions)
+    return np.where(is_seen, positions, 0.0), gain * is_seen

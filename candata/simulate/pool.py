@@ -17,7 +17,7 @@ from candata.scenes import Scene, load_scene
 from candata.simulate.jobs import OPERATION, Recipe, job, motions_of
 
 T = TypeVar("T")
-Told = Callable[[int], None]
+Progress = Callable[[int], None]
 #: How long a stopped worker may take to remove what it has half written [s].
 _LEAVE_S = 0.5
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -60,9 +60,11 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
     scene = _scene(plan.scene)
     motions = motions_of(plan, scene)
     episodes = make_episodes(
-        scene, [job(plan, n, motions) for n in numbers], duration_s=plan.duration_s,
+        scene,
+        [job(plan, n, motions) for n in numbers],
+        duration_s=plan.duration_s,
         noise=scene.file.noise if plan.noise else None,
-    )  # fmt: skip
+    )
     return write_part(out, episodes, producer(config)).id
 
 
@@ -71,7 +73,7 @@ def producer(config: str) -> dict[str, str]:
     return {"operation": OPERATION, "config": config}
 
 
-def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[str]:
+def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Progress) -> list[str]:
     """Return the part ids of the chunks, in their order; `progress` hears of each one's episodes.
 
     Parameters
@@ -89,45 +91,47 @@ def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Told) -> list[st
             parts.append(make_chunk(*astuple(chunk)))
             progress(len(chunk.numbers))
         return parts
-    with spawned(min(workers, len(chunks))) as pool:
-        futures = {f: i for i, f in enumerate(submitted(pool, make_chunk, [astuple(chunk) for chunk in chunks]))}
-        done: dict[int, str] = {}
+    with spawned_pool(min(workers, len(chunks))) as pool:
+        futures = {f: i for i, f in enumerate(submit_tasks(pool, make_chunk, [astuple(chunk) for chunk in chunks]))}
+        part_ids: dict[int, str] = {}
         for future in as_completed(futures):
-            done[futures[future]] = future.result()
+            part_ids[futures[future]] = future.result()
             progress(len(chunks[futures[future]].numbers))
-    return [done[i] for i in range(len(chunks))]
+    return [part_ids[i] for i in range(len(chunks))]
 
 
 @contextlib.contextmanager
-def spawned(workers: int) -> Iterator[ProcessPoolExecutor]:
+def spawned_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     """Yield a pool of fresh processes, one thread each, that end with this one; what waits at the end is dropped.
 
     Where the block is left by Ctrl-C, what runs is stopped as well, and removes what it has half written.
     """
-    others = set(multiprocessing.active_children())
+    earlier_processes = set(multiprocessing.active_children())
     with _single_threads():
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start)
         try:
             yield pool
         except (KeyboardInterrupt, GeneratorExit):
-            for process in set(multiprocessing.active_children()) - others:
+            for process in set(multiprocessing.active_children()) - earlier_processes:
                 process.terminate()
             raise
         finally:
             pool.shutdown(cancel_futures=True)
 
 
-def submitted(pool: ProcessPoolExecutor, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> list[Future[T]]:
+def submit_tasks(
+    pool: ProcessPoolExecutor, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]
+) -> list[Future[T]]:
     """Return the futures of tasks, in their order; the processes begun for them never hear Ctrl-C.
 
     A terminal sends it to every process. One that has just begun would answer with a traceback, before `_start` can
     tell it to ignore it; so it is held back, in this process only until all have begun.
     """
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         return [pool.submit(work, *task) for task in tasks]
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, earlier_mask)
 
 
 @lru_cache(maxsize=1)
@@ -160,12 +164,12 @@ def _end_with_parent() -> None:
 @contextlib.contextmanager
 def _single_threads() -> Iterator[None]:
     """Give processes started inside one thread each in numerical libraries."""
-    before = {name: os.environ.get(name) for name in _THREADS}
+    earlier_values = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:
         yield
     finally:
-        for name, value in before.items():
+        for name, value in earlier_values.items():
             if value is None:
                 del os.environ[name]
             else:

@@ -18,7 +18,7 @@ from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
 
-ANY = "any"
+ANY_EFFECT = "any"
 SALT_BYTES = 32
 
 
@@ -52,14 +52,14 @@ def new_salt() -> str:
     return secrets.token_hex(SALT_BYTES)
 
 
-def draw(scene: Scene, asked: str, seed: int, salt: str) -> Seal:
-    """Return the sealed draw of `asked`, or of any effect that can act in the scene.
+def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
+    """Return the sealed draw of `effect_name`, or of any effect that can act in the scene.
 
     Parameters
     ----------
     scene : Scene
         Where it acts.
-    asked : str
+    effect_name : str
         Name of the effect, or `any`: each possible one is as likely.
     seed : int
         The set's seed.
@@ -74,18 +74,19 @@ def draw(scene: Scene, asked: str, seed: int, salt: str) -> Seal:
         When it cannot act in the scene, or the salt is no hex of 32 bytes.
     """
     rng = np.random.default_rng(secret_number(seed, salt, "effect"))
-    possible = [name for name in effect_names() if effect(name).possible(scene)]
-    if asked != ANY and not effect(asked).possible(scene):
+    possible_effects = [drawn_name for drawn_name in effect_names() if effect(drawn_name).possible(scene)]
+    if effect_name != ANY_EFFECT and not effect(effect_name).possible(scene):
         raise UsageError(
-            f"effect {asked} cannot act in scene {scene.name}", expected=f"one of {', '.join(possible)}",
-            found=asked,
-        )  # fmt: skip
-    name = str(rng.choice(possible)) if asked == ANY else asked
-    values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
-    label = canonical(setting(name, values, scene))
+            f"effect {effect_name} cannot act in scene {scene.name}",
+            expected=f"one of {', '.join(possible_effects)}",
+            found=effect_name,
+        )
+    drawn_name = str(rng.choice(possible_effects)) if effect_name == ANY_EFFECT else effect_name
+    values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(drawn_name).parameters])
+    label = canonical(setting(drawn_name, values, scene))
     return Seal(
         scene_digest=scene.digest,
-        asked=asked,
+        asked=effect_name,
         seed=seed,
         salt=salt,
         label=label,
@@ -100,11 +101,11 @@ def draw_parameter(parameter: Parameter, scene: Scene, rng: np.random.Generator)
     """
     spans, size = np.array(parameter.draws(scene), float), parameter.size(scene)
     identity = np.nan_to_num(parameter.identity(scene))
-    clear = 0.5 * np.abs(spans - identity).max() if size > 1 else 0.0
+    least_distance = 0.5 * np.abs(spans - identity).max() if size > 1 else 0.0
     while True:
         low, high = spans[rng.integers(len(spans), size=size)].T
         values = low + rng.random(size) * (high - low)
-        if np.abs(values - identity).max() >= clear:
+        if np.abs(values - identity).max() >= least_distance:
             return values
 
 
@@ -113,7 +114,7 @@ def commitment(label: str, salt: str) -> str:
     return hashlib.sha256(label.encode() + _salt_bytes(salt)).hexdigest()
 
 
-def keep(path: Path, scene: Scene, asked: str, seed: int, salt: str | None) -> Seal:
+def keep(path: Path, scene: Scene, effect_name: str, seed: int, salt: str | None) -> Seal:
     """Return the seal that stands in `path`; a fresh one, written and synced first, where none does.
 
     Parameters
@@ -131,16 +132,17 @@ def keep(path: Path, scene: Scene, asked: str, seed: int, salt: str | None) -> S
         When the file belongs to another set or is no sealed file.
     """
     if not path.exists():
-        fresh = draw(scene, asked, seed, salt or new_salt())
-        write_once(path, fresh)
+        new_seal = draw(scene, effect_name, seed, salt or new_salt())
+        write_once(path, new_seal)
     seal = read_seal(path)
-    wanted = {"scene_digest": scene.digest, "asked": asked, "seed": seed, "salt": salt or seal.salt}
-    for name, value in wanted.items():
+    expected_fields = {"scene_digest": scene.digest, "asked": effect_name, "seed": seed, "salt": salt or seal.salt}
+    for name, value in expected_fields.items():
         if getattr(seal, name) != value:
             raise UsageError(
                 f"the sealed file belongs to another set: its {name.split('_')[0]} differs",
-                where=Where(path=str(path)), fix="give another --seal and --out, or repeat the first command",
-            )  # fmt: skip
+                where=Where(path=str(path)),
+                fix="give another --seal and --out, or repeat the first command",
+            )
     return seal
 
 
@@ -178,20 +180,22 @@ def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
         When the seal was tampered with, or belongs to another dataset.
     """
     seal = read_seal(Path(path))
-    found = commitment(seal.label, seal.salt)
-    known = [step.sealed for step in dataset.lineage if step.sealed]
-    if found not in known:
+    own_commitment = commitment(seal.label, seal.salt)
+    commitments = [step.sealed for step in dataset.lineage if step.sealed]
+    if own_commitment not in commitments:
         raise DataError(
-            "the seal does not fit the dataset", expected=f"sealed {', '.join(k[:12] for k in known) or '-'}",
-            found=f"sealed {found[:12]}", where=Where(path=str(path)),
+            "the seal does not fit the dataset",
+            expected=f"sealed {', '.join(k[:12] for k in commitments) or '-'}",
+            found=f"sealed {own_commitment[:12]}",
+            where=Where(path=str(path)),
             fix="give the sealed file that was written beside this dataset",
-        )  # fmt: skip
+        )
     return seal.effect
 
 
-def canonical(given: Record) -> str:
+def canonical(record: Record) -> str:
     """Return the record as JSON that two equal records share."""
-    return json.dumps(given.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+    return json.dumps(record.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
 
 
 def _salt_bytes(salt: str) -> bytes:

@@ -17,7 +17,7 @@ def steps_of(scene: Scene, worlds: Worlds) -> NDArray[np.int64]:
     return np.maximum(1, np.round(worlds.pace / scene.file.rate_hz / steps)).astype(int)
 
 
-def retimed(commands: Array, pace: Array, substeps: int, settle: int) -> Array:
+def retime_commands(commands: Array, pace: Array, substeps: int, settle: int) -> Array:
     """Return commands `(n, T, S, A)` at S steps a row, where a row lasts `pace (n,)` rows of the commands.
 
     Rows before `settle` last one. Each step gets the mean of the held command over its time; after the last command
@@ -25,18 +25,18 @@ def retimed(commands: Array, pace: Array, substeps: int, settle: int) -> Array:
     """
     count = commands.shape[1]
     edges = np.arange(count * substeps + 1) / substeps
-    done = np.zeros((len(commands), 1, commands.shape[2]))
-    total = np.concatenate([done, np.cumsum(commands, axis=1)], axis=1)
+    zero_sum = np.zeros((len(commands), 1, commands.shape[2]))
+    total = np.concatenate([zero_sum, np.cumsum(commands, axis=1)], axis=1)
     out = np.empty((len(commands), count * substeps, commands.shape[2]))
     for i, speed in enumerate(pace):
         at = np.where(edges <= settle, edges, settle + (edges - settle) * speed)
         row = np.minimum(at.astype(int), count - 1)
-        reached = total[i, row] + (at - row)[:, None] * commands[i, row]
-        out[i] = np.diff(reached, axis=0) / np.diff(at)[:, None]
+        sums = total[i, row] + (at - row)[:, None] * commands[i, row]
+        out[i] = np.diff(sums, axis=0) / np.diff(at)[:, None]
     return out.reshape(len(commands), count, substeps, commands.shape[2])
 
 
-def resampled(control: Array, steps: int) -> Array:
+def resample_control(control: Array, steps: int) -> Array:
     """Return `(n, steps, nu)` controls of one row given at S steps: the mean over each new step."""
     count = control.shape[1]
     if steps == count:
@@ -44,5 +44,5 @@ def resampled(control: Array, steps: int) -> Array:
     total = np.concatenate([np.zeros_like(control[:, :1]), np.cumsum(control, axis=1)], axis=1)
     at = np.arange(steps + 1) * count / steps
     row = np.minimum(at.astype(int), count - 1)
-    reached = total[:, row] + (at - row)[None, :, None] * control[:, row]
-    return np.diff(reached, axis=1) * steps / count
+    sums = total[:, row] + (at - row)[None, :, None] * control[:, row]
+    return np.diff(sums, axis=1) * steps / count

@@ -58,24 +58,24 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
         When an effect cannot act in the scene, or its parameters are not possible there.
     """
     cache: dict[str, mujoco.MjModel] = {}
-    models = [_model(scene, tuple(some), cache) for some in effects]
+    models = [_model(scene, tuple(settings), cache) for settings in effects]
     kinds: dict[str, list[Filter]] = {"command": [], "force": [], "reading": []}
-    for name in sorted({s.name for some in effects for s in some}, key=turn):
+    for name in sorted({s.name for settings in effects for s in settings}, key=turn):
         for hook_name, filters in kinds.items():
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
                 filters += _filters(scene, name, hook, effects)
-    pace = np.array([_pace(scene, some) for some in effects])
+    pace = np.array([_pace(scene, settings) for settings in effects])
     return Worlds(models, pace, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
 
 
-def _pace(scene: Scene, some: EffectList) -> float:
+def _pace(scene: Scene, settings: EffectList) -> float:
     """Return the true time of one recorded row, in nominal control steps."""
-    hooks = [(effect(s.name).pace, s) for s in some]
+    hooks = [(effect(s.name).pace, s) for s in settings]
     return float(np.prod([hook(scene, flatten(s, scene)) for hook, s in hooks if hook is not None]))
 
 
-def unread(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dict[str, Array]:
+def true_state(scene: Scene, readings: Mapping[str, Array], settings: EffectList) -> dict[str, Array]:
     """Return what is true where `readings` was read at rest in a world with some effects: where its replay starts.
 
     Parameters
@@ -83,18 +83,18 @@ def unread(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dic
     scene : Scene
     readings : mapping of str to ndarray
         `object_pose (..., 7)`, `joint_position (..., J)`; others pass through.
-    some : sequence of EffectSetting
+    settings : sequence of EffectSetting
         Effects of the world.
     """
     out = dict(readings)
-    for s in sorted(some, key=lambda s: turn(s.name), reverse=True):  # against the stepping loop's order
+    for s in sorted(settings, key=lambda s: turn(s.name), reverse=True):  # against the stepping loop's order
         hook = effect(s.name).unread
         if hook is not None:
             out = hook(scene, flatten(s, scene), s.element, out)
     return out
 
 
-def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> dict[str, Array]:
+def followed_readings(scene: Scene, readings: Mapping[str, Array], settings: EffectList) -> dict[str, Array]:
     """Return what an observer follows where `readings` was read in a world with some effects: what is true, on time.
 
     Pulled by what comes late, a state swings about its recording, and an object that lies still would seem to speak
@@ -105,7 +105,7 @@ def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> d
     scene : Scene
     readings : mapping of str to ndarray
         `object_pose (E, T, 7)`, `joint_position (E, T, J)`; others pass through.
-    some : sequence of EffectSetting
+    settings : sequence of EffectSetting
         Effects of the world.
 
     Returns
@@ -113,8 +113,8 @@ def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> d
     dict of str to ndarray
         NaN in the last rows of a channel that is late.
     """
-    out = unread(scene, readings, some)
-    for s in some:
+    out = true_state(scene, readings, settings)
+    for s in settings:
         hook = effect(s.name).on_time
         if hook is not None:
             out = hook(scene, flatten(s, scene), s.element, out)
@@ -123,24 +123,24 @@ def followed(scene: Scene, readings: Mapping[str, Array], some: EffectList) -> d
 
 def _filters(scene: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
     """Return the filters of one effect: several where a simulation has it on several elements."""
-    layers = max(sum(s.name == name for s in some) for some in effects)
+    layers = max(sum(s.name == name for s in settings) for settings in effects)
     filters = []
     for layer in range(layers):
-        chosen = [_nth(some, name, layer) for some in effects]
-        x = np.stack([flatten(s, scene) for s in chosen])
-        filters.append(Filter(hook.apply, hook.start(scene, x, [s.element for s in chosen])))
+        layer_settings = [_nth(settings, name, layer) for settings in effects]
+        x = np.stack([flatten(s, scene) for s in layer_settings])
+        filters.append(Filter(hook.apply, hook.start(scene, x, [s.element for s in layer_settings])))
     return filters
 
 
-def _nth(some: EffectList, name: str, layer: int) -> EffectSetting:
+def _nth(settings: EffectList, name: str, layer: int) -> EffectSetting:
     """Return the `layer`-th setting called `name`, or the identity."""
-    found = [s for s in some if s.name == name]
-    return found[layer] if layer < len(found) else EffectSetting(name=name)
+    matches = [s for s in settings if s.name == name]
+    return matches[layer] if layer < len(matches) else EffectSetting(name=name)
 
 
-def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoco.MjModel]) -> mujoco.MjModel:
-    """Return the scene's model, or a private copy with the edits of `some`."""
-    for s in some:
+def _model(scene: Scene, settings: tuple[EffectSetting, ...], cache: dict[str, mujoco.MjModel]) -> mujoco.MjModel:
+    """Return the scene's model, or a private copy with the edits of `settings`."""
+    for s in settings:
         if not effect(s.name).possible(scene):
             raise UsageError(
                 f"effect {s.name} cannot act in scene {scene.name}",
@@ -154,16 +154,16 @@ def _model(scene: Scene, some: tuple[EffectSetting, ...], cache: dict[str, mujoc
                 found=s.element,
                 fix="leave the element out",
             )
-    edits = tuple(s for s in some if effect(s.name).edit is not None)
+    edits = tuple(s for s in settings if effect(s.name).edit is not None)
     if not edits:
         return scene.model
     key = "\n".join(s.model_dump_json() for s in edits)
     if key not in cache:
-        cache[key] = _edited(scene, edits)
+        cache[key] = _edited_model(scene, edits)
     return cache[key]
 
 
-def _edited(scene: Scene, edits: tuple[EffectSetting, ...]) -> mujoco.MjModel:
+def _edited_model(scene: Scene, edits: tuple[EffectSetting, ...]) -> mujoco.MjModel:
     """Return a copy of the scene's model with the edits applied."""
     model = copy.copy(scene.model)
     for s in edits:

@@ -10,10 +10,10 @@ from typing import Any
 
 #: Name to the file of this room that defines it.
 _HOMES = {
-    "Ask": "jobs",
+    "TrainRequest": "jobs",
     "Evaluation": "results",
     "Job": "loop",
-    "Manner": "evaluation",
+    "EvaluationSettings": "evaluation",
     "Progress": "settings",
     "Report": "loop",
     "Run": "settings",

@@ -17,7 +17,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.training.settings import Progress, Run
 
 SUFFIX = ".safetensors"
-LAST, BEST = f"last{SUFFIX}", f"best{SUFFIX}"
+LAST_FILE, BEST_FILE = f"last{SUFFIX}", f"best{SUFFIX}"
 #: Groups of tensors, as the first part of their names.
 WEIGHTS, AVERAGE, OPTIMISER = "weights", "ema", "optimiser"
 #: First bytes of what `torch.save` and `pickle` write: a zip archive, or a pickle of protocol 2 to 5.
@@ -67,47 +67,47 @@ def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[
         When the disk is full or cannot be written; what stood at `path` is unharmed.
     """
     tensors: dict[str, torch.Tensor] = {}
-    for group, named in groups.items():
-        tensors |= {f"{group}/{name}": value for name, value in _apart(named).items()}
+    for group, group_tensors in groups.items():
+        tensors |= {f"{group}/{name}": value for name, value in _separate_copies(group_tensors).items()}
     header = {"run": run.model_dump_json(), "progress": progress.model_dump_json()}
-    staged = path.with_name(f".{path.name}.part")
+    part_path = path.with_name(f".{path.name}.part")
     try:
-        staged.touch()
-        mode = staged.stat().st_mode
+        part_path.touch()
+        mode = part_path.stat().st_mode
         try:
-            save_file(tensors, staged, header)
+            save_file(tensors, part_path, header)
         except SafetensorError as error:  # what it makes of a full disk
             raise OSError(str(error)) from None
-        staged.chmod(mode)  # safetensors gives a file to its owner alone
-        sync(staged)
-        os.replace(staged, path)
+        part_path.chmod(mode)  # safetensors gives a file to its owner alone
+        sync(part_path)
+        os.replace(part_path, path)
         sync(path.parent)
     finally:
-        staged.unlink(missing_ok=True)
+        part_path.unlink(missing_ok=True)
 
 
-def _apart(named: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _separate_copies(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return the tensors on the CPU, none sharing memory with another: a module may stand in two places."""
-    found: dict[str, torch.Tensor] = {}
-    taken: set[int] = set()
-    for name, value in named.items():
-        whole = value.detach().contiguous().cpu()
-        place = whole.untyped_storage().data_ptr()
-        found[name] = whole.clone() if place in taken else whole
-        taken.add(place)
-    return found
+    copies: dict[str, torch.Tensor] = {}
+    storage_pointers: set[int] = set()
+    for name, value in tensors.items():
+        tensor = value.detach().contiguous().cpu()
+        pointer = tensor.untyped_storage().data_ptr()
+        copies[name] = tensor.clone() if pointer in storage_pointers else tensor
+        storage_pointers.add(pointer)
+    return copies
 
 
 def copy(source: Path, target: Path) -> None:
     """Give the checkpoint `source` a second name; checkpoints are replaced, never changed."""
-    staged = target.with_name(f".{target.name}.part")
-    staged.unlink(missing_ok=True)
+    part_path = target.with_name(f".{target.name}.part")
+    part_path.unlink(missing_ok=True)
     try:
-        os.link(source, staged)
+        os.link(source, part_path)
     except OSError:  # a file system without hard links
-        staged.write_bytes(source.read_bytes())
-        sync(staged)
-    os.replace(staged, target)
+        part_path.write_bytes(source.read_bytes())
+        sync(part_path)
+    os.replace(part_path, target)
     sync(target.parent)
 
 
@@ -127,9 +127,11 @@ def read(path: Path) -> Checkpoint:
     if head.startswith(_PICKLES):
         raise UsageError(
             "the checkpoint is a pickle, which can run any code when opened: refused",
-            expected=f"a {SUFFIX} file that candata train wrote", found="a file of torch.save or pickle",
-            where=Where(path=str(path)), fix="train with candata train, or name its run folder",
-        )  # fmt: skip
+            expected=f"a {SUFFIX} file that candata train wrote",
+            found="a file of torch.save or pickle",
+            where=Where(path=str(path)),
+            fix="train with candata train, or name its run folder",
+        )
     try:
         with safe_open(path, "pt") as file:
             header = file.metadata() or {}
@@ -137,26 +139,28 @@ def read(path: Path) -> Checkpoint:
         raise _unreadable(path, str(error)) from None
     if not {"run", "progress"} <= set(header):
         raise UsageError(
-            "not a checkpoint of candata", expected="a safetensors file whose header holds `run` and `progress`",
-            found=f"a header with {', '.join(sorted(header)) or 'nothing'}", where=Where(path=str(path)),
-        )  # fmt: skip
+            "not a checkpoint of candata",
+            expected="a safetensors file whose header holds `run` and `progress`",
+            found=f"a header with {', '.join(sorted(header)) or 'nothing'}",
+            where=Where(path=str(path)),
+        )
     try:
-        parsed = json.loads(header["run"]), json.loads(header["progress"])
+        fields = json.loads(header["run"]), json.loads(header["progress"])
     except ValueError as error:
         raise _unreadable(path, str(error)) from None
-    return Checkpoint(path, Run.parse(parsed[0], path), Progress.parse(parsed[1], path))
+    return Checkpoint(path, Run.parse(fields[0], path), Progress.parse(fields[1], path))
 
 
-def check_fits(run: Run, other: Mapping[str, object], where: Path) -> None:
+def check_fits(run: Run, facts: Mapping[str, object], path: Path) -> None:
     """Refuse data, or another run, whose joints or sizes are not those the weights were made for.
 
     Parameters
     ----------
     run : Run
         Of the checkpoint.
-    other : mapping
+    facts : mapping
         Fields of `Run` to compare: `sizes`, `joint_names`, ...
-    where : Path
+    path : Path
         The checkpoint.
 
     Raises
@@ -164,14 +168,16 @@ def check_fits(run: Run, other: Mapping[str, object], where: Path) -> None:
     UsageError
         Names both.
     """
-    for name, found in other.items():
+    for name, value in facts.items():
         expected = getattr(run, name)
-        if found != expected:
+        if value != expected:
             raise UsageError(
                 f"the checkpoint was made for other {name.replace('_', ' ')}",
-                expected=_text(expected), found=_text(found), where=Where(path=str(where)),
+                expected=_text(expected),
+                found=_text(value),
+                where=Where(path=str(path)),
                 fix="use data of the same hand and windows, or train a new model",
-            )  # fmt: skip
+            )
 
 
 def _text(value: object) -> str:
@@ -186,22 +192,27 @@ def _text(value: object) -> str:
 def _file(path: Path) -> Path:
     """Return the file of a checkpoint, or of the best one of a run folder."""
     if path.is_dir():
-        for name in (BEST, LAST):
+        for name in (BEST_FILE, LAST_FILE):
             if (path / name).is_file():
                 return path / name
         raise UsageError(
-            "the folder holds no checkpoint", expected=f"{BEST} or {LAST}",
+            "the folder holds no checkpoint",
+            expected=f"{BEST_FILE} or {LAST_FILE}",
             found=", ".join(sorted(p.name for p in path.iterdir())[:8]) or "nothing",
-            where=Where(path=str(path)), fix="name a folder that candata train wrote",
-        )  # fmt: skip
+            where=Where(path=str(path)),
+            fix="name a folder that candata train wrote",
+        )
     if not path.is_file():
         raise UsageError("no such checkpoint", where=Where(path=str(path)), fix="name a run folder or its file")
     return path
 
 
-def _unreadable(path: Path, found: str) -> DataError:
+def _unreadable(path: Path, reason: str) -> DataError:
     """Return the error for a file that is no whole safetensors file."""
     return DataError(
-        "damaged checkpoint", expected="a whole safetensors file", found=found.splitlines()[0],
-        where=Where(path=str(path)), fix="use the other checkpoint of the run, or train again",
-    )  # fmt: skip
+        "damaged checkpoint",
+        expected="a whole safetensors file",
+        found=reason.splitlines()[0],
+        where=Where(path=str(path)),
+        fix="use the other checkpoint of the run, or train again",
+    )

@@ -17,19 +17,19 @@ from candata.training.settings import Source
 
 
 @dataclass(frozen=True)
-class Data:
+class TrainingData:
     """Datasets by name, one without a mixture, each with its split."""
 
     datasets: Mapping[str, Dataset]
     splits: Mapping[str, Split]
     mixture: Mixture | None
 
-    def holding(self, group: str) -> tuple[str, ...]:
+    def names_with_group(self, group: str) -> tuple[str, ...]:
         """Return the names of the datasets whose split fills a group."""
         return tuple(name for name in self.datasets if self.splits[name].ids(group))
 
     def feed(
-        self, names: Sequence[str], group: str, reads: tuple[str, ...], given: Mapping[str, Any]
+        self, names: Sequence[str], group: str, reads: tuple[str, ...], window_options: Mapping[str, Any]
     ) -> Windows | Mixed:
         """Return the windows of a group, of the datasets named, mixed where there is a mixture.
 
@@ -39,36 +39,42 @@ class Data:
             As `windows` and `mix`.
         """
         channels = channels_for(reads, *self.datasets.values())
-        feeds = {name: _windows(self.datasets[name], self.splits[name], channels, group, given) for name in names}
+        feeds = {
+            name: _windows(self.datasets[name], self.splits[name], channels, group, window_options) for name in names
+        }
         if self.mixture is None:
             return next(iter(feeds.values()))
         parts = dict(zip(self.mixture.names, self.mixture.parts, strict=True))
-        named = tuple(name for name in self.mixture.names if name in names)
-        return mix(feeds, Mixture(names=named, parts=tuple(parts[name] for name in named)))
+        mixture_names = tuple(name for name in self.mixture.names if name in names)
+        return mix(feeds, Mixture(names=mixture_names, parts=tuple(parts[name] for name in mixture_names)))
 
     def facts(self) -> dict[str, Any]:
         """Return the fields of a Run that say what was trained on."""
         shares = self.mixture.shares if self.mixture else dict.fromkeys(self.datasets, 1.0)
         sources = tuple(
             Source(
-                name=name, share=share, dataset=self.datasets[name].name, digest=self.datasets[name].digest,
-                version=self.datasets[name].version, split_digest=split_digest(self.splits[name]),
+                name=name,
+                share=share,
+                dataset=self.datasets[name].name,
+                digest=self.datasets[name].digest,
+                version=self.datasets[name].version,
+                split_digest=split_digest(self.splits[name]),
             )
             for name, share in shares.items()
-        )  # fmt: skip
+        )
         if self.mixture is None:
             return {key: getattr(sources[0], key) for key in ("dataset", "digest", "version", "split_digest")}
-        digests = {key: _joint([getattr(one, key) for one in sources]) for key in ("digest", "split_digest")}
+        digests = {key: _joint([getattr(source, key) for source in sources]) for key in ("digest", "split_digest")}
         return {"dataset": str(self.mixture), "version": 0, "sources": sources, **digests}
 
-    def kept(self) -> Record:
+    def split_record(self) -> Record:
         """Return what the run's folder keeps of who trains."""
         if self.mixture is None:
             return next(iter(self.splits.values()))
         return runs.Splits(splits={name: self.splits[name] for name in self.mixture.names})
 
 
-def find_data(data: Dataset | Mapping[str, Dataset], mixture: Mixture | None, split: str | None) -> Data:
+def find_data(data: Dataset | Mapping[str, Dataset], mixture: Mixture | None, split: str | None) -> TrainingData:
     """Return the datasets with their splits.
 
     Raises
@@ -84,23 +90,25 @@ def find_data(data: Dataset | Mapping[str, Dataset], mixture: Mixture | None, sp
     for name in mixture.names if mixture else ():
         if name not in datasets:
             raise UnknownNameError("source of the mixture", name, datasets)
-    return Data(datasets, {name: find_split(one, split) for name, one in datasets.items()}, mixture)
+    return TrainingData(datasets, {name: find_split(dataset, split) for name, dataset in datasets.items()}, mixture)
 
 
 def _windows(
-    dataset: Dataset, split: Split, channels: tuple[str, ...], group: str, given: Mapping[str, Any]
+    dataset: Dataset, split: Split, channels: tuple[str, ...], group: str, window_options: Mapping[str, Any]
 ) -> Windows:
     """Return the windows of a group: presents up to the end of the episode, where the future is partly there."""
-    given = {"channels": channels, "splits": split, "split": group, **given}
+    window_options = {"channels": channels, "splits": split, "split": group, **window_options}
     if group == "train":
-        windows(dataset, **given)  # refuses a horizon that no episode holds
-    return windows(dataset, pad="both", **given)
+        windows(dataset, **window_options)  # refuses a horizon that no episode holds
+    return windows(dataset, pad="both", **window_options)
 
 
 def channels_for(channels: tuple[str, ...], *datasets: Dataset) -> tuple[str, ...]:
     """Return the channels to ask windows for: those the model reads, and clouds where all have one."""
-    stored = (text for dataset in datasets for text in dataset.catalog()["meta"].to_pylist())
-    return (*channels, "point_cloud") if all(json.loads(text).get("point_cloud") for text in stored) else channels
+    metadata_texts = (text for dataset in datasets for text in dataset.catalog()["meta"].to_pylist())
+    return (
+        (*channels, "point_cloud") if all(json.loads(text).get("point_cloud") for text in metadata_texts) else channels
+    )
 
 
 def _joint(digests: Sequence[str]) -> str:

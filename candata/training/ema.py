@@ -18,7 +18,7 @@ def decay(step: int, power: float) -> float:
     return min(MOST_DECAY, 1 - (1 + step) ** -power) if step > 0 else 0.0
 
 
-def averaged(parameters: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def start_average(parameters: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return a copy to start an average from."""
     return {name: value.detach().clone() for name, value in parameters.items()}
 
@@ -26,10 +26,10 @@ def averaged(parameters: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 @torch.no_grad()
 def update(average: Mapping[str, torch.Tensor], values: Mapping[str, torch.Tensor], step: int, power: float) -> None:
     """Move the average, in place, towards `values`; what is no float (a counter) is copied."""
-    kept = decay(step, power)
+    decay_weight = decay(step, power)
     for name, mean in average.items():
         value = values[name].detach()
         if mean.is_floating_point():
-            mean.lerp_(value, 1 - kept)
+            mean.lerp_(value, 1 - decay_weight)
         else:
             mean.copy_(value)

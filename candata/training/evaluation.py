@@ -15,7 +15,7 @@ from candata.loaders.splits import GROUPS
 from candata.models import model as find_model
 from candata.training import checkpoint, feed, jobs, runs
 from candata.training.data import channels_for
-from candata.training.forecasters import BASELINES, Forecaster, Trained
+from candata.training.forecasters import BASELINES, Forecaster, TrainedModel
 from candata.training.results import Evaluation, Scores, Track
 from candata.training.scoring import Findings, chosen_windows, score
 from candata.training.settings import Run
@@ -25,7 +25,7 @@ EXECUTE = 8
 
 
 @dataclass(frozen=True)
-class Manner:
+class EvaluationSettings:
     """How to evaluate.
 
     Attributes
@@ -53,7 +53,7 @@ class Manner:
 
 
 def evaluate(
-    path: Path, dataset: Dataset, manner: Manner, stage: Callable[[str], None] = lambda _name: None
+    path: Path, dataset: Dataset, settings: EvaluationSettings, stage: Callable[[str], None] = lambda _name: None
 ) -> tuple[Evaluation, tuple[Track, ...]]:
     """Return what was found, and a few episodes for the figures.
 
@@ -63,7 +63,7 @@ def evaluate(
         Folder of a run (its best checkpoint), or a checkpoint.
     dataset : Dataset
         Version to evaluate on.
-    manner : Manner
+    settings : EvaluationSettings
         How.
     stage : callable
         Called with what is being done.
@@ -75,80 +75,105 @@ def evaluate(
     DataError
         When the checkpoint is damaged, the group is empty, or no episode is as long as the horizon.
     """
-    kept = checkpoint.read(path)
-    run = kept.run
-    execute = manner.execute if manner.execute is not None else min(EXECUTE, run.sizes["horizon"])
-    _check(manner, execute, run)
-    jobs.check_device(manner.device)
-    split, name = split_of(kept.path.parent, run, dataset)
+    checkpoint_read = checkpoint.read(path)
+    run = checkpoint_read.run
+    execute = settings.execute if settings.execute is not None else min(EXECUTE, run.sizes["horizon"])
+    _check(settings, execute, run)
+    jobs.check_device(settings.device)
+    split, name = split_of(checkpoint_read.path.parent, run, dataset)
     stage("reading the dataset")
-    chosen = _windows(dataset, split, run, manner.group)
-    jobs.check_data(kept, chosen)
-    model = Trained(
-        jobs.trained(kept, manner.device), feed.clouds_of(chosen, manner.device), manner.samples, manner.steps,
-        manner.device, f"the model ({run.model}, mean of {manner.samples} samples)",
-    )  # fmt: skip
+    held_out_windows = _windows(dataset, split, run, settings.group)
+    jobs.check_data(checkpoint_read, held_out_windows)
+    model = TrainedModel(
+        jobs.trained_module(checkpoint_read, settings.device),
+        feed.clouds_of(held_out_windows, settings.device),
+        settings.samples,
+        settings.steps,
+        settings.device,
+        f"the model ({run.model}, mean of {settings.samples} samples)",
+    )
     forecasters: dict[str, Forecaster] = {run.model: model, **BASELINES}
-    found = score(chosen, forecasters, execute, manner.seed, stage)
-    seen = _seen(kept, split if run.digest == dataset.digest else None, found)
+    findings = score(held_out_windows, forecasters, execute, settings.seed, stage)
+    seen_episodes = _seen_count(checkpoint_read, split if run.digest == dataset.digest else None, findings)
     return Evaluation(
-        run=path.name, checkpoint=kept.path.name, step=kept.progress.step, model=run.model,
-        trained_on=f"{run.dataset}@{run.digest[:12]}", dataset=f"{dataset.name}@{dataset.digest[:12]}",
-        split=name, group=manner.group, seen_episodes=seen, episodes=len(found.by_episode),
-        windows=len(chosen_windows(chosen)), rows=found.rows, rate_hz=run.rate_hz,
-        history=run.sizes["history"], horizon=run.sizes["horizon"],
-        samples=manner.samples, sampling_steps=manner.steps, execute=execute, seed=manner.seed,
-        contact_from=_contact_from(run, found), gain=found.gain, by_episode=found.by_episode,
+        run=path.name,
+        checkpoint=checkpoint_read.path.name,
+        step=checkpoint_read.progress.step,
+        model=run.model,
+        trained_on=f"{run.dataset}@{run.digest[:12]}",
+        dataset=f"{dataset.name}@{dataset.digest[:12]}",
+        split=name,
+        group=settings.group,
+        seen_episodes=seen_episodes,
+        episodes=len(findings.by_episode),
+        windows=len(chosen_windows(held_out_windows)),
+        rows=findings.rows,
+        rate_hz=run.rate_hz,
+        history=run.sizes["history"],
+        horizon=run.sizes["horizon"],
+        samples=settings.samples,
+        sampling_steps=settings.steps,
+        execute=execute,
+        seed=settings.seed,
+        contact_from=_contact_from(run, findings),
+        gain=findings.gain,
+        by_episode=findings.by_episode,
         forecasters={
-            key: Scores(summary=one.summary, windows=found.windows[key], closed_loop=found.closed_loop[key])
-            for key, one in forecasters.items()
+            key: Scores(
+                summary=forecaster.summary, windows=findings.windows[key], closed_loop=findings.closed_loop[key]
+            )
+            for key, forecaster in forecasters.items()
         },
         revision=__version__,
-    ), found.tracks  # fmt: skip
+    ), findings.tracks
 
 
-def _check(manner: Manner, execute: int, run: Run) -> None:
+def _check(settings: EvaluationSettings, execute: int, run: Run) -> None:
     """Refuse numbers that mean nothing."""
-    known = (*GROUPS, "all")
-    if manner.group not in known:
-        raise UnknownNameError("group of a split", manner.group, known)
-    for name, value, most in (
-        ("samples", manner.samples, None),
-        ("steps", manner.steps, run.config.get("train_steps")),
+    group_names = (*GROUPS, "all")
+    if settings.group not in group_names:
+        raise UnknownNameError("group of a split", settings.group, group_names)
+    for name, value, maximum in (
+        ("samples", settings.samples, None),
+        ("steps", settings.steps, run.config.get("train_steps")),
         ("execute", execute, run.sizes["horizon"]),
     ):
-        if value < 1 or (most is not None and value > most):
+        if value < 1 or (maximum is not None and value > maximum):
             raise UsageError(
-                f"--{name} is out of range", expected=f"1 to {most}" if most else "at least 1", found=str(value)
+                f"--{name} is out of range", expected=f"1 to {maximum}" if maximum else "at least 1", found=str(value)
             )
 
 
 def split_of(folder: Path, run: Run, dataset: Dataset) -> tuple[Split, str]:
     """Return the split to evaluate by and its name: the run's own on its own data, else the one the dataset has."""
     splits = runs.read_splits(folder, run)
-    place = next((i for i, source in enumerate(run.trained_on) if source.digest == dataset.digest), None)
-    if place is not None and splits is not None:
-        return splits[place], run.split
+    source_index = next((i for i, source in enumerate(run.trained_on) if source.digest == dataset.digest), None)
+    if source_index is not None and splits is not None:
+        return splits[source_index], run.split
     name = run.split if run.split in split_names(dataset) else None
-    found = find_split(dataset, name)
-    if place is not None and split_digest(found) != run.trained_on[place].split_digest:
+    split = find_split(dataset, name)
+    if source_index is not None and split_digest(split) != run.trained_on[source_index].split_digest:
         raise UsageError(
-            "the split of the run is not there any more", expected=f"{runs.SPLIT} beside the checkpoint",
-            found=f"a split {run.split} of other episodes", fix="evaluate the run's folder, or another dataset",
-        )  # fmt: skip
-    return found, name or "default"
+            "the split of the run is not there any more",
+            expected=f"{runs.SPLIT} beside the checkpoint",
+            found=f"a split {run.split} of other episodes",
+            fix="evaluate the run's folder, or another dataset",
+        )
+    return split, name or "default"
 
 
 def _windows(dataset: Dataset, split: Split, run: Run, group: str) -> Windows:
     """Return a window at every step of the model."""
-    given: dict[str, Any] = {
-        "history": run.sizes["history"], "horizon": run.sizes["horizon"], "rate_hz": run.rate_hz,
+    options: dict[str, Any] = {
+        "history": run.sizes["history"],
+        "horizon": run.sizes["horizon"],
+        "rate_hz": run.rate_hz,
         "channels": channels_for(run.channels, dataset),
-    }  # fmt: skip
+    }
     if group != "all":
-        given |= {"split": group, "splits": split}
-    whole = windows(dataset, **given)  # refuses a horizon that no episode holds
-    return windows(dataset, pad="both", step=int(whole.stride[whole.owner].min()), **given)
+        options |= {"split": group, "splits": split}
+    full_windows = windows(dataset, **options)  # refuses a horizon that no episode holds
+    return windows(dataset, pad="both", step=int(full_windows.stride[full_windows.owner].min()), **options)
 
 
 def _reads_contact(run: Run) -> bool:
@@ -156,17 +181,17 @@ def _reads_contact(run: Run) -> bool:
     return "contact" in find_model(run.model).channels and bool(run.config.get("contact_history", True))
 
 
-def _contact_from(run: Run, found: Findings) -> str:
+def _contact_from(run: Run, findings: Findings) -> str:
     """Return what the closed loop feeds the model as contact."""
     fingertips = bool(run.config.get("fingertip_contact", False))
     if not _reads_contact(run):
         return "recorded" if fingertips else "not read"
-    if found.closed_loop[run.model].contact is None:
+    if findings.closed_loop[run.model].contact is None:
         return "recorded"
     return "predicted, fingertips recorded" if fingertips else "predicted"
 
 
-def _seen(kept: checkpoint.Checkpoint, split: Split | None, found: Findings) -> int | None:
+def _seen_count(checkpoint_read: checkpoint.Checkpoint, split: Split | None, findings: Findings) -> int | None:
     """Return how many of the episodes the model was trained on, by their ids; None where that is not known."""
-    train = jobs.trained_on(kept, split)
-    return None if train is None else sum(one.id in train for one in found.by_episode)
+    train = jobs.trained_on(checkpoint_read, split)
+    return None if train is None else sum(scores.id in train for scores in findings.by_episode)

@@ -16,8 +16,8 @@ from candata.training.settings import Settings
 
 def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> dict[str, torch.Tensor]:
     """Return a batch of windows as tensors on the device, with the point clouds that `cloud` points into."""
-    moved = {name: value.to(device) for name, value in as_tensors(batch).items()}
-    return moved | {"clouds": clouds}
+    device_tensors = {name: value.to(device) for name, value in as_tensors(batch).items()}
+    return device_tensors | {"clouds": clouds}
 
 
 def clouds_of(windows: Windows | Mixed, device: str) -> torch.Tensor:
@@ -54,7 +54,7 @@ def held_out(windows: Windows | Mixed, batch: int, batches: int, device: str) ->
         numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
     clouds = clouds_of(windows, device)
     return tuple(
-        tensors(windows.batch(numbers[first : first + batch]), clouds, device) for first in range(0, count, batch)
+        tensors(windows.batch(numbers[begin : begin + batch]), clouds, device) for begin in range(0, count, batch)
     )
 
 

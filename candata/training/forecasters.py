@@ -69,10 +69,10 @@ class KeepsVelocity:
         horizon, poses = batch["future_pad"].shape[1], batch["history/object_pose"]
         if poses.shape[1] < 2:
             return Stays().forecast(batch)
-        last = increments(poses[:, -2:])
-        absent = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
-        last = np.where(absent[:, None, None], 0.0, last)
-        return Answer(np.repeat(last, horizon, axis=1)[None], _present_contact(batch))
+        last_increment = increments(poses[:, -2:])
+        has_no_row_before = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
+        last_increment = np.where(has_no_row_before[:, None, None], 0.0, last_increment)
+        return Answer(np.repeat(last_increment, horizon, axis=1)[None], _present_contact(batch))
 
 
 def _present_contact(batch: Batch) -> NDArray | None:
@@ -88,7 +88,7 @@ BASELINES: dict[str, Forecaster] = {"stays": Stays(), "keeps_velocity": KeepsVel
 
 
 @dataclass(frozen=True)
-class Trained:
+class TrainedModel:
     """A trained model.
 
     Attributes
@@ -129,9 +129,9 @@ class Trained:
         from candata.training.feed import tensors
         from candata.training.state import generator
 
-        given = tensors({name: values[part] for name, values in batch.items()}, self.clouds, self.device)
+        device_batch = tensors({name: values[part] for name, values in batch.items()}, self.clouds, self.device)
         module: Any = self.module
         with torch.no_grad():
-            found = module.forecast(given, self.samples, self.steps, generator(self.device, *seed))
-        contact = None if found.contact is None else found.contact.double().cpu().numpy()
-        return Answer(found.increments.double().cpu().numpy(), contact)
+            forecast = module.forecast(device_batch, self.samples, self.steps, generator(self.device, *seed))
+        contact = None if forecast.contact is None else forecast.contact.double().cpu().numpy()
+        return Answer(forecast.increments.double().cpu().numpy(), contact)

@@ -21,18 +21,18 @@ from candata.schema.channels import CHANNELS
 from candata.schema.record import Record
 from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
-from candata.training.data import Data, find_data
+from candata.training.data import TrainingData, find_data
 from candata.training.loop import Job
 from candata.training.settings import Run, Settings
 
 #: Windows when nothing is asked for.
-USUAL: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
+DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
 #: Batches of the validation loss.
 HELD_OUT_BATCHES = 8
 
 
 @dataclass(frozen=True)
-class Ask:
+class TrainRequest:
     """What to train.
 
     Attributes
@@ -69,14 +69,16 @@ class Ask:
     mixture: Mixture | None = None
 
 
-def prepare(data: Dataset | Mapping[str, Dataset], ask: Ask, settings: Settings, device: str = "cpu") -> Job:
+def prepare(
+    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: Settings, device: str = "cpu"
+) -> Job:
     """Return the job.
 
     Parameters
     ----------
     data : Dataset, or mapping of str to Dataset
         What to train on; several datasets by name, with `ask.mixture`.
-    ask : Ask
+    request : TrainRequest
         What to train.
     settings : Settings
         How.
@@ -95,25 +97,31 @@ def prepare(data: Dataset | Mapping[str, Dataset], ask: Ask, settings: Settings,
         When the device is not there.
     """
     check_device(device)
-    begin = None if ask.init is None else checkpoint.read(ask.init)
-    name, config = _configured(ask, begin, settings)
+    initial = None if request.init is None else checkpoint.read(request.init)
+    name, config = _model_config(request, initial, settings)
     reads = find_model(name).reads(config)
-    found = find_data(data, ask.mixture, ask.split)
-    usual = USUAL if begin is None else begin.run.sizes | {"rate_hz": begin.run.rate_hz}
-    asked = {"history": ask.history, "horizon": ask.horizon, "rate_hz": ask.rate_hz}
-    shape = {key: usual[key] if value is None else value for key, value in asked.items()}
-    given = shape | {"method": ask.normaliser or "robust"}
-    train = found.feed(tuple(found.datasets), "train", reads, given)
-    run = _run(found, ask, settings, name, config, train, begin)
+    training_data = find_data(data, request.mixture, request.split)
+    default_shape = DEFAULT_SHAPE if initial is None else initial.run.sizes | {"rate_hz": initial.run.rate_hz}
+    requested_shape = {"history": request.history, "horizon": request.horizon, "rate_hz": request.rate_hz}
+    window_shape = {key: default_shape[key] if value is None else value for key, value in requested_shape.items()}
+    window_options = window_shape | {"method": request.normaliser or "robust"}
+    train = training_data.feed(tuple(training_data.datasets), "train", reads, window_options)
+    run = _run(training_data, request, settings, name, config, train, initial)
     module = build(run, device)
-    if begin is not None:
-        module.load_state_dict(begin.tensors(checkpoint.AVERAGE, device))
+    if initial is not None:
+        module.load_state_dict(initial.tensors(checkpoint.AVERAGE, device))
     batches: tuple[Batch, ...] = ()
-    if named := found.holding("val"):
-        held_out = found.feed(named, "val", reads, given)
+    if validation_names := training_data.names_with_group("val"):
+        held_out = training_data.feed(validation_names, "val", reads, window_options)
         batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
     return Job(
-        run, module, feed.drawing(train, settings, device), batches, device, found.kept(), _effective(train, run)
+        run,
+        module,
+        feed.drawing(train, settings, device),
+        batches,
+        device,
+        training_data.split_record(),
+        _effective(train, run),
     )
 
 
@@ -133,10 +141,10 @@ def build(run: Run, device: str = "cpu") -> torch.nn.Module:
     return module.to(device)
 
 
-def trained(kept: Checkpoint, device: str = "cpu") -> torch.nn.Module:
+def trained_module(source: Checkpoint, device: str = "cpu") -> torch.nn.Module:
     """Return the module of a checkpoint with its averaged weights, ready to forecast."""
-    module = build(kept.run, device)
-    module.load_state_dict(kept.tensors(checkpoint.AVERAGE, device))
+    module = build(source.run, device)
+    module.load_state_dict(source.tensors(checkpoint.AVERAGE, device))
     return module.eval()
 
 
@@ -156,7 +164,7 @@ def check_device(device: str) -> None:
         raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
 
 
-def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
+def check_data(source: Checkpoint, windows: Windows | Mixed) -> None:
     """Refuse windows of another hand or shape than a checkpoint was made for.
 
     The number of points may differ, also be none where the model reads no clouds; so may fingertips that it reads not.
@@ -166,106 +174,114 @@ def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
     UsageError
         Names both.
     """
-    facts = _facts(found)
-    run = kept.run
-    if found.clouds.shape[1] or run.config.get("cloud", "none") == "none":
+    facts = _facts(windows)
+    run = source.run
+    if windows.clouds.shape[1] or run.config.get("cloud", "none") == "none":
         facts["sizes"] |= {"points": run.sizes["points"]}
     if not run.sizes["fingertips"]:
         del facts["fingertip_names"]
-    checkpoint.check_fits(run, facts, kept.path)
+    checkpoint.check_fits(run, facts, source.path)
 
 
-def _facts(found: Windows | Mixed) -> dict[str, Any]:
+def _facts(windows: Windows | Mixed) -> dict[str, Any]:
     """Return the fields of a Run that the windows decide."""
     return {
-        "joint_names": found.joint_names,
-        "actuator_names": found.actuator_names,
-        "fingertip_names": found.fingertip_names,
-        "rate_hz": found.rate_hz,
-        "sizes": found.sizes(),
+        "joint_names": windows.joint_names,
+        "actuator_names": windows.actuator_names,
+        "fingertip_names": windows.fingertip_names,
+        "rate_hz": windows.rate_hz,
+        "sizes": windows.sizes(),
     }
 
 
-def _configured(ask: Ask, begin: Checkpoint | None, settings: Settings) -> tuple[str, Any]:
+def _model_config(request: TrainRequest, initial: Checkpoint | None, settings: Settings) -> tuple[str, Any]:
     """Return the model's name and its configuration."""
-    name = ask.model or (begin.run.model if begin else None)
+    name = request.model or (initial.run.model if initial else None)
     if name is None:
         raise UsageError("no model", expected="--model NAME, or --init CHECKPOINT", fix="see candata train --help")
     model = find_model(name)
-    if begin is None:
-        return name, _fresh_config(model, ask, settings)
-    if ask.normaliser is not None:
+    if initial is None:
+        return name, _fresh_config(model, request, settings)
+    if request.normaliser is not None:
         raise UsageError(
-            "fine-tuning keeps the normaliser of the first run", expected=f"{begin.run.normaliser.get('method')}",
-            found=f"--normaliser {ask.normaliser}", where=Where(path=str(begin.path)), fix="leave --normaliser out",
-        )  # fmt: skip
-    if name != begin.run.model or ask.preset not in (None, begin.run.preset) or ask.config:
+            "fine-tuning keeps the normaliser of the first run",
+            expected=f"{initial.run.normaliser.get('method')}",
+            found=f"--normaliser {request.normaliser}",
+            where=Where(path=str(initial.path)),
+            fix="leave --normaliser out",
+        )
+    if name != initial.run.model or request.preset not in (None, initial.run.preset) or request.config:
         raise UsageError(
             "fine-tuning keeps the model and its configuration",
-            expected=f"--model {begin.run.model} --preset {begin.run.preset}, or neither",
-            found=f"--model {name} --preset {ask.preset or begin.run.preset}" + (" --config" if ask.config else ""),
-            where=Where(path=str(begin.path)), fix="leave --model, --preset and --config out",
-        )  # fmt: skip
-    return name, model.parse(begin.run.config)
+            expected=f"--model {initial.run.model} --preset {initial.run.preset}, or neither",
+            found=f"--model {name} --preset {request.preset or initial.run.preset}"
+            + (" --config" if request.config else ""),
+            where=Where(path=str(initial.path)),
+            fix="leave --model, --preset and --config out",
+        )
+    return name, model.parse(initial.run.config)
 
 
-def _fresh_config(model: Model, ask: Ask, settings: Settings) -> Record:
+def _fresh_config(model: Model, request: TrainRequest, settings: Settings) -> Record:
     """Return the configuration of a new model: the preset, then what differs; the seed is the run's."""
-    preset = ask.preset or "small"
+    preset = request.preset or "small"
     if preset not in model.presets:
         raise UnknownNameError("preset", preset, model.presets)
     values = model.presets[preset].model_dump()
-    return model.parse(values | {"seed": settings.seed} | dict(ask.config or {}))
+    return model.parse(values | {"seed": settings.seed} | dict(request.config or {}))
 
 
 def _run(
-    data: Data,
-    ask: Ask,
+    data: TrainingData,
+    request: TrainRequest,
     settings: Settings,
     name: str,
     config: Record,
     train: Windows | Mixed,
-    begin: Checkpoint | None,
+    initial: Checkpoint | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""
     facts = _facts(train)
-    if begin is not None:
-        check_data(begin, train)
+    if initial is not None:
+        check_data(initial, train)
     units = {name: str(CHANNELS[name].unit) for name in train.channels}
     return Run(
         model=name,
-        preset=begin.run.preset if begin else ask.preset or "small",
+        preset=initial.run.preset if initial else request.preset or "small",
         config=config.model_dump(mode="json"),
         **facts,
         **data.facts(),
-        split=ask.split or DEFAULT,
+        split=request.split or DEFAULT,
         channels=train.channels,
         units=units | {"increments": "m, rad"},
         # The weights of a fine-tuned model were made for the scales of its first run.
-        normaliser=begin.run.normaliser if begin else train.normaliser.model_dump(mode="json"),
+        normaliser=initial.run.normaliser if initial else train.normaliser.model_dump(mode="json"),
         settings=settings,
-        init=_origin(begin),
+        init=_origin(initial),
         revision=__version__,
     )
 
 
-def _origin(begin: Checkpoint | None) -> dict[str, Any] | None:
+def _origin(initial: Checkpoint | None) -> dict[str, Any] | None:
     """Return where the first weights came from."""
-    if begin is None:
+    if initial is None:
         return None
-    run, train = begin.run, trained_on(begin)
+    run, train = initial.run, trained_on(initial)
     return {
-        "dataset": run.dataset, "digest": run.digest, "step": begin.progress.step, "init": run.init,
+        "dataset": run.dataset,
+        "digest": run.digest,
+        "step": initial.progress.step,
+        "init": run.init,
         "train": None if train is None else sorted(train),
-    }  # fmt: skip
+    }
 
 
-def trained_on(kept: Checkpoint, split: Split | None = None) -> set[str] | None:
+def trained_on(source: Checkpoint, split: Split | None = None) -> set[str] | None:
     """Return the ids of all episodes that a checkpoint was trained on, those of the runs it began with included.
 
     Parameters
     ----------
-    kept : Checkpoint
+    source : Checkpoint
         Of the run.
     split : Split, optional
         Its split, where that is known; else those beside the file.
@@ -280,6 +296,10 @@ def trained_on(kept: Checkpoint, split: Split | None = None) -> set[str] | None:
     UsageError
         When the split beside it is damaged.
     """
-    splits = runs.read_splits(kept.path.parent, kept.run) if split is None else (split,)
-    before = [] if kept.run.init is None else kept.run.init.get("train")
-    return None if splits is None or before is None else {*before, *(name for one in splits for name in one.train)}
+    splits = runs.read_splits(source.path.parent, source.run) if split is None else (split,)
+    earlier_ids = [] if source.run.init is None else source.run.init.get("train")
+    return (
+        None
+        if splits is None or earlier_ids is None
+        else {*earlier_ids, *(name for split_record in splits for name in split_record.train)}
+    )

@@ -16,7 +16,7 @@ from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
 from candata.training.settings import Progress, Run, Settings
-from candata.training.state import State, fresh, generator
+from candata.training.state import State, generator, initial_state
 from candata.training.steplog import StepLog
 
 #: Second part of the key of a noise stream: each use has its own.
@@ -80,12 +80,12 @@ class Report:
 
 
 @dataclass
-class _Tally:
+class _LogTally:
     """Sums since the last line of the log."""
 
     losses: dict[str, float] = field(default_factory=dict)
     norm: float = 0.0
-    good: int = 0
+    finite_steps: int = 0
     steps: int = 0
     wait_s: float = 0.0
     since_s: float = field(default_factory=time.perf_counter)
@@ -95,18 +95,18 @@ class _Tally:
         for name, value in losses.items():
             self.losses[name] = self.losses.get(name, 0.0) + value
         self.norm += norm
-        self.good += 1
+        self.finite_steps += 1
 
     def means(self) -> dict[str, float]:
         """Return the mean losses; empty when no step was good."""
-        return {name: value / self.good for name, value in self.losses.items()}
+        return {name: value / self.finite_steps for name, value in self.losses.items()}
 
 
 def train(
     job: Job,
     folder: Path,
     tell: Callable[[Report], None] = lambda _report: None,
-    stopped: Callable[[], bool] = lambda: False,
+    should_stop: Callable[[], bool] = lambda: False,
 ) -> Progress:
     """Train to the end of the run, going on from its last checkpoint, and return how far it has come.
 
@@ -118,7 +118,7 @@ def train(
         The run's folder; made when missing.
     tell : callable
         Called with a Report after a few steps.
-    stopped : callable
+    should_stop : callable
         Asked before each step; True saves and returns early.
 
     Raises
@@ -131,25 +131,25 @@ def train(
         When the folder cannot be written; the last checkpoint stays.
     """
     with runs.writing(folder):
-        return _train(job, folder, tell, stopped)
+        return _train(job, folder, tell, should_stop)
 
 
-def _train(job: Job, folder: Path, tell: Callable[[Report], None], stopped: Callable[[], bool]) -> Progress:
+def _train(job: Job, folder: Path, tell: Callable[[Report], None], should_stop: Callable[[], bool]) -> Progress:
     """Train to the end of the run, or until told to stop."""
     runs.begin(folder, job.run, job.split)
-    state = fresh(job.module, job.run.settings)
-    if (folder / checkpoint.LAST).is_file():
-        state.restore(checkpoint.read(folder / checkpoint.LAST))
+    state = initial_state(job.module, job.run.settings)
+    if (folder / checkpoint.LAST_FILE).is_file():
+        state.restore(checkpoint.read(folder / checkpoint.LAST_FILE))
         _keep_best(state, folder)  # a kill may have come between the two
     settings, saved_step = job.run.settings, state.progress.step
     with StepLog(folder, saved_step) as log:
-        tally, saved_s = _Tally(), time.perf_counter()
-        while not stopped() and settings.share(state.progress.step, state.progress.elapsed_s) < 1:
+        tally, saved_s = _LogTally(), time.perf_counter()
+        while not should_stop() and settings.share(state.progress.step, state.progress.elapsed_s) < 1:
             _step(job, state, tally, folder)
             step = state.progress.step
             if step % settings.log_every == 0:
                 tell(_report(job, state, tally, log))
-                tally = _Tally()
+                tally = _LogTally()
             at_end = settings.share(step, state.progress.elapsed_s) >= 1
             if at_end or step % settings.validate_every == 0:
                 _validate(job, state, folder, log)
@@ -162,55 +162,55 @@ def _train(job: Job, folder: Path, tell: Callable[[Report], None], stopped: Call
     return state.progress
 
 
-def _step(job: Job, state: State, tally: _Tally, folder: Path) -> None:
+def _step(job: Job, state: State, tally: _LogTally, folder: Path) -> None:
     """Take one step; one without a finite loss and gradient changes nothing but the counts."""
-    settings, done, began = job.run.settings, state.progress, time.perf_counter()
-    batch = job.draw(done.step)
+    settings, progress, began = job.run.settings, state.progress, time.perf_counter()
+    batch = job.draw(progress.step)
     tally.wait_s += time.perf_counter() - began
     job.module.train()
-    losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, done.step))
+    losses = job.module.losses(batch, generator(job.device, settings.seed, _NOISE, progress.step))
     state.optimiser.zero_grad(set_to_none=True)
     losses["loss"].backward()
     norm = torch.nn.utils.clip_grad_norm_(job.module.parameters(), settings.clip_norm)
-    good = bool(torch.isfinite(losses["loss"]) & torch.isfinite(norm))
-    if good:
+    is_finite = bool(torch.isfinite(losses["loss"]) & torch.isfinite(norm))
+    if is_finite:
         for group in state.optimiser.param_groups:
-            group["lr"] = settings.rate(done.step, done.elapsed_s)
+            group["lr"] = settings.rate(progress.step, progress.elapsed_s)
         state.optimiser.step()
-        updates = done.step - done.skipped
+        updates = progress.step - progress.skipped
         ema.update(state.average, job.module.state_dict(), updates, settings.ema_power)
         tally.add({name: float(value.detach()) for name, value in losses.items()}, float(norm))
     tally.steps += 1
     state.advance(
-        step=done.step + 1,
-        elapsed_s=done.elapsed_s + time.perf_counter() - began,
-        skipped=done.skipped + (not good),
-        bad_in_row=0 if good else done.bad_in_row + 1,
+        step=progress.step + 1,
+        elapsed_s=progress.elapsed_s + time.perf_counter() - began,
+        skipped=progress.skipped + (not is_finite),
+        bad_in_row=0 if is_finite else progress.bad_in_row + 1,
     )
     if state.progress.bad_in_row >= settings.bad_limit:
-        raise _diverged(state.progress, settings, folder)
+        raise _divergence_error(state.progress, settings, folder)
 
 
-def _report(job: Job, state: State, tally: _Tally, log: StepLog) -> Report:
+def _report(job: Job, state: State, tally: _LogTally, log: StepLog) -> Report:
     """Return what to tell, and write the line of the log."""
-    settings, done = job.run.settings, state.progress
+    settings, progress = job.run.settings, state.progress
     spent_s = max(time.perf_counter() - tally.since_s, 1e-9)
     report = Report(
-        done.step,
-        settings.share(done.step, done.elapsed_s),
+        progress.step,
+        settings.share(progress.step, progress.elapsed_s),
         tally.means(),
         tally.steps * settings.batch / spent_s,
         tally.wait_s / spent_s,
     )
     log.write(
-        step=done.step,
+        step=progress.step,
         **report.losses,
-        learning_rate=settings.rate(done.step - 1, done.elapsed_s),
-        gradient_norm=tally.norm / tally.good if tally.good else None,
+        learning_rate=settings.rate(progress.step - 1, progress.elapsed_s),
+        gradient_norm=tally.norm / tally.finite_steps if tally.finite_steps else None,
         windows_per_s=report.windows_per_s,
         wait_share=report.wait_share,
-        elapsed_s=done.elapsed_s,
-        skipped=done.skipped,
+        elapsed_s=progress.elapsed_s,
+        skipped=progress.skipped,
     )
     return report
 
@@ -221,7 +221,7 @@ def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
     if not job.held_out:
         return
     began, module = time.perf_counter(), job.module.eval()
-    own = ema.averaged(module.state_dict())
+    module_weights = ema.start_average(module.state_dict())
     module.load_state_dict(state.average)
     sums: dict[str, float] = {}
     for number, batch in enumerate(job.held_out):
@@ -229,28 +229,28 @@ def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
         noise = generator(job.device, job.run.settings.seed, _HELD_OUT, number)
         for name, value in module.losses(batch, noise).items():
             sums[name] = sums.get(name, 0.0) + float(value)
-    module.load_state_dict(own)
+    module.load_state_dict(module_weights)
     means = {name: value / len(job.held_out) for name, value in sums.items()}
     state.advance(elapsed_s=state.progress.elapsed_s + time.perf_counter() - began)
     log.write(step=state.progress.step, **{f"held_out_{name}": value for name, value in means.items()})
-    best = state.progress.best_loss
-    if means["loss"] < (float("inf") if best is None else best):
+    best_loss = state.progress.best_loss
+    if means["loss"] < (float("inf") if best_loss is None else best_loss):
         state.advance(best_loss=means["loss"], best_step=state.progress.step)
 
 
 def _save(job: Job, state: State, folder: Path) -> None:
     """Write the last checkpoint, which may be the best one too."""
-    checkpoint.save(folder / checkpoint.LAST, job.run, state.progress, state.groups())
+    checkpoint.save(folder / checkpoint.LAST_FILE, job.run, state.progress, state.groups())
     _keep_best(state, folder)
 
 
 def _keep_best(state: State, folder: Path) -> None:
     """Give the last checkpoint the name of the best one when it is that."""
     if state.progress.best_step == state.progress.step:
-        checkpoint.copy(folder / checkpoint.LAST, folder / checkpoint.BEST)
+        checkpoint.copy(folder / checkpoint.LAST_FILE, folder / checkpoint.BEST_FILE)
 
 
-def _diverged(progress: Progress, settings: Settings, folder: Path) -> DataError:
+def _divergence_error(progress: Progress, settings: Settings, folder: Path) -> DataError:
     """Return the error for a run that finds no finite loss any more."""
     return DataError(
         "training has diverged",

@@ -43,62 +43,73 @@ def adds(cloud: NDArray, predicted: NDArray, truth: NDArray) -> Array:
     cancels. Measured against k-d trees of 512 points: a third less time, and the same for poses far apart.
     """
     predicted, truth = (np.asarray(p, np.float64) for p in (predicted, truth))
-    flat, true = predicted.reshape(-1, 7), truth.reshape(-1, 7)
-    back = conjugate(flat[:, 3:])
-    turn, shift = multiply(back, true[:, 3:]), rotate(back, true[:, :3] - flat[:, :3])
+    predicted_poses, true_poses = predicted.reshape(-1, 7), truth.reshape(-1, 7)
+    inverse_turn = conjugate(predicted_poses[:, 3:])
+    turn, shift = (
+        multiply(inverse_turn, true_poses[:, 3:]),
+        rotate(inverse_turn, true_poses[:, :3] - predicted_poses[:, :3]),
+    )
     axes = rotate(turn[:, None, :], np.eye(3)[None])  # the images of x, y, z: (poses, 3, 3)
     points = np.asarray(cloud, np.float64)
     centre = points.mean(0)
-    centred, room, found = (
+    centred_points, workspace, distances = (
         points - centre,
-        _room(max(1, _DISTANCES // len(points)), len(points)),
-        np.empty(len(flat)),
+        _workspace(max(1, _DISTANCES // len(points)), len(points)),
+        np.empty(len(predicted_poses)),
     )
-    right = np.concatenate([-2 * centred, np.square(centred).sum(1, keepdims=True)], axis=1).T.copy()
-    for first in range(0, len(flat), _POSES):
-        part = slice(first, first + _POSES)
-        moved = points @ axes[part] + (shift[part, None, :] - centre)
-        found[part] = _nearest(moved.reshape(-1, 3), centred, right, room).reshape(-1, len(points)).mean(1)
-    return found.reshape(predicted.shape[:-1])
+    nearest_operand = np.concatenate(
+        [-2 * centred_points, np.square(centred_points).sum(1, keepdims=True)], axis=1
+    ).T.copy()
+    for begin in range(0, len(predicted_poses), _POSES):
+        part = slice(begin, begin + _POSES)
+        true_points = points @ axes[part] + (shift[part, None, :] - centre)
+        distances[part] = (
+            _nearest_distances(true_points.reshape(-1, 3), centred_points, nearest_operand, workspace)
+            .reshape(-1, len(points))
+            .mean(1)
+        )
+    return distances.reshape(predicted.shape[:-1])
 
 
-def _room(rows: int, columns: int) -> Array:
+def _workspace(rows: int, columns: int) -> Array:
     """Return an empty array that begins at a cache line: a product into it takes a quarter less time."""
-    spare = np.empty(rows * columns + 8)
-    begin = -(spare.ctypes.data // 8) % 8
-    return spare[begin : begin + rows * columns].reshape(rows, columns)
+    buffer = np.empty(rows * columns + 8)
+    begin = -(buffer.ctypes.data // 8) % 8
+    return buffer[begin : begin + rows * columns].reshape(rows, columns)
 
 
-def _nearest(points: Array, cloud: Array, right: Array, room: Array) -> Array:
+def _nearest_distances(points: Array, cloud: Array, nearest_operand: Array, workspace: Array) -> Array:
     """Return the distance `(n,)` of points to the nearest of a cloud.
 
     Parameters
     ----------
     points : (n, 3)
         In the cloud's frame.
-    cloud, right : (N, 3), (4, N)
+    cloud, nearest_operand : (N, 3), (4, N)
         The cloud, and [-2 c; |c|^2].
-    room : (rows, N)
+    workspace : (rows, N)
         Is written over.
     """
-    left, near = np.ones((len(points), 4)), np.empty(len(points), np.intp)
-    left[:, :3] = points
-    for first in range(0, len(points), len(room)):
-        some = slice(first, first + len(room))
-        np.matmul(left[some], right, out=room[: len(left[some])]).argmin(1, out=near[some])
-    away = cloud.take(near, axis=0)
-    away -= points
-    np.square(away, out=away)
-    return np.sqrt(away[:, 0] + away[:, 1] + away[:, 2])
+    homogeneous, nearest_index = np.ones((len(points), 4)), np.empty(len(points), np.intp)
+    homogeneous[:, :3] = points
+    for begin in range(0, len(points), len(workspace)):
+        part = slice(begin, begin + len(workspace))
+        np.matmul(homogeneous[part], nearest_operand, out=workspace[: len(homogeneous[part])]).argmin(
+            1, out=nearest_index[part]
+        )
+    offsets = cloud.take(nearest_index, axis=0)
+    offsets -= points
+    np.square(offsets, out=offsets)
+    return np.sqrt(offsets[:, 0] + offsets[:, 1] + offsets[:, 2])
 
 
 def adds_of(clouds: NDArray, cloud: NDArray, predicted: NDArray, truth: NDArray) -> Array:
     """Return ADD-S `(B, ...) [m]` of windows whose objects are `cloud (B,)`, as indices into `clouds (C, N, 3)`."""
-    found = np.empty(np.shape(predicted)[:-1])
+    distances = np.empty(np.shape(predicted)[:-1])
     for index in np.unique(cloud):
         of_object = np.asarray(cloud) == index
-        found[of_object] = adds(clouds[index], predicted[of_object], truth[of_object])
-    return found
+        distances[of_object] = adds(clouds[index], predicted[of_object], truth[of_object])
+    return distances
 
 
 def auc(errors: NDArray, limit_m: float = ADDS_LIMIT_M) -> float:
@@ -124,18 +135,18 @@ def energy_score(samples: NDArray, truth: NDArray) -> Array:
     score = np.linalg.norm(samples - np.asarray(truth, np.float64), axis=-1).mean(0)
     if count == 1:
         return score
-    spread = sum(np.linalg.norm(samples - one, axis=-1).sum(0) for one in samples)
+    spread = sum(np.linalg.norm(samples - sample, axis=-1).sum(0) for sample in samples)
     return score - spread / (2 * count * (count - 1))
 
 
 def f1(predicted: NDArray, truth: NDArray) -> dict[str, float | None]:
     """Return precision, recall and F1 of flags; None where nothing was predicted, true, or either."""
     predicted, truth = np.asarray(predicted, bool), np.asarray(truth, bool)
-    hits, said, true = (int(v.sum()) for v in (predicted & truth, predicted, truth))
+    hits, predicted_count, true_count = (int(v.sum()) for v in (predicted & truth, predicted, truth))
     return {
-        "precision": hits / said if said else None,
-        "recall": hits / true if true else None,
-        "f1": 2 * hits / (said + true) if said + true else None,
+        "precision": hits / predicted_count if predicted_count else None,
+        "recall": hits / true_count if true_count else None,
+        "f1": 2 * hits / (predicted_count + true_count) if predicted_count + true_count else None,
     }
 
 
@@ -148,5 +159,5 @@ def wilson(successes: int, total: int, z: float = Z_95) -> tuple[float, float]:
         return 0.0, 1.0
     share, square = successes / total, z * z / total
     centre = (share + square / 2) / (1 + square)
-    half = z / (1 + square) * math.sqrt(share * (1 - share) / total + square / (4 * total))
-    return max(0.0, centre - half), min(1.0, centre + half)
+    half_width = z / (1 + square) * math.sqrt(share * (1 - share) / total + square / (4 * total))
+    return max(0.0, centre - half_width), min(1.0, centre + half_width)

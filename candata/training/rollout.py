@@ -81,77 +81,77 @@ def course(windows: Windows) -> Course:
     DataError
         When no episode has such a row.
     """
-    found = _course(windows, np.unique(windows.owner))
-    kept = found.valid.any(axis=1)
-    if not kept.any():
+    course_all = _course(windows, np.unique(windows.owner))
+    has_valid_rows = course_all.valid.any(axis=1)
+    if not has_valid_rows.any():
         raise DataError("no episode can be followed in closed loop: no pose after its first rows is valid")
-    return found if kept.all() else _course(windows, found.episodes[kept])
+    return course_all if has_valid_rows.all() else _course(windows, course_all.episodes[has_valid_rows])
 
 
 def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
     """Return the course of these episodes."""
-    first = windows.history - 1
+    last_history_step = windows.history - 1
     stride = windows.stride[episodes]
     rows = np.array(windows.cache.file.rows, np.int64)[episodes]
-    in_all = (rows - 1) // stride
+    total_steps = (rows - 1) // stride
     begin = windows.cache.begin[episodes]
-    start = _starts(windows, begin, stride, in_all)
-    steps = in_all - start
+    start = _starts(windows, begin, stride, total_steps)
+    steps = total_steps - start
 
-    def gathered(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
-        wanted: NDArray[np.int64] = (start[:, None] + offsets) * stride[:, None]
-        return begin[:, None] + np.clip(wanted, 0, (in_all * stride)[:, None])
+    def rows_at(offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+        row_offsets: NDArray[np.int64] = (start[:, None] + offsets) * stride[:, None]
+        return begin[:, None] + np.clip(row_offsets, 0, (total_steps * stride)[:, None])
 
-    before, after = gathered(np.arange(-first, 1)), gathered(np.arange(1, steps.max() + 1))
-    table, inside = windows.cache.rows, np.arange(1, steps.max() + 1) <= steps[:, None]
+    past_rows, future_rows = rows_at(np.arange(-last_history_step, 1)), rows_at(np.arange(1, steps.max() + 1))
+    table, is_inside = windows.cache.rows, np.arange(1, steps.max() + 1) <= steps[:, None]
     has_contact = "contact" in windows.channels
     return Course(
         replace(windows, present=begin + start * stride, owner=episodes),
         episodes,
         steps,
-        table["object_pose"][before].astype(np.float64),
-        table["object_pose"][after].astype(np.float64),
-        inside & windows.cache.valid[after] & _unbroken(windows, begin + start * stride, after),
-        table["contact"][np.concatenate([before, after], axis=1)] if has_contact else None,
+        table["object_pose"][past_rows].astype(np.float64),
+        table["object_pose"][future_rows].astype(np.float64),
+        is_inside & windows.cache.valid[future_rows] & _unbroken(windows, begin + start * stride, future_rows),
+        table["contact"][np.concatenate([past_rows, future_rows], axis=1)] if has_contact else None,
     )
 
 
-def _unbroken(windows: Windows, present: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _unbroken(windows: Windows, present_rows: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return `(E, N)`: rows with none missing since the loop began; the loop does not know how long a break was."""
     stretch = windows.cache.stretch
-    return np.asarray(stretch[rows] == stretch[present][:, None])
+    return np.asarray(stretch[rows] == stretch[present_rows][:, None])
 
 
 def _starts(
-    windows: Windows, begin: NDArray[np.int64], stride: NDArray[np.int64], in_all: NDArray[np.int64]
+    windows: Windows, begin: NDArray[np.int64], stride: NDArray[np.int64], total_steps: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Return the step `(E,)` at which each episode's loop begins.
 
     What stands in for an invalid pose at an episode's beginning is the first valid one, which lies in the future.
     """
-    first = windows.history - 1
-    found = first * (in_all > first).astype(np.int64)
-    for number, start in enumerate(found.tolist()):
-        rows = begin[number] + np.arange(start, in_all[number] + 1) * stride[number]
-        found[number] += np.argmax(windows.cache.valid[rows])
-    return found
+    last_history_step = windows.history - 1
+    start_steps = last_history_step * (total_steps > last_history_step).astype(np.int64)
+    for number, start in enumerate(start_steps.tolist()):
+        rows = begin[number] + np.arange(start, total_steps[number] + 1) * stride[number]
+        start_steps[number] += np.argmax(windows.cache.valid[rows])
+    return start_steps
 
 
-def at_rows(windows: Windows, chosen: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:
+def at_rows(windows: Windows, episodes: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:
     """Return the windows `step` model steps after the first one of each chosen episode of a course."""
-    index = np.searchsorted(windows.owner, chosen)
-    present = windows.present[index] + step * windows.stride[chosen]
-    return replace(windows, present=present, owner=chosen).batch(np.arange(len(chosen)))
+    index = np.searchsorted(windows.owner, episodes)
+    present_rows = windows.present[index] + step * windows.stride[episodes]
+    return replace(windows, present=present_rows, owner=episodes).batch(np.arange(len(episodes)))
 
 
-def close_loop(given: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:
+def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:
     """Return the poses of a forecaster that sees its own poses, and contacts where it forecasts them.
 
     Joints and actions are replayed from the recording, the planned ones too. The mean of the samples is executed.
 
     Parameters
     ----------
-    given : Course
+    course : Course
         Episodes.
     forecaster : Forecaster
         Who forecasts.
@@ -160,31 +160,33 @@ def close_loop(given: Course, forecaster: Forecaster, execute: int, seed: int) -
     seed : int
         Seed of the noise.
     """
-    past, longest = given.observed.shape[1], given.truth.shape[1]
-    poses = np.concatenate([given.observed, np.zeros_like(given.truth)], axis=1)
-    contact = None if given.contact is None else given.contact.astype(float)
+    history_rows, longest_steps = course.observed.shape[1], course.truth.shape[1]
+    poses = np.concatenate([course.observed, np.zeros_like(course.truth)], axis=1)
+    contact = None if course.contact is None else course.contact.astype(float)
     forecast_contact = False
-    for done in range(0, longest, execute):
-        alive = np.flatnonzero(given.steps > done)
-        batch = at_rows(given.windows, given.episodes[alive], np.full(len(alive), done))
+    for step in range(0, longest_steps, execute):
+        active = np.flatnonzero(course.steps > step)
+        batch = at_rows(course.windows, course.episodes[active], np.full(len(active), step))
         # What the loop has made is known, whatever the recording has gaps in.
-        batch["history_pad"] &= np.arange(1 - past, 1) + done <= 0
-        batch["history/object_pose"] = poses[alive, done : done + past].astype(np.float32)
+        batch["history_pad"] &= np.arange(1 - history_rows, 1) + step <= 0
+        batch["history/object_pose"] = poses[active, step : step + history_rows].astype(np.float32)
         if contact is not None:
-            batch["history/contact"] = contact[alive, done : done + past] >= CONTACT_THRESHOLD
-        found = forecaster.forecast(batch, (seed, done))
-        ahead = min(execute, longest - done)
-        part = slice(past + done, past + done + ahead)
-        led = mean_pose(integrate(poses[alive, past + done - 1], found.increments[:, :, :ahead]))
-        poses[alive, part] = led
-        if contact is not None and found.contact is not None:
-            contact[alive, part] = found.contact[:, :ahead]
+            batch["history/contact"] = contact[active, step : step + history_rows] >= CONTACT_THRESHOLD
+        forecast = forecaster.forecast(batch, (seed, step))
+        step_count = min(execute, longest_steps - step)
+        part = slice(history_rows + step, history_rows + step + step_count)
+        predicted = mean_pose(integrate(poses[active, history_rows + step - 1], forecast.increments[:, :, :step_count]))
+        poses[active, part] = predicted
+        if contact is not None and forecast.contact is not None:
+            contact[active, part] = forecast.contact[:, :step_count]
             forecast_contact = True
-    return Loop(poses[:, past:], contact[:, past:] if contact is not None and forecast_contact else None)
+    return Loop(
+        poses[:, history_rows:], contact[:, history_rows:] if contact is not None and forecast_contact else None
+    )
 
 
-def shown(ranked: Sequence[float], count: int) -> list[int]:
+def evenly_ranked(values: Sequence[float], count: int) -> list[int]:
     """Return `count` places evenly spread over the ranks of the values, the least first: no choice of the best."""
-    order = np.argsort(np.asarray(ranked), kind="stable")
+    order = np.argsort(np.asarray(values), kind="stable")
     places = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
     return [int(order[place]) for place in places]

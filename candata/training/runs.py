@@ -65,12 +65,12 @@ def refuse_foreign(folder: Path) -> None:
         raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
     if not folder.is_dir() or (folder / FILE).is_file():
         return
-    others = sorted(p.name for p in folder.iterdir())
-    if set(others) - {SPLIT, f".{SPLIT}.part", f".{FILE}.part"}:
+    file_names = sorted(p.name for p in folder.iterdir())
+    if set(file_names) - {SPLIT, f".{SPLIT}.part", f".{FILE}.part"}:
         raise UsageError(
             "the output folder holds something that is no run",
             expected=f"a new folder, or one with {FILE}",
-            found=", ".join(others[:8]),
+            found=", ".join(file_names[:8]),
             where=Where(path=str(folder)),
             fix="choose another --out",
         )
@@ -94,17 +94,19 @@ def writing(folder: Path) -> Iterator[None]:
             yield
     except OSError as error:
         raise SetupError(
-            "the run cannot be written", found=error.strerror or str(error), where=Where(path=str(folder)),
+            "the run cannot be written",
+            found=error.strerror or str(error),
+            where=Where(path=str(folder)),
             fix="free space or choose another --out; the same command goes on from the last checkpoint",
-        ) from None  # fmt: skip
+        ) from None
 
 
 def _write(path: Path, record: Record) -> None:
     """Write a record whole or not at all."""
-    staged = path.with_name(f".{path.name}.part")
-    staged.write_bytes(encode_record(record))
-    sync(staged)
-    os.replace(staged, path)
+    part_path = path.with_name(f".{path.name}.part")
+    part_path.write_bytes(encode_record(record))
+    sync(part_path)
+    os.replace(part_path, path)
     sync(path.parent)
 
 
@@ -121,9 +123,12 @@ def read_run(folder: Path) -> Run:
         value = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise UsageError(
-            "no run", expected=f"a folder with {FILE}", found=str(getattr(error, "strerror", None) or error),
-            where=Where(path=str(path)), fix="name a folder that candata train wrote",
-        ) from None  # fmt: skip
+            "no run",
+            expected=f"a folder with {FILE}",
+            found=str(getattr(error, "strerror", None) or error),
+            where=Where(path=str(path)),
+            fix="name a folder that candata train wrote",
+        ) from None
     return Run.parse(value, path)
 
 
@@ -144,32 +149,50 @@ def read_splits(folder: Path, run: Run) -> tuple[Split, ...] | None:
         value = json.loads(path.read_bytes())
     except ValueError as error:
         raise UsageError(
-            "the split of the run is damaged", found=str(error).splitlines()[0], where=Where(path=str(path)),
+            "the split of the run is damaged",
+            found=str(error).splitlines()[0],
+            where=Where(path=str(path)),
             fix="remove it to evaluate by the split of the dataset",
-        ) from None  # fmt: skip
-    found = tuple(Splits.parse(value, path).splits.values()) if run.sources else (Split.parse(value, path),)
-    if [split_digest(one) for one in found] != [source.split_digest for source in run.trained_on]:
+        ) from None
+    splits = tuple(Splits.parse(value, path).splits.values()) if run.sources else (Split.parse(value, path),)
+    if [split_digest(split) for split in splits] != [source.split_digest for source in run.trained_on]:
         raise UsageError("the split beside the checkpoint is of another run", where=Where(path=str(path)))
-    return found
+    return splits
 
 
-def _refuse_other(standing: Run, asked: Run, path: Path) -> None:
+def _refuse_other(stored_run: Run, requested_run: Run, path: Path) -> None:
     """Refuse to go on with a run that differs; names every field that does."""
-    there, here = _flat(standing.model_dump(mode="json")), _flat(asked.model_dump(mode="json"))
-    names = [name for name in sorted(there.keys() | here.keys()) if there.get(name) != here.get(name)]
+    stored_fields, requested_fields = (
+        _dotted_fields(stored_run.model_dump(mode="json")),
+        _dotted_fields(requested_run.model_dump(mode="json")),
+    )
+    names = [
+        name
+        for name in sorted(stored_fields.keys() | requested_fields.keys())
+        if stored_fields.get(name) != requested_fields.get(name)
+    ]
     if not names:
         return
-    if standing.dataset == asked.dataset and standing.digest != asked.digest and not asked.sources:
+    if (
+        stored_run.dataset == requested_run.dataset
+        and stored_run.digest != requested_run.digest
+        and not requested_run.sources
+    ):
         raise UsageError(
             "the dataset is another version than the run was begun on",
-            expected=_version(standing), found=_version(asked), where=Where(path=str(path)),
-            fix=f"add --version {standing.digest[:12]} to go on, or begin another run: --init {path.parent} --out NEW",
-        )  # fmt: skip
+            expected=_version(stored_run),
+            found=_version(requested_run),
+            where=Where(path=str(path)),
+            fix=f"add --version {stored_run.digest[:12]} to go on, or begin another run: "
+            f"--init {path.parent} --out NEW",
+        )
     raise UsageError(
-        "the folder holds a run with other settings", expected=_shown(there, names), found=_shown(here, names),
+        "the folder holds a run with other settings",
+        expected=_field_text(stored_fields, names),
+        found=_field_text(requested_fields, names),
         where=Where(path=str(path)),
         fix="give the settings of that run to go on with it, or choose another --out",
-    )  # fmt: skip
+    )
 
 
 def _version(run: Run) -> str:
@@ -177,15 +200,15 @@ def _version(run: Run) -> str:
     return f"{run.dataset}, version {run.version}, digest {run.digest[:12]}"
 
 
-def _flat(value: dict[str, Any], head: str = "") -> dict[str, Any]:
+def _dotted_fields(value: dict[str, Any], head: str = "") -> dict[str, Any]:
     """Return nested values under dotted names."""
-    flat: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for key, inner in value.items():
-        flat |= _flat(inner, f"{head}{key}.") if isinstance(inner, dict) else {f"{head}{key}": inner}
-    return flat
+        fields |= _dotted_fields(inner, f"{head}{key}.") if isinstance(inner, dict) else {f"{head}{key}": inner}
+    return fields
 
 
-def _shown(values: dict[str, Any], names: list[str], most: int = 6) -> str:
+def _field_text(values: dict[str, Any], names: list[str], limit: int = 6) -> str:
     """Return `name value, name value`."""
-    shown = [f"{name} {str(values.get(name, 'not given'))[:40]}" for name in names[:most]]
-    return ", ".join(shown) + (f" and {len(names) - most} more" if len(names) > most else "")
+    texts = [f"{name} {str(values.get(name, 'not given'))[:40]}" for name in names[:limit]]
+    return ", ".join(texts) + (f" and {len(names) - limit} more" if len(names) > limit else "")

@@ -22,7 +22,7 @@ from candata.training.results import (
     Track,
     WindowScores,
 )
-from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop, course, shown
+from candata.training.rollout import CONTACT_THRESHOLD, Course, Loop, close_loop, course, evenly_ranked
 
 #: Resamples of the episodes for the interval of a gain.
 RESAMPLES = 2000
@@ -95,23 +95,25 @@ def score(
         Called with what is being done.
     """
     clouds = _clouds(windows)
-    opened = {}
-    for name, one in forecasters.items():
+    window_results = {}
+    for name, forecaster in forecasters.items():
         stage(f"{name}: {len(chosen_windows(windows))} windows")
-        opened[name] = window_scores(windows, one, clouds, seed)
-    road = course(windows)
+        window_results[name] = window_scores(windows, forecaster, clouds, seed)
+    course_all = course(windows)
     errors = {}
-    for name, one in forecasters.items():
-        stage(f"{name}: {len(road.episodes)} episodes in closed loop")
-        errors[name] = _errors(road, close_loop(road, one, execute, seed), clouds)
-    model, *others = forecasters
+    for name, forecaster in forecasters.items():
+        stage(f"{name}: {len(course_all.episodes)} episodes in closed loop")
+        errors[name] = _errors(course_all, close_loop(course_all, forecaster, execute, seed), clouds)
+    model, *other_names = forecasters
     return Findings(
-        windows=opened,
-        closed_loop={name: _closed(road, found) for name, found in errors.items()},
-        gain={name: _gain(road, errors[model], errors[name], seed) for name in others if clouds is not None},
-        by_episode=tuple(_by_episode(road, errors, e) for e in range(len(road.episodes))),
-        tracks=_tracks(road, errors, model),
-        rows=int(road.valid.sum()),
+        windows=window_results,
+        closed_loop={name: _closed_loop_scores(course_all, loop_errors) for name, loop_errors in errors.items()},
+        gain={
+            name: _auc_gain(course_all, errors[model], errors[name], seed) for name in other_names if clouds is not None
+        },
+        by_episode=tuple(_by_episode(course_all, errors, e) for e in range(len(course_all.episodes))),
+        tracks=_tracks(course_all, errors, model),
+        rows=int(course_all.valid.sum()),
     )
 
 
@@ -125,8 +127,8 @@ def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | No
     """Return the open-loop scores of a forecaster; steps that are not in the recording count in none."""
     batch = windows.batch(chosen_windows(windows))
     truth, valid = batch["future/object_pose"].astype(np.float64), ~batch["future_pad"]
-    found = forecaster.forecast(batch, (seed,))
-    samples = integrate(batch["history/object_pose"][:, -1], found.increments)
+    forecast = forecaster.forecast(batch, (seed,))
+    samples = integrate(batch["history/object_pose"][:, -1], forecast.increments)
     mean = mean_pose(samples)
     distance, angle = position_error(mean, truth), rotation_error(mean, truth)
     energy = metrics.energy_score(samples[..., :3], truth[..., :3])
@@ -139,7 +141,7 @@ def window_scores(windows: Windows, forecaster: Forecaster, clouds: NDArray | No
         position_energy_m=_by_step(energy, valid),
         adds_m=_by_step(adds, valid) if adds is not None else (None,) * valid.shape[1],
         adds_auc=metrics.auc(adds[valid]) if adds is not None else None,
-        contact=_contact(found.contact, batch.get("future/contact"), valid),
+        contact=_contact(forecast.contact, batch.get("future/contact"), valid),
     )
 
 
@@ -152,7 +154,7 @@ def chosen_windows(windows: Windows) -> NDArray[np.int64]:
 def _by_step(values: NDArray, valid: NDArray[np.bool_]) -> tuple[float | None, ...]:
     """Return the means over the windows, by step; None where no window has the step."""
     columns = zip(values.T, valid.T, strict=True)
-    return tuple(float(value[good].mean()) if good.any() else None for value, good in columns)
+    return tuple(float(value[is_valid].mean()) if is_valid.any() else None for value, is_valid in columns)
 
 
 def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.bool_]) -> Contact | None:
@@ -162,86 +164,88 @@ def _contact(forecast: NDArray | None, truth: NDArray | None, valid: NDArray[np.
     return Contact.model_validate(metrics.f1(forecast[valid] >= CONTACT_THRESHOLD, truth[valid]))
 
 
-def _errors(road: Course, loop: Loop, clouds: NDArray | None) -> _Errors:
+def _errors(course: Course, loop: Loop, clouds: NDArray | None) -> _Errors:
     """Return the errors of a loop at each row."""
-    adds = metrics.adds_of(clouds, road.cloud, loop.poses, road.truth) if clouds is not None else None
-    return _Errors(position_error(loop.poses, road.truth), rotation_error(loop.poses, road.truth), adds, loop)
+    adds = metrics.adds_of(clouds, course.cloud, loop.poses, course.truth) if clouds is not None else None
+    return _Errors(position_error(loop.poses, course.truth), rotation_error(loop.poses, course.truth), adds, loop)
 
 
-def _closed(road: Course, found: _Errors) -> ClosedLoopScores:
+def _closed_loop_scores(course: Course, errors: _Errors) -> ClosedLoopScores:
     """Return the closed-loop scores of a forecaster."""
-    good, final = road.valid, _final(road, found.position)
-    truth = None if road.contact is None else road.contact[:, road.observed.shape[1] :]
+    is_valid, final = course.valid, _final(course, errors.position)
+    truth = None if course.contact is None else course.contact[:, course.observed.shape[1] :]
     count, total = int((final <= metrics.SUCCESS_M).sum()), len(final)
     low, high = metrics.wilson(count, total)
     return ClosedLoopScores(
-        adds_auc=metrics.auc(found.adds[good]) if found.adds is not None else None,
-        adds_m=float(found.adds[good].mean()) if found.adds is not None else None,
-        position_error_m=float(found.position[good].mean()),
-        rotation_error_rad=float(found.rotation[good].mean()),
+        adds_auc=metrics.auc(errors.adds[is_valid]) if errors.adds is not None else None,
+        adds_m=float(errors.adds[is_valid].mean()) if errors.adds is not None else None,
+        position_error_m=float(errors.position[is_valid].mean()),
+        rotation_error_rad=float(errors.rotation[is_valid].mean()),
         final_position_error_m=float(final.mean()),
         success=Success(count=count, total=total, share=count / total, low=low, high=high),
-        contact=_contact(found.loop.contact, truth, good),
+        contact=_contact(errors.loop.contact, truth, is_valid),
     )
 
 
-def _final(road: Course, position: NDArray) -> NDArray:
+def _final(course: Course, position: NDArray) -> NDArray:
     """Return the error `(E,) [m]` at each episode's last row that counts."""
-    last = road.valid.shape[1] - 1 - np.argmax(road.valid[:, ::-1], axis=1)
-    return position[np.arange(len(last)), last]
+    last_rows = course.valid.shape[1] - 1 - np.argmax(course.valid[:, ::-1], axis=1)
+    return position[np.arange(len(last_rows)), last_rows]
 
 
-def _gain(road: Course, model: _Errors, other: _Errors, seed: int) -> Gain:
+def _auc_gain(course: Course, model: _Errors, reference: _Errors, seed: int) -> Gain:
     """Return by how much the model's AUC exceeds another's; the interval resamples whole episodes, in pairs."""
-    sums = np.array([_area(road, found).sum(1) for found in (model, other)])
-    counts = road.valid.sum(1)
+    sums = np.array([_area(course, errors).sum(1) for errors in (model, reference)])
+    counts = course.valid.sum(1)
     value = float((sums[0] - sums[1]).sum() / counts.sum())
     if len(counts) < LEAST_EPISODES:
         return Gain(value=value, low=None, high=None)
-    drawn = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
-    gains = (sums[0] - sums[1])[drawn].sum(1) / counts[drawn].sum(1)
+    resampled_indices = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
+    gains = (sums[0] - sums[1])[resampled_indices].sum(1) / counts[resampled_indices].sum(1)
     low, high = np.quantile(gains, (0.025, 0.975))
     return Gain(value=value, low=float(low), high=float(high))
 
 
-def _area(road: Course, found: _Errors) -> NDArray:
+def _area(course: Course, errors: _Errors) -> NDArray:
     """Return each row's part `(E, N)` of the area under the curve; 0 for rows that do not count."""
-    adds = np.zeros(road.valid.shape) if found.adds is None else found.adds
-    return np.where(road.valid, np.maximum(0.0, 1 - adds / metrics.ADDS_LIMIT_M), 0.0)
+    adds = np.zeros(course.valid.shape) if errors.adds is None else errors.adds
+    return np.where(course.valid, np.maximum(0.0, 1 - adds / metrics.ADDS_LIMIT_M), 0.0)
 
 
-def _by_episode(road: Course, errors: Mapping[str, _Errors], number: int) -> EpisodeScores:
+def _by_episode(course: Course, errors: Mapping[str, _Errors], number: int) -> EpisodeScores:
     """Return the scores of one episode."""
-    good = road.valid[number]
-    moved = position_error(road.truth[number], road.observed[number, -1])
+    is_valid = course.valid[number]
+    moved_m = position_error(course.truth[number], course.observed[number, -1])
     return EpisodeScores(
-        id=road.windows.episode_ids[road.episodes[number]],
-        moved_m=float(moved[good].max(initial=0.0)),
-        adds_auc={n: metrics.auc(f.adds[number][good]) for n, f in errors.items() if f.adds is not None},
-        final_position_error_m={n: float(_final(road, f.position)[number]) for n, f in errors.items()},
+        id=course.windows.episode_ids[course.episodes[number]],
+        moved_m=float(moved_m[is_valid].max(initial=0.0)),
+        adds_auc={n: metrics.auc(f.adds[number][is_valid]) for n, f in errors.items() if f.adds is not None},
+        final_position_error_m={n: float(_final(course, f.position)[number]) for n, f in errors.items()},
     )
 
 
-def _tracks(road: Course, errors: Mapping[str, _Errors], model: str) -> tuple[Track, ...]:
+def _tracks(course: Course, errors: Mapping[str, _Errors], model: str) -> tuple[Track, ...]:
     """Return a few episodes, spread evenly from the model's worst to its best."""
-    mean = np.where(road.valid, errors[model].position, 0).sum(1) / np.maximum(road.valid.sum(1), 1)
-    return tuple(_track(road, errors, model, number) for number in shown(-mean, TRACKS))
+    mean = np.where(course.valid, errors[model].position, 0).sum(1) / np.maximum(course.valid.sum(1), 1)
+    return tuple(_track(course, errors, model, number) for number in evenly_ranked(-mean, TRACKS))
 
 
-def _track(road: Course, errors: Mapping[str, _Errors], model: str, number: int) -> Track:
+def _track(course: Course, errors: Mapping[str, _Errors], model: str, number: int) -> Track:
     """Return one episode, the row it begins with first."""
-    count, past = int(road.steps[number]), road.observed.shape[1]
+    count, history_rows = int(course.steps[number]), course.observed.shape[1]
     rows = slice(0, count)
-    begin = road.observed[number, -1:]
+    begin = course.observed[number, -1:]
     forecast = errors[model].loop.contact
-    first = (road.windows.present[number] - road.windows.cache.begin[road.episodes[number]]) // road.windows.stride[
-        road.episodes[number]
-    ]
+    first_step = (
+        course.windows.present[number] - course.windows.cache.begin[course.episodes[number]]
+    ) // course.windows.stride[course.episodes[number]]
     return Track(
-        id=road.windows.episode_ids[road.episodes[number]],
-        time_s=(first + np.arange(count + 1)) / road.windows.rate_hz,
-        truth=np.concatenate([begin, road.truth[number, rows]]),
-        poses={name: np.concatenate([begin, found.loop.poses[number, rows]]) for name, found in errors.items()},
-        contact=None if road.contact is None else road.contact[number, past - 1 : past + count],
+        id=course.windows.episode_ids[course.episodes[number]],
+        time_s=(first_step + np.arange(count + 1)) / course.windows.rate_hz,
+        truth=np.concatenate([begin, course.truth[number, rows]]),
+        poses={
+            name: np.concatenate([begin, loop_errors.loop.poses[number, rows]]) for name, loop_errors in errors.items()
+        },
+        contact=None if course.contact is None else course.contact[number, history_rows - 1 : history_rows + count],
         forecast_contact=None if forecast is None else np.concatenate([[np.nan], forecast[number, rows]]),
     )

@@ -83,9 +83,9 @@ class Settings(Record):
 
     def rate(self, step: int, elapsed_s: float) -> float:
         """Return the learning rate of a step: linear warm-up times cosine decay."""
-        done = self.share(step, elapsed_s)
-        warm = min(1.0, max((step + 1) / max(self.warm_up, 1), done / WARM_UP_SHARE))
-        return self.learning_rate * warm * 0.5 * (1 + math.cos(math.pi * done))
+        share = self.share(step, elapsed_s)
+        warm_up_factor = min(1.0, max((step + 1) / max(self.warm_up, 1), share / WARM_UP_SHARE))
+        return self.learning_rate * warm_up_factor * 0.5 * (1 + math.cos(math.pi * share))
 
 
 class Source(Record):
@@ -158,8 +158,8 @@ class Run(Record):
     @property
     def trained_on(self) -> tuple[Source, ...]:
         """The datasets trained on, one or those of the mixture."""
-        alone = {name: getattr(self, name) for name in ("dataset", "digest", "version", "split_digest")}
-        return self.sources or (Source(name=self.dataset, share=1.0, **alone),)
+        dataset_fields = {name: getattr(self, name) for name in ("dataset", "digest", "version", "split_digest")}
+        return self.sources or (Source(name=self.dataset, share=1.0, **dataset_fields),)
 
 
 class Progress(Record):

@@ -49,26 +49,26 @@ class State:
             checkpoint.OPTIMISER: moments,
         }
 
-    def restore(self, kept: checkpoint.Checkpoint) -> None:
+    def restore(self, source: checkpoint.Checkpoint) -> None:
         """Take everything from a checkpoint of the same run."""
-        self.module.load_state_dict(kept.tensors(checkpoint.WEIGHTS))
-        for name, value in kept.tensors(checkpoint.AVERAGE).items():
+        self.module.load_state_dict(source.tensors(checkpoint.WEIGHTS))
+        for name, value in source.tensors(checkpoint.AVERAGE).items():
             self.average[name].copy_(value)
         moments: dict[int, dict[str, torch.Tensor]] = {}
-        for name, value in kept.tensors(checkpoint.OPTIMISER).items():
+        for name, value in source.tensors(checkpoint.OPTIMISER).items():
             index, key = name.split("/")
             moments.setdefault(int(index), {})[key] = value
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": moments, "param_groups": groups})
-        self.progress = kept.progress
+        self.progress = source.progress
 
 
-def fresh(module: torch.nn.Module, settings: Settings) -> State:
+def initial_state(module: torch.nn.Module, settings: Settings) -> State:
     """Return the state at step 0 of a run that begins with the weights of `module`."""
     optimiser = torch.optim.AdamW(
         module.parameters(), lr=settings.learning_rate, betas=settings.betas, weight_decay=settings.weight_decay
     )
-    return State(module, ema.averaged(module.state_dict()), optimiser, Progress())
+    return State(module, ema.start_average(module.state_dict()), optimiser, Progress())
 
 
 def generator(device: str, *key: int) -> torch.Generator:

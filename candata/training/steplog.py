@@ -17,10 +17,10 @@ class StepLog:
 
     def __init__(self, folder: Path, step: int) -> None:
         self._path = folder / NAME
-        kept = [line for line in read_log(folder) if line["step"] <= step]
-        staged = self._path.with_name(f".{NAME}.part")
-        staged.write_text("".join(_line(line) for line in kept))
-        os.replace(staged, self._path)
+        earlier_lines = [line for line in read_log(folder) if line["step"] <= step]
+        part_path = self._path.with_name(f".{NAME}.part")
+        part_path.write_text("".join(_line(line) for line in earlier_lines))
+        os.replace(part_path, self._path)
         self._file = self._path.open("a")
 
     def write(self, **values: Any) -> None:

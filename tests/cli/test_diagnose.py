@@ -107,8 +107,19 @@ def test_the_effects_are_a_simulator_that_runs(diagnosed, tmp_path):
     assert effects.scene == "cube_toss"
     assert [(e.name, e.parameters) for e in effects.effects] == [("friction_cone", {"cone": "elliptic"})]
     # The file names the scene, so no --scene is needed.
-    made = run("generate-sim", "--effects", path, "--episodes", 1, "--duration-s", 0.2, "--jobs", 1,
-               "--out", tmp_path / "repaired")  # fmt: skip
+    made = run(
+        "generate-sim",
+        "--effects",
+        path,
+        "--episodes",
+        1,
+        "--duration-s",
+        0.2,
+        "--jobs",
+        1,
+        "--out",
+        tmp_path / "repaired",
+    )
     assert made.code == 0
     assert next(iter(open_dataset(tmp_path / "repaired"))).meta.effects == effects.effects
 

@@ -27,9 +27,14 @@ XHAND = device("xhand")
 def hand(name: str, rows: int = 10) -> Episode:
     """An episode of the hand alone, without wrist and object."""
     meta = EpisodeMeta(
-        id=name, source="sim", rate_hz=100, task="wave", joint_names=XHAND.joint_names,
-        actuator_names=XHAND.joint_names, fingertip_names=XHAND.fingertip_names,
-    )  # fmt: skip
+        id=name,
+        source="sim",
+        rate_hz=100,
+        task="wave",
+        joint_names=XHAND.joint_names,
+        actuator_names=XHAND.joint_names,
+        fingertip_names=XHAND.fingertip_names,
+    )
     arrays = {
         "time_ns": np.arange(rows) * 10_000_000,
         "joint_position": np.full((rows, 12), 0.25),

@@ -212,9 +212,11 @@ def diagnosis(monkeypatch):
         def diagnose(dataset, scene, *, jobs, progress, ends):
             calls.append((dataset.name, scene.name, jobs, len(dataset)))
             named = NamedEffect(
-                name=name, share=0.9, support=0.95,
+                name=name,
+                share=0.9,
+                support=0.95,
                 parameters={k: Estimate(value=v, low=v - 0.1, high=v + 0.1) for k, v in parameters.items()},
-            )  # fmt: skip
+            )
             data = DataUsed(dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared")
             return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
 

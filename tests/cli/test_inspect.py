@@ -42,9 +42,12 @@ def test_inspect_json_says_what_is_in_it(root):
     assert found["duration_s"] == pytest.approx(3 * 39 / 80 + 19 / 80)
     assert (found["sources"], found["objects"]) == ({"sim": 3, "real": 1}, {"cup": 3})
     assert [(c["name"], c["unit"], c["episodes"]) for c in found["channels"]] == [
-        ("time_ns", "ns", 4), ("object_pose", "m", 4), ("joint_position", "joint", 4),
-        ("fingertip_force", "N", 4), ("contact", "1", 3),
-    ]  # fmt: skip
+        ("time_ns", "ns", 4),
+        ("object_pose", "m", 4),
+        ("joint_position", "joint", 4),
+        ("fingertip_force", "N", 4),
+        ("contact", "1", 3),
+    ]
     assert found["contact_share"] == 0.5
     assert found["phases"] == {"free": 0.5, "onset": 0.2, "sustained": 0.3, "release": 0.0}
     assert found["lineage"][0]["operation"] == "test"

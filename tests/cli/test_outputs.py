@@ -9,7 +9,7 @@ import pytest
 
 from candata.datasets import create_dataset
 from candata.errors import SetupError, UsageError
-from candata_cli.outputs import tried
+from candata_cli.outputs import check_output
 from tests.cli.command import run
 
 #: What comes after the output, none of which is there: an error about it would mean that work had begun.
@@ -119,7 +119,7 @@ def test_a_sealed_file_lies_in_no_dataset(dataset, tmp_path):
 
 @pytest.mark.parametrize("kind", ["folder", "file", "new", "dataset"])
 def test_what_can_be_written_leaves_no_trace_of_the_trial(tmp_path, kind):
-    tried(tmp_path / "deep" / "one", kind)
+    check_output(tmp_path / "deep" / "one", kind)
     assert left(tmp_path) == set()
 
 
@@ -128,14 +128,14 @@ def test_relative_paths_and_what_stands_are_fine(dataset, tmp_path, monkeypatch)
     Path("folder").mkdir()
     Path("page.html").write_text("old")
     for path, kind in (("folder", "folder"), ("page.html", "file"), ("new", "new"), ("recordings", "dataset")):
-        tried(Path(path), kind)
-    tried(Path("recordings.seal.json"), "file")
+        check_output(Path(path), kind)
+    check_output(Path("recordings.seal.json"), "file")
     assert Path("page.html").read_text() == "old"
 
 
 def test_a_file_of_the_name_of_a_datasets_makes_no_dataset(tmp_path):
     (tmp_path / "dataset.json").write_text("{}")
-    tried(tmp_path / "out", "folder")
+    check_output(tmp_path / "out", "folder")
 
 
 @pytest.mark.parametrize(
@@ -144,28 +144,28 @@ def test_a_file_of_the_name_of_a_datasets_makes_no_dataset(tmp_path):
 def test_what_the_system_refuses_is_told_with_its_reason(tmp_path, name, found):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(SetupError, match=f"cannot be written\n  found: .*{found}"):
-        tried(tmp_path / name, "folder")
+        check_output(tmp_path / name, "folder")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
 def test_a_folder_without_the_right_to_write_is_refused(tmp_path):
     (tmp_path / "locked").mkdir(mode=0o555)
     with pytest.raises(SetupError, match="Permission denied"):
-        tried(tmp_path / "locked" / "deep" / "one", "folder")
+        check_output(tmp_path / "locked" / "deep" / "one", "folder")
 
 
 def test_a_folder_of_the_system_is_refused():
     with pytest.raises(SetupError, match="/proc/one cannot be written"):
-        tried(Path("/proc/one"), "new")
+        check_output(Path("/proc/one"), "new")
 
 
 def test_a_link_that_leads_nowhere_is_no_folder(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "gone")
     with pytest.raises(UsageError, match="is a link that leads nowhere"):
-        tried(tmp_path / "link", "folder")
+        check_output(tmp_path / "link", "folder")
 
 
 def test_a_link_into_a_dataset_lies_in_it(dataset, tmp_path):
     (tmp_path / "link").symlink_to(dataset)
     with pytest.raises(UsageError, match="lies in a dataset"):
-        tried(tmp_path / "link" / "report", "folder")
+        check_output(tmp_path / "link" / "report", "folder")

@@ -160,9 +160,22 @@ def test_nobody_to_show_it_to_ends_nothing(port, tmp_path):
 def test_settings_reach_the_log(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     code, _, err = candata(
-        "record-real", "--port", port, "--out", log, "--duration", 0.5, "--no-calibrate", "--reserve-mb", 0,
-        "--newton-per-count", 0.05, "--rate", 20, "--json",
-    )  # fmt: skip
+        "record-real",
+        "--port",
+        port,
+        "--out",
+        log,
+        "--duration",
+        0.5,
+        "--no-calibrate",
+        "--reserve-mb",
+        0,
+        "--newton-per-count",
+        0.05,
+        "--rate",
+        20,
+        "--json",
+    )
     assert code == 0, err
     meta = read_log(log).meta
     assert (meta.newton_per_count, meta.rate_hz, meta.device, meta.port) == (0.05, 20.0, "xhand", port)
@@ -195,9 +208,19 @@ def test_wrong_options_exit_with_2(port, tmp_path, options, words, candata):
 def test_a_failure_still_prints_the_report(port, tmp_path, candata):
     log = tmp_path / "log.mcap"
     code, out, err = candata(
-        "record-real", "--port", port, "--out", log, "--calibrate-s", 0.5, "--newton-per-count", 1, "--reserve-mb", 0,
+        "record-real",
+        "--port",
+        port,
+        "--out",
+        log,
+        "--calibrate-s",
+        0.5,
+        "--newton-per-count",
+        1,
+        "--reserve-mb",
+        0,
         "--json",
-    )  # fmt: skip
+    )
     assert code == 3
     assert json.loads(out)["problem"] == "the hand was touched during calibration"
     assert "thumb_rota2 under 6.00 N" in err

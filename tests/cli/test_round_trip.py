@@ -16,7 +16,7 @@ import pytest
 from candata.align import MAX_GAP_PERIODS
 from candata.datasets import open_dataset
 from candata.record.devices import device
-from candata.record.emulate_script import counted
+from candata.record.emulate_script import to_counts
 from candata.record.import_streams import came_late
 from candata.record.logs import Log, read_log
 from candata.schema.contact import fingertip_contact
@@ -73,17 +73,43 @@ def trip(tmp_path_factory) -> Trip:
     """Five seconds of a grasp at a scale that clips what presses, listened to from the still stretch to the end."""
     folder = tmp_path_factory.mktemp("trip")
     hand = start(
-        folder, "emulate", "xhand", "--link", "hand", "--with-table", "poses/poses.parquet", "--truth", "truth.npz",
-        "--newton-per-count", SCALE, "--still", 1.6, "--hold", "--json",
-    )  # fmt: skip
+        folder,
+        "emulate",
+        "xhand",
+        "--link",
+        "hand",
+        "--with-table",
+        "poses/poses.parquet",
+        "--truth",
+        "truth.npz",
+        "--newton-per-count",
+        SCALE,
+        "--still",
+        1.6,
+        "--hold",
+        "--json",
+    )
     try:
         until = time.monotonic() + 60
         while not (folder / "hand").exists() and hand.poll() is None and time.monotonic() < until:
             time.sleep(0.05)
         recorded = run(
-            folder, "record-real", "--port", "hand", "--out", "hand.mcap", "--calibrate-s", 1, "--duration", 4,
-            "--newton-per-count", SCALE, "--reserve-mb", 0, "--json",
-        )  # fmt: skip
+            folder,
+            "record-real",
+            "--port",
+            "hand",
+            "--out",
+            "hand.mcap",
+            "--calibrate-s",
+            1,
+            "--duration",
+            4,
+            "--newton-per-count",
+            SCALE,
+            "--reserve-mb",
+            0,
+            "--json",
+        )
     finally:
         hand.send_signal(signal.SIGINT)
         out, err = hand.communicate(timeout=60)
@@ -111,7 +137,7 @@ def test_the_log_holds_what_was_sent_bit_for_bit(trip):
 
 def test_clipped_counts_are_reported_by_all_three(trip):
     rows, truth = trip.heard(), trip.truth
-    _, clipped = counted(truth["force"], HAND, SCALE)
+    _, clipped = to_counts(truth["force"], HAND, SCALE)
     assert trip.sent["clipped"]["force_counts"] == clipped.sum() > 0
     at_end = ((truth["force_counts"] >= HAND.count_high) | (truth["force_counts"] == [-128, -128, -1])).any(-1)
     assert trip.recorded["saturated"]["forces"] == at_end[rows].sum() > 0

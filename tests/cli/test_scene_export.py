@@ -85,8 +85,12 @@ def test_an_export_says_what_changed_and_what_is_left(mine):
     )
     assert done.err == "written: out\n"
     assert sorted(p.name for p in Path("out").iterdir()) == [
-        "changes.diff", "effects.yaml", "export.json", "scene.xml", "scene.yaml",
-    ]  # fmt: skip
+        "changes.diff",
+        "effects.yaml",
+        "export.json",
+        "scene.xml",
+        "scene.yaml",
+    ]
     assert run("generate-sim", "--effects", "out/effects.yaml", *MOTION, "--out", "set").code == 0
 
 

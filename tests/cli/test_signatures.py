@@ -76,8 +76,23 @@ def test_a_bench_first_keeps_what_its_cases_share_and_tells_the_cost(tmp_path, m
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
     every = filling.wanted
     monkeypatch.setattr(filling, "wanted", lambda problem, depth: every(problem, depth)[:3])
-    line = ("gap", "bench", "--out", tmp_path, *HAND, "--episodes", 8, "--duration-s", 1.2, "--jobs", 1,
-            "--kinds", "null", "--counts", "null=2")  # fmt: skip
+    line = (
+        "gap",
+        "bench",
+        "--out",
+        tmp_path,
+        *HAND,
+        "--episodes",
+        8,
+        "--duration-s",
+        1.2,
+        "--jobs",
+        1,
+        "--kinds",
+        "null",
+        "--counts",
+        "null=2",
+    )
     done = run(*line)
     assert done.code == 0
     assert done.err.index("simulating effects for all cases: 3 done") < done.err.index("1 of 2: case-0001")

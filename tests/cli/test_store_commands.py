@@ -42,8 +42,12 @@ def test_compact_says_what_it_did(root):
 def test_compact_json(root):
     digest = open_dataset(root).digest
     assert json.loads(run("compact", root, "--json").stdout) == {
-        "version": 2, "digest": digest, "parts_before": 3, "parts_after": 1, "left_out": 0,
-    }  # fmt: skip
+        "version": 2,
+        "digest": digest,
+        "parts_before": 3,
+        "parts_after": 1,
+        "left_out": 0,
+    }
 
 
 def test_gc_removes_says_and_counts(root, episode):

@@ -91,13 +91,26 @@ def test_json_holds_every_finding_and_what_was_asked(bad):
     assert result.exit_code == 1
     found = json.loads(result.stdout)
     assert (found["dataset"], found["episodes"], found["version"], found["deep"], found["scene"]) == (
-        "bad", 5, 1, False, None,
-    )  # fmt: skip
+        "bad",
+        5,
+        1,
+        False,
+        None,
+    )
     errors = [f for f in found["findings"] if f["level"] == "error"]
     assert found["counts"]["error"] == len(errors) == 4
     assert set(errors[0]) == {
-        "level", "rule", "message", "episode", "channel", "index", "problem", "ranges", "evidence", "remedy",
-    }  # fmt: skip
+        "level",
+        "rule",
+        "message",
+        "episode",
+        "channel",
+        "index",
+        "problem",
+        "ranges",
+        "evidence",
+        "remedy",
+    }
     assert errors[0]["evidence"] == {"rows": 160, "median_norm": pytest.approx(1.1)}
 
 

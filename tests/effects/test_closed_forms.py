@@ -11,8 +11,8 @@ from candata.gap.replay import sense
 from candata.rotation import difference
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
-from candata.simulate import at_rest, rollout, unread
-from candata.simulate.timing import resampled, retimed
+from candata.simulate import at_rest, rollout, true_state
+from candata.simulate.timing import resample_control, retime_commands
 from candata.simulate.world import build_worlds
 from tests.effects.gripper import XML, grip, play_grip, write_scene
 
@@ -68,7 +68,7 @@ def test_gain_and_offset_are_the_same_world_in_either_order(arm):
 
 def test_an_offset_is_taken_off_a_recording(gripper):
     some = (setting("joint_offset", offset_rad=(0.05, -0.02)), setting("joint_offset", "left", offset_rad=0.01))
-    true = unread(gripper, {"joint_position": np.zeros((3, 4, 3))}, some)["joint_position"]
+    true = true_state(gripper, {"joint_position": np.zeros((3, 4, 3))}, some)["joint_position"]
     np.testing.assert_allclose(true, np.broadcast_to([0.0, -0.06, 0.02], (3, 4, 3)), atol=1e-15)
 
 
@@ -147,12 +147,12 @@ def test_a_pose_effect_changes_the_reading_as_it_says_and_back(gripper, given):
     turn = value if given.name == "pose_rotation_bias" else np.zeros(3)
     np.testing.assert_allclose(read[:, :3], plain[:, :3] + shift, atol=1e-15)
     np.testing.assert_allclose(difference(read[:, 3:], plain[:, 3:]), np.broadcast_to(turn, (len(plain), 3)), atol=1e-9)
-    np.testing.assert_allclose(unread(gripper, {"object_pose": read}, (given,))["object_pose"], plain, atol=1e-12)
+    np.testing.assert_allclose(true_state(gripper, {"object_pose": read}, (given,))["object_pose"], plain, atol=1e-12)
 
 
 def test_what_is_put_on_in_order_is_taken_off_in_reverse(gripper):
     plain, read = play_grip(gripper, [(), tuple(POSE_EFFECTS)]).readings["object_pose"]
-    true = unread(gripper, {"object_pose": read}, tuple(POSE_EFFECTS))["object_pose"]
+    true = true_state(gripper, {"object_pose": read}, tuple(POSE_EFFECTS))["object_pose"]
     np.testing.assert_allclose(true, plain, atol=1e-12)
 
 
@@ -255,17 +255,17 @@ def test_free_fall_takes_the_time_step_it_is_given(toss):
 
 def test_controls_keep_their_mean_at_another_step(rng):
     control = rng.standard_normal((2, 5, 3))
-    assert resampled(control, 5) is control
-    np.testing.assert_allclose(resampled(control, 10), np.repeat(control, 2, axis=1), atol=1e-12)
-    np.testing.assert_allclose(resampled(control, 1), control.mean(1, keepdims=True), atol=1e-12)
-    np.testing.assert_allclose(resampled(control, 2).mean(1), control.mean(1), atol=1e-12)
+    assert resample_control(control, 5) is control
+    np.testing.assert_allclose(resample_control(control, 10), np.repeat(control, 2, axis=1), atol=1e-12)
+    np.testing.assert_allclose(resample_control(control, 1), control.mean(1, keepdims=True), atol=1e-12)
+    np.testing.assert_allclose(resample_control(control, 2).mean(1), control.mean(1), atol=1e-12)
 
 
 @pytest.mark.parametrize("pace", [0.5, 0.98, 1.02, 2.0])
 def test_a_ramp_is_played_at_another_pace_once_the_recording_has_begun(pace):
     rows, steps, settle = 40, 5, 8
     ramp = np.arange(rows, dtype=float)[None, :, None]
-    own = retimed(ramp, np.array([pace]), steps, settle)[0, :, :, 0]
+    own = retime_commands(ramp, np.array([pace]), steps, settle)[0, :, :, 0]
     assert np.allclose(own[:settle], ramp[0, :settle])
     time = settle + (np.arange(rows)[:, None] - settle + np.arange(steps) / steps) * pace
     # Held commands are at most one row behind the ramp; the last is held for ever.

@@ -99,7 +99,7 @@ def test_a_network_that_knows_the_truth_reaches_it(sampler, target, steps):
     def knows(x: torch.Tensor, i: int) -> torch.Tensor:
         if target == "x0":
             return truth
-        level = walk[i].before
+        level = walk[i].signal_before
         return (x - math.sqrt(level) * truth) / math.sqrt(1 - level)
 
     found = ours.sample(knows, numbers(7), steps, torch.Generator().manual_seed(0))

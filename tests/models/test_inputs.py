@@ -7,7 +7,7 @@ import torch
 
 from candata.errors import DataError, UsageError
 from candata.models import Sizes, model, targets
-from candata.models._inputs import known_steps, masked_mean, turned
+from candata.models._inputs import known_steps, masked_mean, turn_points
 
 
 def test_targets_are_scaled_and_come_back(tiny, batch):
@@ -80,7 +80,7 @@ def test_moving_the_world(name, world_position, tiny, batch, awake, generator):
 
 def test_a_cloud_turns_with_the_pose():
     quarter = torch.tensor([[9.0, 9, 9, 0.5**0.5, 0, 0, 0.5**0.5]])  # about z; where it is does not matter
-    found = turned(quarter, torch.tensor([[[1.0, 0, 0], [0, 2, 3]]]))
+    found = turn_points(quarter, torch.tensor([[[1.0, 0, 0], [0, 2, 3]]]))
     torch.testing.assert_close(found, torch.tensor([[[0.0, 1, 0], [-2, 0, 3]]]))
 
 

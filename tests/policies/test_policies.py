@@ -7,7 +7,7 @@ import pytest
 
 from candata.policies import policy, policy_names
 from candata.policies._drive import command_range
-from candata.policies.free_sweep import SWEPT
+from candata.policies.free_sweep import SWEEP_SHARE
 from candata.scenes import load_scene
 from candata.simulate.episodes import Job, make_episodes
 
@@ -94,7 +94,7 @@ def test_every_policy_can_act_somewhere():
 def test_joints_follow_their_targets_in_the_free_sweep(episodes, hand):
     for e in episodes["free_sweep"]:
         error = e["joint_position"] - e["action"]
-        swept = round(SWEPT * len(error))
+        swept = round(SWEEP_SHARE * len(error))
         rails = len(hand.file.groups["wrist"])
         assert np.sqrt((error[:swept, rails:] ** 2).mean()) < 0.1, "hinges [rad]"
         assert np.abs(error[:, :rails]).max() < 0.02, "wrist [m]"
@@ -106,7 +106,7 @@ def test_joints_follow_their_targets_in_the_free_sweep(episodes, hand):
 def test_the_jumps_at_the_end_of_the_sweep_drive_every_motor_to_its_limit(episodes, hand):
     model, ids = hand.model, hand.actuator_ids
     for e in episodes["free_sweep"]:
-        error = (e["action"] - e["joint_position"])[round(SWEPT * len(e)) :]
+        error = (e["action"] - e["joint_position"])[round(SWEEP_SHARE * len(e)) :]
         moving = e["action"][: len(e) // 2].std(0) > 0.02
         asked = np.abs(error * model.actuator_gainprm[ids, 0]).max(0)
         hinges = np.isin(np.arange(len(ids)), hand.driven_hinges)

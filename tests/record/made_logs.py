@@ -23,9 +23,15 @@ def make_log(seconds: float = 10.0, rate_hz: float = 83.0, reply_ns: int = 1_100
     command_ns = START + np.round(np.arange(n) * 1e9 / rate_hz).astype(np.int64)
     state_ns = command_ns + reply_ns
     meta = LogMeta(
-        device="test", joint_names=JOINTS, fingertip_names=TIPS, taxels=4, newton_per_count=0.1,
-        count_low=(-128, -128, 0), count_high=(127, 127, 255), rate_hz=rate_hz,
-    )  # fmt: skip
+        device="test",
+        joint_names=JOINTS,
+        fingertip_names=TIPS,
+        taxels=4,
+        newton_per_count=0.1,
+        count_low=(-128, -128, 0),
+        count_high=(127, 127, 255),
+        rate_hz=rate_hz,
+    )
     bias = np.ones((2, 3))
     rest = Calibration(bias, np.zeros((2, 4, 3)), round(3 * rate_hz), 3.0, np.zeros((2, 3)), np.zeros(3))
     counts = np.ones((n, 2, 3), np.int16)
@@ -33,10 +39,18 @@ def make_log(seconds: float = 10.0, rate_hz: float = 83.0, reply_ns: int = 1_100
     taxels[..., 0, 0] = (np.arange(n) % 100)[:, None]
     taxels[:, 1, 1, 1] = 7
     fields = {
-        "meta": meta, "calibration": rest, "state_time_ns": state_ns, "joint_position": swing(state_ns),
-        "motor_current": np.zeros((n, 3)), "force_counts": counts, "taxel_counts": taxels,
-        "command_time_ns": command_ns, "joint_target": swing(command_ns), "statistics": (), "sha256": "0" * 64,
-    }  # fmt: skip
+        "meta": meta,
+        "calibration": rest,
+        "state_time_ns": state_ns,
+        "joint_position": swing(state_ns),
+        "motor_current": np.zeros((n, 3)),
+        "force_counts": counts,
+        "taxel_counts": taxels,
+        "command_time_ns": command_ns,
+        "joint_target": swing(command_ns),
+        "statistics": (),
+        "sha256": "0" * 64,
+    }
     return Log(**{**fields, **changed})
 
 

@@ -17,7 +17,7 @@ from candata.formats import table
 from candata.record import emulate as emulation
 from candata.record import emulate_files as files
 from candata.record.devices import Frame, device
-from candata.record.emulate import Sent, play, wait_for_reader
+from candata.record.emulate import Transmission, play, wait_for_reader
 from candata.record.emulate_faults import parse_faults
 from candata.record.emulate_line import Line
 from candata.record.emulate_script import Script, write_script
@@ -34,9 +34,16 @@ def script() -> Script:
     rng = np.random.default_rng(9)
     names = ("wrist_x", *XHAND.joint_names)
     meta = EpisodeMeta(
-        id="e", source="sim", rate_hz=80, scene="xhand_tabletop", object="object", task="push",
-        joint_names=names, actuator_names=names, fingertip_names=XHAND.fingertip_names,
-    )  # fmt: skip
+        id="e",
+        source="sim",
+        rate_hz=80,
+        scene="xhand_tabletop",
+        object="object",
+        task="push",
+        joint_names=names,
+        actuator_names=names,
+        fingertip_names=XHAND.fingertip_names,
+    )
     arrays = {
         "time_ns": np.arange(ROWS) * 12_500_000,
         "joint_position": rng.normal(size=(ROWS, 13)),
@@ -76,7 +83,7 @@ class Reader(threading.Thread):
         return [frame for frame in self.frames if frame.kind == kind]
 
 
-def heard(script: Script, faults: str = "", **options) -> tuple[Sent, Reader]:
+def heard(script: Script, faults: str = "", **options) -> tuple[Transmission, Reader]:
     """Play a script to a reader that takes all it can."""
     with Line() as line:
         reader = Reader(line.port)
@@ -87,7 +94,7 @@ def heard(script: Script, faults: str = "", **options) -> tuple[Sent, Reader]:
 
 
 @pytest.fixture(scope="module")
-def whole(script) -> tuple[Sent, Reader]:
+def whole(script) -> tuple[Transmission, Reader]:
     return heard(script)
 
 
@@ -370,9 +377,11 @@ def test_the_table_is_read_by_its_map(script, whole, tmp_path):
     (episode,) = table.read(path.with_name("map.yaml"))
     # A second since 1970 in float64 is good to 0.24 us.
     np.testing.assert_allclose(episode["time_ns"], sent.state_time_ns, rtol=0, atol=300)
-    np.testing.assert_array_equal(episode["object_pose"], script.unwired["object_pose"].astype(np.float32))
-    np.testing.assert_array_equal(episode["joint_position"], script.unwired["joint_position"].astype(np.float32))
-    np.testing.assert_array_equal(episode["action"], script.unwired["action"].astype(np.float32))
+    np.testing.assert_array_equal(episode["object_pose"], script.unwired_channels["object_pose"].astype(np.float32))
+    np.testing.assert_array_equal(
+        episode["joint_position"], script.unwired_channels["joint_position"].astype(np.float32)
+    )
+    np.testing.assert_array_equal(episode["action"], script.unwired_channels["action"].astype(np.float32))
     meta = episode.meta
     assert (meta.task, meta.scene, meta.object, meta.rate_hz) == ("push", "xhand_tabletop", "object", RATE_HZ)
     assert (meta.joint_names, meta.actuator_names) == (("wrist_x",), ("wrist_x",))
@@ -406,7 +415,7 @@ def test_the_truth_holds_what_was_sent(script, whole, tmp_path):
         np.testing.assert_array_equal(truth["joint_target"], script.joint_target)
         np.testing.assert_array_equal(truth["taxel_counts"], script.taxel_counts)
         np.testing.assert_array_equal(truth["state_time_ns"], sent.state_time_ns)
-        np.testing.assert_array_equal(truth["unwired_joint_position"], script.unwired["joint_position"])
-        assert truth["still"].sum() == script.still == 11
+        np.testing.assert_array_equal(truth["unwired_joint_position"], script.unwired_channels["joint_position"])
+        assert truth["still"].sum() == script.rest_rows == 11
         assert truth["joint_names"].tolist() == list(XHAND.joint_names)
         assert EpisodeMeta.model_validate_json(str(truth["meta"])) == script.meta

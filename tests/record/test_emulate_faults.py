@@ -8,14 +8,14 @@ import pytest
 from candata.errors import UsageError
 from candata.record.devices import _xhand_frames as wire
 from candata.record.devices import device
-from candata.record.emulate_faults import NO_FAULTS, Faults, damaged, parse_faults
+from candata.record.emulate_faults import NO_FAULTS, Faults, parse_faults, with_fault
 
 COMMAND = wire.command_frames(np.full((1, 12), 0.5))[0]
 STATE = wire.state_frames(np.full((1, 12), 0.5), np.full((1, 5, 3), 9), np.full((1, 5, 120, 3), 1))[0]
 
 
 def damage(frame: bytes, faults: Faults, seed: int = 0) -> tuple[bytes, str | None]:
-    return damaged(frame, faults, wire.with_heads, np.random.default_rng(seed))
+    return with_fault(frame, faults, wire.with_heads, np.random.default_rng(seed))
 
 
 def test_faults_are_read():
@@ -101,9 +101,9 @@ def test_only_frames_of_the_hand_hide_heads():
 def test_shares_are_shares_and_seeds_repeat():
     faults = Faults(bitflip=0.1, truncate=0.2, garbage=0.3)
     rng = np.random.default_rng(4)
-    first = [damaged(COMMAND, faults, wire.with_heads, rng) for _ in range(2000)]
+    first = [with_fault(COMMAND, faults, wire.with_heads, rng) for _ in range(2000)]
     rng = np.random.default_rng(4)
-    assert [damaged(COMMAND, faults, wire.with_heads, rng) for _ in range(2000)] == first
+    assert [with_fault(COMMAND, faults, wire.with_heads, rng) for _ in range(2000)] == first
     names = [name for _, name in first]
     for name, share in (("bitflip", 0.1), ("truncate", 0.2), ("garbage", 0.3), (None, 0.4), ("head", 0.0)):
         # Four standard deviations of a share among 2000.

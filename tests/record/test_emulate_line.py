@@ -20,7 +20,7 @@ def test_a_port_that_is_empty_for_a_moment_is_not_read_out(monkeypatch):
         reader = os.open(line.port, os.O_RDWR | os.O_NOCTTY)
         line.drain(30.0)
         os.close(reader)
-    assert len(looks) == 50 - emulate_line.EMPTY
+    assert len(looks) == 50 - emulate_line.EMPTY_POLLS
 
 
 def test_a_link_replaces_a_link_and_nothing_else(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from candata import plugins
 from candata.errors import DataError, UsageError
 from candata.record.devices import device, xhand
-from candata.record.emulate_script import ceiling_hz, counted, encoder_of, tip_pattern, write_script
+from candata.record.emulate_script import ceiling_hz, encoder_of, tip_pattern, to_counts, write_script
 from candata.schema.episode import Episode, EpisodeMeta
 
 XHAND = device("xhand")
@@ -52,13 +52,13 @@ def test_the_pattern_is_a_share_of_the_whole():
 
 def test_counts_are_rounded_and_clipped_and_the_clipped_are_counted():
     force = np.array([[[1.04, -1.06, 3.0]], [[12.74, -12.84, -0.04]], [[12.76, -12.86, -0.06]], [[0, 0, 25.56]]])
-    counts, clipped = counted(force, XHAND, 0.1)
+    counts, clipped = to_counts(force, XHAND, 0.1)
     assert counts[:, 0].tolist() == [[10, -11, 30], [127, -128, 0], [127, -128, 0], [0, 0, 255]]
     assert clipped.tolist() == [0, 0, 3, 1]
 
 
 def test_half_a_count_below_zero_is_no_clipped_count():
-    counts, clipped = counted(np.array([[0, 0, np.float32(-0.05)]]), XHAND, 0.1)
+    counts, clipped = to_counts(np.array([[0, 0, np.float32(-0.05)]]), XHAND, 0.1)
     assert counts.tolist() == [[0, 0, 0]]
     assert clipped.tolist() == [0]
 
@@ -68,8 +68,8 @@ def test_rows_are_the_devices_own_columns_by_name():
     script = write(episode, still_s=0)
     np.testing.assert_array_equal(script.joint_position, episode["joint_position"][:, 2:])
     np.testing.assert_array_equal(script.joint_target, episode["action"][:, :12])
-    np.testing.assert_array_equal(script.unwired["joint_position"], episode["joint_position"][:, :2])
-    np.testing.assert_array_equal(script.unwired["action"], episode["action"][:, 12:])
+    np.testing.assert_array_equal(script.unwired_channels["joint_position"], episode["joint_position"][:, :2])
+    np.testing.assert_array_equal(script.unwired_channels["action"], episode["action"][:, 12:])
     assert (script.unwired_joints, script.unwired_actuators) == (WRIST, WRIST)
     # Half a count, and the millionth of a count to which halves are decided.
     np.testing.assert_allclose(script.force_counts * 0.1, episode["fingertip_force"][:, ::-1], atol=0.0500002)
@@ -98,15 +98,17 @@ def test_the_total_is_counted_for_itself():
 def test_it_begins_still_and_untouched():
     episode = make()
     script = write(episode, still_s=3.5, rate_hz=83)
-    assert script.still == round(3.5 * 83)
-    still = slice(0, script.still)
-    assert len(script) == script.still + len(episode)
+    assert script.rest_rows == round(3.5 * 83)
+    still = slice(0, script.rest_rows)
+    assert len(script) == script.rest_rows + len(episode)
     assert not script.force_counts[still].any()
     assert not script.taxel_counts[still].any()
-    assert (script.joint_position[still] == script.joint_position[script.still]).all()
-    assert (script.joint_target[still] == script.joint_target[script.still]).all()
-    assert (script.unwired["object_pose"][still] == script.unwired["object_pose"][script.still]).all()
-    assert script.row[script.still :].tolist() == list(range(len(episode)))
+    assert (script.joint_position[still] == script.joint_position[script.rest_rows]).all()
+    assert (script.joint_target[still] == script.joint_target[script.rest_rows]).all()
+    assert (
+        script.unwired_channels["object_pose"][still] == script.unwired_channels["object_pose"][script.rest_rows]
+    ).all()
+    assert script.row[script.rest_rows :].tolist() == list(range(len(episode)))
 
 
 def test_another_scale_gives_other_counts():

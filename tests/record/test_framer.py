@@ -180,7 +180,7 @@ def test_ten_thousand_mutated_streams(sent):
         made = framer()
         place = int(rng.integers(0, len(stream) + 1))
         found = made.feed(stream[:place], 0) + made.feed(stream[place:], 1)
-        assert made.held_bytes < wire.LAYOUT.longest
+        assert made.held_bytes < wire.LAYOUT.longest_bytes
         found += made.finish()
         counts = made.counts
         assert counts["bytes"] == len(stream) == sum(len(f.data) for f in found) + counts["garbage_bytes"]
@@ -193,7 +193,7 @@ def test_ten_thousand_mutated_streams(sent):
 def test_any_bytes_are_survived_and_counted(pieces):
     made = framer()
     found = [frame for k, piece in enumerate(pieces) for frame in made.feed(piece, k)]
-    assert made.held_bytes < wire.LAYOUT.longest
+    assert made.held_bytes < wire.LAYOUT.longest_bytes
     found += made.finish()
     counts = made.counts
     assert counts["bytes"] == sum(map(len, pieces)) == sum(len(f.data) for f in found) + counts["garbage_bytes"]
@@ -204,7 +204,7 @@ def test_a_long_noise_is_not_kept():
     made = framer()
     for k in range(50):
         made.feed(np.random.default_rng(k).bytes(20_000), k)
-        assert made.held_bytes < wire.LAYOUT.longest
+        assert made.held_bytes < wire.LAYOUT.longest_bytes
     made.finish()
     assert made.counts["garbage_bytes"] == made.counts["bytes"] == 10**6
 

@@ -22,7 +22,7 @@ from tests.record.made_logs import (
     swing,
     without,
     wrist,
-)  # fmt: skip
+)
 
 
 def test_the_grid_has_the_rate_and_begins_when_all_have_begun():
@@ -176,8 +176,10 @@ def test_forces_are_calibrated_and_contact_follows_the_threshold():
     assert episode["fingertip_contact"][:, 1].sum() == 100
     assert episode["contact"].sum() == 100
     assert episode.meta.contact_rule.model_dump() == {
-        "method": "sum_abs", "threshold_n": 0.3, "newton_per_count": 0.1,
-    }  # fmt: skip
+        "method": "sum_abs",
+        "threshold_n": 0.3,
+        "newton_per_count": 0.1,
+    }
     half = import_log(
         "run.mcap", replace(log, force_counts=counts), RECIPE.model_copy(update={"newton_per_count": 0.05})
     )

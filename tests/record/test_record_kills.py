@@ -122,8 +122,9 @@ def test_a_hand_that_is_killed_leaves_a_log_that_says_so(tmp_path):
     """The other way round: the recorder waits for the port to come back, and ends in good order when told to."""
     with emulated(tmp_path) as (port, hand):
         log = tmp_path / "log.mcap"
-        with start("record-real", "--port", port, "--out", log, "--no-calibrate", "--plain", "--json",
-                   stdout=subprocess.PIPE) as recorder:  # fmt: skip
+        with start(
+            "record-real", "--port", port, "--out", log, "--no-calibrate", "--plain", "--json", stdout=subprocess.PIPE
+        ) as recorder:
             wait_until(lambda: log.exists() and log.stat().st_size > 30_000)
             hand.kill()
             hand.wait()

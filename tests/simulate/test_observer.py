@@ -8,7 +8,7 @@ import pytest
 from candata.rotation import difference, exp, multiply, normalise
 from candata.scenes import load_scene
 from candata.simulate import Observer, at_rest
-from candata.simulate.observer import AVERAGED, HEARD, Follower
+from candata.simulate.observer import ERROR_AVERAGE_SHARE, NOISE_SHARE, Follower
 
 COUNT, ROW = 12, 1
 
@@ -117,20 +117,20 @@ def pulled(scene, off, noise=NOISE, unseen=(), shake=0.0):
 
 
 def test_what_noise_can_explain_of_a_joint_is_left(hand):
-    off = pulled(hand, 0.9 * HEARD * NOISE)
+    off = pulled(hand, 0.9 * NOISE_SHARE * NOISE)
     np.testing.assert_array_equal(off, off[:1].repeat(ROWS, 0))
 
 
 def test_more_is_pulled_back_to_that_and_no_further(hand):
     off = pulled(hand, 10 * NOISE)
     assert (np.diff(off, axis=0) <= 0).all()
-    assert off[-1] == pytest.approx(HEARD * NOISE, rel=0.05)
+    assert off[-1] == pytest.approx(NOISE_SHARE * NOISE, rel=0.05)
     assert pulled(hand, 10 * NOISE, noise=0.0)[-1] == pytest.approx(0, abs=0.01 * NOISE)
 
 
 def test_the_average_of_an_error_takes_up_a_share_of_each_row(hand):
     off, gain = 10 * NOISE, Observer({}).joint_gain
-    first = off - gain * (AVERAGED * off - HEARD * NOISE)
+    first = off - gain * (ERROR_AVERAGE_SHARE * off - NOISE_SHARE * NOISE)
     assert pulled(hand, off)[1] == pytest.approx(first, rel=1e-12)
 
 

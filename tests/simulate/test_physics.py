@@ -163,8 +163,11 @@ def test_a_scaled_mass_weighs_more_on_the_fingertip(ball_over_plate):
 
 
 def test_forces_are_the_same_read_row_by_row(hand):
-    some = [[EffectSetting(name="tactile_lag", parameters={"timeconst_s": 0.05})], [],
-            [EffectSetting(name="time_step", parameters={"time_step_s": 0.001})]]  # fmt: skip
+    some = [
+        [EffectSetting(name="tactile_lag", parameters={"timeconst_s": 0.05})],
+        [],
+        [EffectSetting(name="time_step", parameters={"time_step_s": 0.001})],
+    ]
     plan = policy("squeeze").plan(hand, np.random.default_rng(3), 1.2)
     tile = [np.repeat(a[None], len(some), axis=0) for a in (plan.commands, plan.qpos, plan.qvel)]
     # A push of nothing is told each row's forces, so that none may be read together.

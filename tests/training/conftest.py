@@ -42,11 +42,22 @@ def make_batch(step: int, seed: int = 0) -> dict[str, torch.Tensor]:
 def make_run(**changes: object) -> Run:
     settings = {"steps": 60, "batch": 8, "learning_rate": 1e-2, "warm_up": 5, "validate_every": 20, "log_every": 5}
     return Run(
-        model="line", config={"width": 2}, sizes={"joints": 2}, joint_names=("a", "b"), dataset="d", digest="0" * 64,
-        version=1, split="default", split_digest="0", rate_hz=10.0, channels=("joint_position",),
-        units={"joint_position": "joint"}, normaliser={},
-        settings=Settings.model_validate(settings | changes), revision="0",
-    )  # fmt: skip
+        model="line",
+        config={"width": 2},
+        sizes={"joints": 2},
+        joint_names=("a", "b"),
+        dataset="d",
+        digest="0" * 64,
+        version=1,
+        split="default",
+        split_digest="0",
+        rate_hz=10.0,
+        channels=("joint_position",),
+        units={"joint_position": "joint"},
+        normaliser={},
+        settings=Settings.model_validate(settings | changes),
+        revision="0",
+    )
 
 
 def make_job(draw=make_batch, **changes: object) -> Job:

@@ -122,7 +122,7 @@ def test_the_average_is_that_of_diffusers():
 
     layer = torch.nn.Linear(3, 2)
     known = EMAModel(layer.parameters(), power=0.75, use_ema_warmup=True, inv_gamma=1.0)
-    ours = ema.averaged(layer.state_dict())
+    ours = ema.start_average(layer.state_dict())
     generator = torch.Generator().manual_seed(0)
     for step in range(30):
         with torch.no_grad():

@@ -13,15 +13,15 @@ import torch
 from candata.errors import DataError, SetupError, UnknownNameError, UsageError
 from candata.loaders import Augmentation, make_split, parse_mixture, save_split
 from candata.training import checkpoint, evaluation, jobs
-from candata.training.evaluation import Manner, evaluate
-from candata.training.jobs import Ask, prepare
+from candata.training.evaluation import EvaluationSettings, evaluate
+from candata.training.jobs import TrainRequest, prepare
 from candata.training.loop import train
 from candata.training.settings import Settings
 
 SETTINGS = Settings(steps=6, batch=8, validate_every=3, log_every=2)
 SMALL = {"latent": 16, "temporal_width": 16, "widths": (16, 16), "time_features": 8, "point_widths": (8, 16)}
-MLP = Ask("mlp", config={"width": 16, "layers": 1}, history=4, horizon=6)
-DIFFUSION = Ask("contact_diffusion", config=SMALL, history=4, horizon=6)
+MLP = TrainRequest("mlp", config={"width": 16, "layers": 1}, history=4, horizon=6)
+DIFFUSION = TrainRequest("contact_diffusion", config=SMALL, history=4, horizon=6)
 
 
 @pytest.fixture
@@ -38,8 +38,12 @@ def test_a_run_names_its_data(trained):
     assert (run["dataset"], run["digest"]) == ("glide", data.digest)
     assert run["joint_names"] == run["actuator_names"] == ["a", "b"]
     assert run["units"] == {
-        "object_pose": "m", "joint_position": "joint", "action": "joint", "contact": "1", "increments": "m, rad"
-    }  # fmt: skip
+        "object_pose": "m",
+        "joint_position": "joint",
+        "action": "joint",
+        "contact": "1",
+        "increments": "m, rad",
+    }
     assert run["normaliser"]["digest"] == data.digest
     assert run["sizes"] | {"history": 4, "horizon": 6, "points": 40} == run["sizes"]
     split = json.loads((folder / "split.json").read_text())
@@ -49,7 +53,7 @@ def test_a_run_names_its_data(trained):
 def test_diffusion_goes_on_bit_for_bit(tmp_path, trained):
     folder, data = trained
     answers = iter([False] * 4 + [True])
-    train(prepare(data, DIFFUSION, SETTINGS), tmp_path / "parts", stopped=lambda: next(answers))
+    train(prepare(data, DIFFUSION, SETTINGS), tmp_path / "parts", should_stop=lambda: next(answers))
     train(prepare(data, DIFFUSION, SETTINGS), tmp_path / "parts")
     whole, parts = (checkpoint.read(path / "last.safetensors") for path in (folder, tmp_path / "parts"))
     for group in ("weights", "ema", "optimiser"):
@@ -60,20 +64,20 @@ def test_diffusion_goes_on_bit_for_bit(tmp_path, trained):
 
 def test_evaluation_is_complete_and_repeatable(trained):
     folder, data = trained
-    found, tracks = evaluate(folder, data, Manner(samples=3, steps=2, execute=4))
+    found, tracks = evaluate(folder, data, EvaluationSettings(samples=3, steps=2, execute=4))
     assert list(found.forecasters) == ["contact_diffusion", "stays", "keeps_velocity"]
     assert (found.seen_episodes, found.episodes, found.contact_from) == (0, 1, "predicted")
     assert len(found.forecasters["contact_diffusion"].windows.position_error_m) == 6
     assert found.forecasters["keeps_velocity"].closed_loop.adds_auc > 0.99
     assert tracks[0].poses.keys() == found.forecasters.keys()
-    assert evaluate(folder, data, Manner(samples=3, steps=2, execute=4))[0] == found
+    assert evaluate(folder, data, EvaluationSettings(samples=3, steps=2, execute=4))[0] == found
     assert type(found).model_validate_json(found.model_dump_json()) == found
 
 
 def test_episodes_that_were_trained_on_are_counted(trained):
     folder, data = trained
-    assert evaluate(folder, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(folder, data, Manner("all", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(folder, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(folder, data, EvaluationSettings("all", 1, 1, 6))[0].seen_episodes == 8
 
 
 def test_a_checkpoint_alone_does_not_forget_what_it_was_trained_on(tmp_path, trained, dataset):
@@ -81,16 +85,16 @@ def test_a_checkpoint_alone_does_not_forget_what_it_was_trained_on(tmp_path, tra
     alone = tmp_path / "alone" / "model.safetensors"
     alone.parent.mkdir()
     alone.write_bytes((folder / "best.safetensors").read_bytes())
-    assert evaluate(alone, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(alone, dataset("other"), Manner("all", 1, 1, 6))[0].seen_episodes is None
+    assert evaluate(alone, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(alone, dataset("other"), EvaluationSettings("all", 1, 1, 6))[0].seen_episodes is None
 
 
 def test_episodes_of_the_first_run_are_not_forgotten_by_fine_tuning(tmp_path, trained, dataset):
     folder, data = trained
     tuned = tmp_path / "tuned"
-    train(prepare(dataset("other", episodes=3), Ask(init=folder), SETTINGS), tuned)
-    assert evaluate(tuned, data, Manner("train", 1, 1, 6))[0].seen_episodes == 8
-    assert evaluate(tuned, data, Manner("test", 1, 1, 6))[0].seen_episodes == 0
+    train(prepare(dataset("other", episodes=3), TrainRequest(init=folder), SETTINGS), tuned)
+    assert evaluate(tuned, data, EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == 8
+    assert evaluate(tuned, data, EvaluationSettings("test", 1, 1, 6))[0].seen_episodes == 0
 
 
 def test_a_split_that_is_damaged_or_anothers_is_refused(trained):
@@ -105,7 +109,7 @@ def test_a_split_that_is_damaged_or_anothers_is_refused(trained):
     ):
         path.write_bytes(text)
         with pytest.raises(UsageError, match=said):
-            evaluate(folder, data, Manner("test", 1, 1, 6))
+            evaluate(folder, data, EvaluationSettings("test", 1, 1, 6))
 
 
 def test_fingertips_that_are_replayed_are_said_to_be(trained):
@@ -120,7 +124,7 @@ def test_fingertips_that_are_replayed_are_said_to_be(trained):
 def test_a_model_without_contact(tmp_path, dataset):
     data = dataset(contact=False, cloud=False)
     train(prepare(data, MLP, SETTINGS), tmp_path / "run")
-    found, tracks = evaluate(tmp_path / "run", data, Manner(samples=2, execute=4))
+    found, tracks = evaluate(tmp_path / "run", data, EvaluationSettings(samples=2, execute=4))
     assert found.contact_from == "not read"
     assert found.gain == {}
     assert found.forecasters["mlp"].windows.contact is None
@@ -130,7 +134,7 @@ def test_a_model_without_contact(tmp_path, dataset):
 def test_fine_tuning_begins_with_the_averaged_weights(trained, dataset):
     folder, _ = trained
     other = dataset("other", episodes=12)
-    job = prepare(other, Ask(init=folder), SETTINGS)
+    job = prepare(other, TrainRequest(init=folder), SETTINGS)
     kept = checkpoint.read(folder)
     weights = job.module.state_dict()
     assert all(torch.equal(weights[name], value) for name, value in kept.tensors("ema").items())
@@ -142,22 +146,22 @@ def test_fine_tuning_begins_with_the_averaged_weights(trained, dataset):
 def test_fine_tuning_keeps_the_model(trained, dataset):
     folder, data = trained
     with pytest.raises(UsageError, match="fine-tuning keeps the model"):
-        prepare(data, Ask("mlp", init=folder), SETTINGS)
+        prepare(data, TrainRequest("mlp", init=folder), SETTINGS)
 
 
 def test_other_joints_are_refused_and_both_named(trained, dataset):
     folder, _ = trained
     other = dataset("other", joint_names=("a", "c"))
     with pytest.raises(UsageError, match=r"other joint names\n\s+expected: 2: a, b\n\s+found: 2: a, c"):
-        prepare(other, Ask(init=folder), SETTINGS)
+        prepare(other, TrainRequest(init=folder), SETTINGS)
     with pytest.raises(UsageError, match=r"expected: 2: a, b\n\s+found: 2: a, c"):
-        evaluate(folder, other, Manner())
+        evaluate(folder, other, EvaluationSettings())
 
 
 def test_another_horizon_is_refused(trained):
     folder, data = trained
     with pytest.raises(UsageError, match=r"other sizes\n\s+expected: .*horizon 6.*\n\s+found: .*horizon 5"):
-        prepare(data, Ask(init=folder, horizon=5), SETTINGS)
+        prepare(data, TrainRequest(init=folder, horizon=5), SETTINGS)
 
 
 def test_data_without_contact(dataset):
@@ -170,35 +174,43 @@ def test_a_horizon_longer_than_the_episodes(trained, dataset):
     with pytest.raises(DataError, match="no episode is long enough for a window"):
         prepare(dataset("short", rows=9, episodes=3), MLP, SETTINGS)
     with pytest.raises(DataError, match="no episode is long enough for a window"):
-        evaluate(folder, dataset("shorter", rows=7, episodes=3), Manner("all"))
+        evaluate(folder, dataset("shorter", rows=7, episodes=3), EvaluationSettings("all"))
 
 
 def test_an_empty_group_is_named(tmp_path, dataset):
     data = dataset()
     save_split(data, make_split(data, {"val": 0.5, "test": 0.5}), "none")
     with pytest.raises(DataError, match="the group train of the split is empty"):
-        prepare(data, Ask("mlp", split="none"), SETTINGS)
+        prepare(data, TrainRequest("mlp", split="none"), SETTINGS)
     save_split(data, make_split(data, {"train": 1.0}), "all")
-    train(prepare(data, Ask("mlp", config=MLP.config, history=4, horizon=6, split="all"), SETTINGS), tmp_path / "run")
+    train(
+        prepare(data, TrainRequest("mlp", config=MLP.config, history=4, horizon=6, split="all"), SETTINGS),
+        tmp_path / "run",
+    )
     assert not (tmp_path / "run" / "best.safetensors").exists()
     with pytest.raises(DataError, match="the group test of the split is empty"):
-        evaluate(tmp_path / "run", data, Manner())
+        evaluate(tmp_path / "run", data, EvaluationSettings())
 
 
 def test_unknown_names_list_the_known(dataset):
     data = dataset()
     with pytest.raises(UnknownNameError, match="did you mean 'mlp'"):
-        prepare(data, Ask("mpl"), SETTINGS)
+        prepare(data, TrainRequest("mpl"), SETTINGS)
     with pytest.raises(UnknownNameError, match="base, paper, small"):
-        prepare(data, Ask("mlp", preset="smal"), SETTINGS)
+        prepare(data, TrainRequest("mlp", preset="smal"), SETTINGS)
     with pytest.raises(UsageError, match="widht"):
-        prepare(data, Ask("mlp", config={"widht": 3}), SETTINGS)
+        prepare(data, TrainRequest("mlp", config={"widht": 3}), SETTINGS)
     with pytest.raises(UsageError, match="no model"):
-        prepare(data, Ask(), SETTINGS)
+        prepare(data, TrainRequest(), SETTINGS)
 
 
 @pytest.mark.parametrize(
-    ("manner", "name"), [(Manner(samples=0), "samples"), (Manner(steps=101), "steps"), (Manner(execute=7), "execute")]
+    ("manner", "name"),
+    [
+        (EvaluationSettings(samples=0), "samples"),
+        (EvaluationSettings(steps=101), "steps"),
+        (EvaluationSettings(execute=7), "execute"),
+    ],
 )
 def test_numbers_out_of_range(trained, manner, name):
     with pytest.raises(UsageError, match=f"--{name} is out of range"):
@@ -207,7 +219,7 @@ def test_numbers_out_of_range(trained, manner, name):
 
 def test_an_unknown_group(trained):
     with pytest.raises(UnknownNameError, match="all, test, train, val"):
-        evaluate(*trained, Manner("tset"))
+        evaluate(*trained, EvaluationSettings("tset"))
 
 
 def test_no_such_device(monkeypatch):
@@ -257,20 +269,20 @@ def test_a_run_on_a_mixture_names_its_sources(mixture):
 def test_a_run_on_a_mixture_is_evaluated_by_the_split_of_each_source(mixture):
     folder, sources, _ = mixture
     for name, train_episodes in (("glide", 8), ("real", 10)):
-        assert evaluate(folder, sources[name], Manner("test", 1, 1, 6))[0].seen_episodes == 0
-        assert evaluate(folder, sources[name], Manner("train", 1, 1, 6))[0].seen_episodes == train_episodes
+        assert evaluate(folder, sources[name], EvaluationSettings("test", 1, 1, 6))[0].seen_episodes == 0
+        assert evaluate(folder, sources[name], EvaluationSettings("train", 1, 1, 6))[0].seen_episodes == train_episodes
     split = json.loads((folder / "split.json").read_text())
     split["splits"]["real"] = split["splits"]["glide"]
     (folder / "split.json").write_text(json.dumps(split))
     with pytest.raises(UsageError, match="of another run"):
-        evaluate(folder, sources["real"], Manner("test", 1, 1, 6))
+        evaluate(folder, sources["real"], EvaluationSettings("test", 1, 1, 6))
 
 
 def test_a_run_on_a_mixture_goes_on_and_refuses_other_shares(tmp_path, mixture):
     folder, sources, _ = mixture
     answers = iter([False] * 4 + [True])
     ask = replace(MLP, **MIX)
-    train(prepare(sources, ask, SETTINGS), tmp_path / "parts", stopped=lambda: next(answers))
+    train(prepare(sources, ask, SETTINGS), tmp_path / "parts", should_stop=lambda: next(answers))
     train(prepare(sources, ask, SETTINGS), tmp_path / "parts")
     whole, parts = (
         checkpoint.read(path / "last.safetensors").tensors("weights") for path in (folder, tmp_path / "parts")
@@ -320,7 +332,7 @@ def test_the_method_of_the_normaliser_is_chosen_once(trained, dataset):
     batch["history/joint_position"] = batch["history/joint_position"] + 1e6
     assert job.module.reader(batch).history.abs().max() < 1e4
     with pytest.raises(UsageError, match="fine-tuning keeps the normaliser"):
-        prepare(trained[1], Ask(init=trained[0], normaliser="std"), SETTINGS)
+        prepare(trained[1], TrainRequest(init=trained[0], normaliser="std"), SETTINGS)
     with pytest.raises(UnknownNameError, match="did you mean 'quantile'"):
         prepare(trained[1], replace(MLP, normaliser="quantil"), SETTINGS)
 
@@ -329,7 +341,7 @@ def test_data_without_clouds_are_evaluated_by_a_model_that_reads_none(tmp_path, 
     folder, data = trained
     bare = dataset("bare", cloud=False)
     train(prepare(data, MLP, SETTINGS), tmp_path / "mlp")
-    found, _ = evaluate(tmp_path / "mlp", bare, Manner("all", 1, 1, 6))
+    found, _ = evaluate(tmp_path / "mlp", bare, EvaluationSettings("all", 1, 1, 6))
     assert found.episodes == 10
     with pytest.raises(UsageError, match="made for other sizes"):
-        evaluate(folder, bare, Manner("all", 1, 1, 6))
+        evaluate(folder, bare, EvaluationSettings("all", 1, 1, 6))

@@ -43,8 +43,11 @@ def test_it_learns_and_leaves_a_run(tmp_path, job):
     assert lines[-1]["loss"] < 1e-3
     assert progress.step == 400
     assert {p.name for p in (tmp_path / "run").iterdir()} == {
-        "run.json", "log.jsonl", "last.safetensors", "best.safetensors"
-    }  # fmt: skip
+        "run.json",
+        "log.jsonl",
+        "last.safetensors",
+        "best.safetensors",
+    }
     wanted = {"step", "loss", "rotation", "learning_rate", "gradient_norm", "windows_per_s", "wait_share", "elapsed_s"}
     assert wanted <= lines[0].keys()
 
@@ -52,7 +55,7 @@ def test_it_learns_and_leaves_a_run(tmp_path, job):
 def test_a_run_that_was_stopped_goes_on_bit_for_bit(tmp_path, job):
     train(job(), tmp_path / "whole")
     answers = iter([False] * 33 + [True])
-    assert train(job(), tmp_path / "parts", stopped=lambda: next(answers)).step == 33
+    assert train(job(), tmp_path / "parts", should_stop=lambda: next(answers)).step == 33
     assert train(job(), tmp_path / "parts").step == 60
     for name in ("last.safetensors", "best.safetensors"):
         assert same(tmp_path / "whole" / name, tmp_path / "parts" / name)
@@ -208,8 +211,10 @@ def test_a_torn_log_is_whole_again(tmp_path):
     with StepLog(tmp_path, 10) as log:
         log.write(step=12)
     assert [json.loads(line) for line in path.read_text().splitlines()] == [
-        {"step": 5, "loss": 0.5}, {"step": 10, "loss": None}, {"step": 12}
-    ]  # fmt: skip
+        {"step": 5, "loss": 0.5},
+        {"step": 10, "loss": None},
+        {"step": 12},
+    ]
 
 
 @pytest.mark.hard
@@ -228,7 +233,7 @@ def test_of_two_that_train_into_one_folder_the_second_is_refused_and_changes_not
         assert json.loads((tmp_path / "run" / "run.json").read_text())["settings"]["steps"] == 10_000
         worker.kill()
     answers = iter([False, True])  # the system has released the lock of the killed one
-    assert train(job(steps=10_000), tmp_path / "run", stopped=lambda: next(answers)).step > 1
+    assert train(job(steps=10_000), tmp_path / "run", should_stop=lambda: next(answers)).step > 1
 
 
 @pytest.mark.hard

@@ -16,7 +16,7 @@ from candata.schema.manifest import Lineage
 from candata.training import metrics, scoring
 from candata.training.forecasters import BASELINES, Answer, KeepsVelocity, Stays
 from candata.training.poses import position_error
-from candata.training.rollout import close_loop, course, shown
+from candata.training.rollout import close_loop, course, evenly_ranked
 
 SPEED_M_S = float(np.linalg.norm([0.05, -0.02, 0.01]))
 
@@ -230,5 +230,5 @@ def test_tracks_begin_with_the_row_last_observed(glide):
 
 
 def test_the_episodes_shown_are_spread_from_worst_to_best():
-    assert shown([5.0, 1.0, 3.0, 2.0, 4.0], 3) == [1, 2, 0]
-    assert shown([1.0], 4) == [0]
+    assert evenly_ranked([5.0, 1.0, 3.0, 2.0, 4.0], 3) == [1, 2, 0]
+    assert evenly_ranked([1.0], 4) == [0]

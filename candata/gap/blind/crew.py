@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from typing import Any, Protocol, TypeVar
 
-from candata.simulate.pool import spawned, submitted
+from candata.simulate.pool import spawned_pool, submit_tasks
 
 T = TypeVar("T")
 
@@ -32,7 +32,7 @@ def local(jobs: int) -> Crew:
         if len(tasks) < 2:
             yield from alone(work, tasks)
             return
-        with spawned(min(jobs, len(tasks))) as pool:
-            yield from (done.result() for done in as_completed(submitted(pool, work, tasks)))
+        with spawned_pool(min(jobs, len(tasks))) as pool:
+            yield from (done.result() for done in as_completed(submit_tasks(pool, work, tasks)))
 
     return crew

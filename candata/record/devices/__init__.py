@@ -21,5 +21,5 @@ def device(name: str) -> Device:
     UnknownNameError
         When there is none; lists those there are.
     """
-    found: Device = load(PACKAGE, "DEVICE", name)
-    return found
+    registered_device: Device = load(PACKAGE, "DEVICE", name)
+    return registered_device

@@ -40,8 +40,8 @@ class Layout:
     head: bytes
     prefix: int
     size: Callable[[bytes], int]
-    longest: int
-    sound: Callable[[bytes], bool]
+    longest_bytes: int
+    checksum_ok: Callable[[bytes], bool]
     kind: Callable[[bytes], Literal["command", "state", "other"]]
     baud: int
 
@@ -134,19 +134,19 @@ class HeadFramer:
 
     def _cut(self, frames: list[Frame], begin: int) -> int:
         """Add the whole frames from `begin` on; return where the unfinished rest begins."""
-        held, layout = self._held, self._layout
+        buffer, layout = self._held, self._layout
         while True:
             begin = self._skip(begin, self._next_head(begin))
-            if begin + layout.prefix > len(held):
+            if begin + layout.prefix > len(buffer):
                 return begin
-            size = layout.size(bytes(held[begin : begin + layout.prefix]))
+            size = layout.size(bytes(buffer[begin : begin + layout.prefix]))
             end = begin + size
-            if size > layout.longest:
+            if size > layout.longest_bytes:
                 self._counts["oversize"] += 1
                 begin = self._skip(begin, begin + 1)
-            elif end > len(held):
+            elif end > len(buffer):
                 return begin
-            elif layout.sound(data := bytes(memoryview(held)[begin:end])):
+            elif layout.checksum_ok(data := bytes(memoryview(buffer)[begin:end])):
                 frames.append(Frame(layout.kind(data), data, self._stamp(end, size)))
                 self._counts["frames"] += 1
                 begin = end
@@ -156,14 +156,14 @@ class HeadFramer:
 
     def _next_head(self, begin: int) -> int:
         """Return where the next head begins, whole or cut off by the end of what is held."""
-        head, held = self._layout.head, self._held
-        found = held.find(head, begin)
-        if found >= 0:
-            return found
-        for length in range(min(len(head) - 1, len(held) - begin), 0, -1):
-            if held.endswith(head[:length]):
-                return len(held) - length
-        return len(held)
+        head, buffer = self._layout.head, self._held
+        position = buffer.find(head, begin)
+        if position >= 0:
+            return position
+        for length in range(min(len(head) - 1, len(buffer) - begin), 0, -1):
+            if buffer.endswith(head[:length]):
+                return len(buffer) - length
+        return len(buffer)
 
     def _skip(self, begin: int, end: int) -> int:
         """Count the bytes between as garbage; return `end`."""
@@ -176,9 +176,9 @@ class HeadFramer:
         The read that brought its last byte may have brought bytes behind it: they came later on the wire.
         """
         position = self._base + end
-        read = bisect_left(self._ends, position)
-        behind = self._ends[read] - position
-        stamp = self._stamps[read] - wire_time_ns(behind + size, self._layout.baud)
+        read_index = bisect_left(self._ends, position)
+        later_bytes = self._ends[read_index] - position
+        stamp = self._stamps[read_index] - wire_time_ns(later_bytes + size, self._layout.baud)
         if self._last_stamp is not None:
             stamp = max(stamp, self._last_stamp + 1)
         self._last_stamp = stamp
@@ -188,5 +188,5 @@ class HeadFramer:
         """Forget the first `count` held bytes and the reads that ended there."""
         del self._held[:count]
         self._base += count
-        old = bisect_left(self._ends, self._base + 1)
-        del self._ends[:old], self._stamps[:old]
+        read_count = bisect_left(self._ends, self._base + 1)
+        del self._ends[:read_count], self._stamps[:read_count]

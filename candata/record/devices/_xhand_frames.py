@@ -29,13 +29,25 @@ JOINTS, FINGERTIPS, TAXELS = 12, 5, 120
 _PREFIX = [("head", "u1", 2), ("source", "u1"), ("target", "u1"), ("command", "u1"), ("length", "<u2")]
 _COUNTS = [("x", "i1"), ("y", "i1"), ("z", "u1")]
 _JOINT_COMMAND = [
-    ("id", "<u2"), ("kp", "<i2"), ("ki", "<i2"), ("kd", "<i2"), ("position", "<f4"),
-    ("tor_max", "<u2"), ("mode", "<u2"), ("reserved", "<u2", 4),
-]  # fmt: skip
+    ("id", "<u2"),
+    ("kp", "<i2"),
+    ("ki", "<i2"),
+    ("kd", "<i2"),
+    ("position", "<f4"),
+    ("tor_max", "<u2"),
+    ("mode", "<u2"),
+    ("reserved", "<u2", 4),
+]
 _JOINT_STATE = [
-    ("id", "u1"), ("sensor", "u1"), ("position", "<f4"), ("current", "<i2"), ("raw_position", "<u2"),
-    ("temperature", "<u2"), ("errors", "<u2", 3), ("reserved", "<u2", 3),
-]  # fmt: skip
+    ("id", "u1"),
+    ("sensor", "u1"),
+    ("position", "<f4"),
+    ("current", "<i2"),
+    ("raw_position", "<u2"),
+    ("temperature", "<u2"),
+    ("errors", "<u2", 3),
+    ("reserved", "<u2", 3),
+]
 _FINGERTIP = [("force", _COUNTS), ("taxels", _COUNTS, TAXELS), ("temperature", "u1", 20), ("mean_temperature", "u1")]
 #: A whole command frame: position [rad], tor_max [mA], mode 0 passive, 3 position, 5 force.
 COMMAND = np.dtype([*_PREFIX, ("joints", _JOINT_COMMAND, JOINTS), ("crc", "<u2")])
@@ -65,13 +77,19 @@ def _size(prefix: bytes) -> int:
     return PREFIX + int.from_bytes(prefix[5:7], "little") + CHECK
 
 
-def _sound(frame: bytes) -> bool:
+def _checksum_ok(frame: bytes) -> bool:
     """Tell whether the check sum of a whole frame is right."""
     return crc_hqx(memoryview(frame)[:-CHECK], 0) == frame[-2] | frame[-1] << 8
 
 
 LAYOUT = Layout(
-    head=HEAD, prefix=PREFIX, size=_size, longest=PREFIX + PAYLOAD_MAX + CHECK, sound=_sound, kind=kind_of, baud=BAUD
+    head=HEAD,
+    prefix=PREFIX,
+    size=_size,
+    longest_bytes=PREFIX + PAYLOAD_MAX + CHECK,
+    checksum_ok=_checksum_ok,
+    kind=kind_of,
+    baud=BAUD,
 )
 
 
@@ -100,7 +118,7 @@ def command_frames(joint_target: ArrayLike, hand: int = 0) -> list[bytes]:
     UsageError
         When the shape is another.
     """
-    target = _shaped("joint_target", joint_target, (JOINTS,))
+    target = _check_shape("joint_target", joint_target, (JOINTS,))
     frames = _blank(COMMAND, len(target), HOST, DEVICE_BIT | hand)
     joints = frames["joints"]
     joints["id"] = np.arange(JOINTS)
@@ -129,12 +147,12 @@ def state_frames(
     UsageError
         When a shape is another, the lengths differ, or a count is out of range.
     """
-    position = _shaped("joint_position", joint_position, (JOINTS,))
-    force = _shaped("force_counts", force_counts, (FINGERTIPS, 3))
-    taxels = _shaped("taxel_counts", taxel_counts, (FINGERTIPS, TAXELS, 3))
+    position = _check_shape("joint_position", joint_position, (JOINTS,))
+    force = _check_shape("force_counts", force_counts, (FINGERTIPS, 3))
+    taxels = _check_shape("taxel_counts", taxel_counts, (FINGERTIPS, TAXELS, 3))
     if not len(position) == len(force) == len(taxels):
-        found = f"{len(position)}, {len(force)}, {len(taxels)} rows"
-        raise UsageError("a state needs joints, forces and taxels of as many rows", found=found)
+        row_counts = f"{len(position)}, {len(force)}, {len(taxels)} rows"
+        raise UsageError("a state needs joints, forces and taxels of as many rows", found=row_counts)
     # The reply's ids are not settled: the request's, turned round.
     frames = _blank(STATE, len(position), DEVICE_BIT | hand, HOST)
     joints, tips = frames["joints"], frames["tips"]
@@ -146,20 +164,24 @@ def state_frames(
     return _sealed(frames)
 
 
-def _shaped(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray:
+def _check_shape(name: str, values: ArrayLike, shape: tuple[int, ...]) -> NDArray:
     """Return `values` as an array of rows of `shape`."""
     array = np.asarray(values)
     if array.shape[1:] != shape or array.ndim != len(shape) + 1:
-        raise UsageError(f"{name} has the wrong shape", expected=f"(n, {', '.join(map(str, shape))})",
-                         found=str(array.shape))  # fmt: skip
+        raise UsageError(
+            f"{name} has the wrong shape", expected=f"(n, {', '.join(map(str, shape))})", found=str(array.shape)
+        )
     return array
 
 
 def _put_counts(place: NDArray, name: str, counts: NDArray) -> None:
     """Write counts along x, y, z, which must lie in their range."""
     if counts.size and ((counts < COUNT_LOW).any() or (counts > COUNT_HIGH).any()):
-        raise UsageError(f"{name} is out of range", expected=f"{COUNT_LOW} .. {COUNT_HIGH}",
-                         found=f"{counts.min()} .. {counts.max()}")  # fmt: skip
+        raise UsageError(
+            f"{name} is out of range",
+            expected=f"{COUNT_LOW} .. {COUNT_HIGH}",
+            found=f"{counts.min()} .. {counts.max()}",
+        )
     for axis, field in enumerate("xyz"):
         place[field] = counts[..., axis]
 

@@ -18,9 +18,19 @@ from candata.record.devices._wire import Encoder, HeadFramer
 
 #: In the order of the ids on the wire, which is that of the scene's hand.
 JOINT_NAMES = (
-    "thumb_bend", "thumb_rota1", "thumb_rota2", "index_bend", "index1", "index2",
-    "mid1", "mid2", "ring1", "ring2", "pinky1", "pinky2",
-)  # fmt: skip
+    "thumb_bend",
+    "thumb_rota1",
+    "thumb_rota2",
+    "index_bend",
+    "index1",
+    "index2",
+    "mid1",
+    "mid2",
+    "ring1",
+    "ring2",
+    "pinky1",
+    "pinky2",
+)
 FINGERTIP_NAMES = ("thumb_rota2", "index2", "mid2", "ring2", "pinky2")
 #: Two public users of the raw counts scale by it; the paper of the hand states a resolution of 0.05 N. A setting.
 NEWTON_PER_COUNT = 0.1
@@ -64,10 +74,10 @@ def decode_commands(frames: Sequence[bytes]) -> Commands:
 
 def _rows(frames: Sequence[bytes], layout: np.dtype, kind: str) -> NDArray:
     """Return the frames as an array of records."""
-    odd = next((frame for frame in frames if len(frame) != layout.itemsize), None)
-    if odd is not None:
+    odd_frame = next((frame for frame in frames if len(frame) != layout.itemsize), None)
+    if odd_frame is not None:
         expected = f"{layout.itemsize} bytes"
-        raise DataError(f"a frame is no {kind} frame", expected=expected, found=f"{len(odd)} bytes")
+        raise DataError(f"a frame is no {kind} frame", expected=expected, found=f"{len(odd_frame)} bytes")
     return np.frombuffer(b"".join(frames), layout)
 
 
