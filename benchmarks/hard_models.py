@@ -15,6 +15,7 @@ import argparse
 import os
 import random
 import re
+import resource
 import struct
 import subprocess
 import sys
@@ -22,6 +23,7 @@ import tempfile
 import threading
 import time
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -72,6 +74,12 @@ def stl(triangles: int, *vertices: float) -> bytes:
     """Return a binary STL that says how many triangles it holds; the vertices are those that it does hold."""
     body = b"".join(struct.pack("<12fH", 0, 0, 0, *vertices[k : k + 9], 0) for k in range(0, len(vertices), 9))
     return bytes(80) + struct.pack("<I", triangles) + body
+
+
+def png_header(width: int, height: int) -> bytes:
+    """Return the part of a PNG that says how large it is."""
+    part = b"IHDR" + struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
+    return struct.pack(">I", 13) + part + struct.pack(">I", zlib.crc32(part))
 
 
 def special(make_file: Callable[[Path], object], asset: str = "") -> Maker:
@@ -179,6 +187,9 @@ CASES: dict[str, Maker] = {
         model__xml=mjcf(assets='<model name="x" file="n.xml"/>'),
         n__xml=mjcf(assets='<model name="x" file="model.xml"/>'),
     ),
+    "attaches itself, behind a byte of no UTF-8": written(
+        mjcf("<!-- @ -->", assets='<model name="x" file="model.xml"/>').encode().replace(b"@", b"\xff")
+    ),
     "includes itself": written(mjcf('<include file="model.xml"/>')),
     "two include one another": files(
         model__xml=mjcf('<include file="n.xml"/>'), n__xml='<mujocoinclude><include file="model.xml"/></mujocoinclude>'
@@ -220,10 +231,20 @@ CASES: dict[str, Maker] = {
     "texture of 1e10": written(
         mjcf(assets='<texture name="t" type="2d" builtin="flat" width="100000" height="100000"/>')
     ),
+    "builtin sphere cut 40 times": written(mjcf(assets='<mesh name="m" builtin="sphere" params="40"/>')),
+    "texture drawn on a grid of 1e9": written(
+        mjcf(assets='<texture name="t" type="cube" builtin="flat" width="1" height="6" gridsize="1000000000 1"/>')
+    ),
+    "sensor of 2e9 numbers": written(mjcf(after='<sensor><user dim="2000000000"/></sensor>')),
+    "2e9 keyframes": written(mjcf(after='<size nkey="2000000000"/>')),
+    "custom number of 2e9": written(mjcf(after='<custom><numeric name="n" size="2000000000"/></custom>')),
+    "2e9 starts of a search for contact": written(mjcf(option=STEP.format("0.0125") + ' sdf_initpoints="2000000000"')),
+    "-5 copies": written(mjcf('<replicate count="-5"><geom size=".1"/></replicate>')),
+    "skin of noise": files(
+        x__skn=random.Random(2).randbytes(5000), model__xml=mjcf(after='<deformable><skin file="x.skn"/></deformable>')
+    ),
     "picture of 1e10 in its header": files(
-        t__png=b"\x89PNG\r\n\x1a\n"
-        + struct.pack(">I4s2IBBBBB", 13, b"IHDR", 100_000, 100_000, 8, 2, 0, 0, 0)
-        + b"\0\0\0\0",
+        t__png=b"\x89PNG\r\n\x1a\n" + png_header(100_000, 100_000),
         model__xml=mjcf(assets='<texture name="t" type="2d" file="t.png"/>'),
     ),
     "arena of 900 TB": written(mjcf(after='<size memory="900T"/>')),
@@ -346,6 +367,7 @@ class Answer(NamedTuple):
     line: str
     clear: bool
     seconds: float
+    cpu_s: float
     peak_bytes: int
 
 
@@ -358,7 +380,7 @@ def show(folder: Path, place: Path) -> Answer:
     (folder / "scene.yaml").write_text(text)
     before = sorted(os.listdir(folder))
     env = os.environ | {"XDG_CACHE_HOME": str(place / "cache"), "PYTHONPATH": str(ROOT)}
-    begun = time.monotonic()
+    begun, before_s = time.monotonic(), cpu_of_children()
     with subprocess.Popen(
         [sys.executable, "-m", "candata_cli.main", "scene", "show", "scene.yaml"],
         cwd=folder,
@@ -373,12 +395,20 @@ def show(folder: Path, place: Path) -> Answer:
         watching.start()
         _, said = process.communicate()
         watching.join()
-    seconds = time.monotonic() - begun
+    seconds, cpu_s = time.monotonic() - begun, cpu_of_children() - before_s
     lines = [line for line in said.splitlines() if not re.match(r"model .* is loaded", line)]
     error = process.returncode == 2 and bool(lines)
     clear = (error or process.returncode == 0) and "Traceback" not in said and sorted(os.listdir(folder)) == before
     line = "loads" if process.returncode == 0 else next(iter(lines), "")
-    return Answer(process.returncode, line, clear and seconds <= LIMIT_S and peak[0] <= LIMIT_BYTES, seconds, peak[0])
+    return Answer(
+        process.returncode, line, clear and seconds <= LIMIT_S and peak[0] <= LIMIT_BYTES, seconds, cpu_s, peak[0]
+    )
+
+
+def cpu_of_children() -> float:
+    """Return the CPU time of all processes that have ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def watch(process: subprocess.Popen[str], peak: list[int], ends_s: float) -> None:
@@ -413,7 +443,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="", help="words that the kinds hold, comma-separated")
     words = parser.parse_args().only.split(",")
-    print(f"{'kind':36}  exit  seconds    MB  first line")
+    print(f"{'kind':36}  exit  seconds  CPU s    MB  first line")
     unclear = []
     chosen = [kind for kind in CASES if any(word in kind for word in words)]
     for kind in chosen:
@@ -425,7 +455,7 @@ def main() -> None:
         if not answer.clear:
             unclear.append(kind)
         mark = " " if answer.clear else "*"
-        numbers = f"{answer.code:4}{mark} {answer.seconds:8.1f}  {answer.peak_bytes / 1e6:4.0f}"
+        numbers = f"{answer.code:4}{mark} {answer.seconds:8.1f}  {answer.cpu_s:5.1f}  {answer.peak_bytes / 1e6:4.0f}"
         print(f"{kind:36}  {numbers}  {answer.line[:110]!r}", flush=True)
     print(f"{len(chosen)} models: {len(chosen) - len(unclear)} clear errors or scenes; target: all")
     if unclear:

@@ -21,8 +21,11 @@ from candata.scenes.model_file import MODEL_ERRORS, parsed, silent
 
 #: Steps that are tried. Chosen: what keeps a solver busy does so as soon as there is contact; ten take no time.
 STEPS = 10
-#: What is said where memory does not suffice, by MuJoCo, by its reader of pictures, and of C++.
-_WANTS_MEMORY = ("alloc", "memory", "unknown exception")
+#: What MuJoCo 4.0.0 says where memory does not suffice: itself, by its reader of pictures, and of what C++ throws.
+_WANTS_MEMORY = (
+    *("could not allocate", "failed to allocate", "allocation failed", "insufficient memory"),
+    *("bad_alloc", "unknown exception"),
+)
 
 Stage = Literal["read", "compile", "step"]
 #: Loaded; refused with an error that reading the model again repeats; out of memory; or of no use to a simulation.
@@ -38,7 +41,8 @@ def main(path: str, seconds: str, room_bytes: str) -> None:
     _bound(float(seconds), int(room_bytes))
 
     def say(line: str) -> None:
-        print(line, file=words, flush=True)
+        words.write(f"{line}\n")
+        words.flush()
 
     with silent():
         say(json.dumps(_loaded(Path(path), say)))
@@ -71,7 +75,7 @@ def _loaded(path: Path, say: Callable[[Stage], None]) -> tuple[Ending, str]:
         say("compile")
         model = spec.compile()
     except (CandataError, *MODEL_ERRORS) as error:
-        text = " ".join(str(error).split())
+        text = " ".join((error.problem if isinstance(error, CandataError) else str(error)).split())
         wants = isinstance(error, MemoryError) or any(word in text.lower() for word in _WANTS_MEMORY)
         return "memory" if wants else "refused", text
     say("step")

@@ -18,6 +18,8 @@ from candata.scenes.model_text import check_text
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 #: Kinds of elements whose names a scene may read.
 _NAMED = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
+#: Kinds of elements that may be read from a file.
+_OF_FILES = ("meshes", "hfields", "textures", "skins")
 
 
 def model_path(path: Path, model: str) -> Path:
@@ -77,6 +79,9 @@ def parsed(path: Path) -> mujoco.MjSpec:
         for kind in _NAMED:
             # A name is decoded when it is read.
             [element.name for element in getattr(spec, kind)]
+        resolve_meshes(spec, path)
+        # So is the path of a file.
+        [element.file for kind in _OF_FILES for element in getattr(spec, kind)]
     except UnicodeDecodeError as error:
         raise SceneError(
             f"model {path.name} has a name that is not UTF-8",
@@ -89,7 +94,6 @@ def parsed(path: Path) -> mujoco.MjSpec:
         raise SceneError(
             f"model {path.name} cannot be read: {text}", where=Where(path=str(path)), fix=_remedy(text)
         ) from None
-    resolve_meshes(spec, path)
     return spec
 
 

@@ -239,6 +239,21 @@ def test_two_files_that_include_one_another(folder):
     assert "already included" in refusal(put(folder, mjcf('<include file="b.xml"/>')))[0]
 
 
+def test_a_model_that_crashes_mujoco(folder):
+    text = mjcf("<!-- @ -->", '<model name="x" file="a.xml"/>').encode().replace(b"@", b"\xff")
+    scene = put(folder, "")
+    (folder / "a.xml").write_bytes(text)
+    lines = refusal(scene)
+    assert lines[0] == "model a.xml crashes MuJoCo"
+    assert lines[2] == "  found: SIGSEGV while it is read"
+
+
+def test_a_file_whose_name_is_not_utf_8(folder):
+    scene = put(folder, "")
+    (folder / "a.xml").write_bytes(mjcf(assets='<mesh name="m" file="@.stl"/>').encode().replace(b"@", b"\xff"))
+    assert refusal(scene)[0] == "model a.xml has a name that is not UTF-8"
+
+
 BUSY = mjcf('<replicate count="9000" offset="0 0 1"><body><joint/><geom size=".1"/></body></replicate>')
 
 
