@@ -29,7 +29,7 @@ from candata.user_folders import user_cache
 #: takes 8 s, and a user should not wait longer for an error; the variable stands above it.
 LIMIT_S, LIMIT_S_VARIABLE = 20.0, "CANDATA_MODEL_SECONDS"
 #: Memory that a first load may take [bytes], where the system can bound it (Linux). Chosen: the most that `model_text`
-#: lets through takes 2 GB.
+#: lets through takes 1.6 GB.
 LIMIT_BYTES, LIMIT_GB_VARIABLE = 4_000_000_000, "CANDATA_MODEL_GB"
 #: Time that the process may take to start [s]: a Python with mujoco, 0.3 s on a quiet machine.
 START_S = 60.0

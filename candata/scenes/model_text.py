@@ -35,11 +35,14 @@ def check_text(path: Path) -> None:
             found="a .mjb file",
             where=Where(path=str(path)),
         )
-    _check_file(path, path.parent, (), 1)
+    _check_file(path, path.parent, (), 0, 1)
 
 
-def _check_file(path: Path, base: Path, above: tuple[Path, ...], copies: int) -> None:
-    """Check one file and those that it attaches or includes, beside `base`; `above` are the files that led to it."""
+def _check_file(path: Path, base: Path, above: tuple[Path, ...], document: int, copies: int) -> None:
+    """Check one file and those that it attaches or includes, beside `base`.
+
+    `above` are the files that led to it; those from `document` on include one another, and are one document.
+    """
     own = path.resolve()
     above = (*above, own)
     if len(above) > MOST_NESTED:
@@ -55,12 +58,14 @@ def _check_file(path: Path, base: Path, above: tuple[Path, ...], copies: int) ->
             raise too_large(path, found, f"at most {MOST_SAMPLES:,} samples")
         if node.tag not in ("model", "include") or not (child := base / node.get("file", "")).is_file():
             continue
-        attached = node.tag == "model"
-        if child.resolve() not in above:
-            _check_file(child, child.parent if attached else base, above, count)
-        elif attached:
-            # A file that includes itself is found by MuJoCo.
+        if node.tag == "include" and child.resolve() in above[document:]:
+            continue  # MuJoCo finds by itself a file that includes itself
+        if child.resolve() in above:
             raise _attached_to_itself(path, (*above[above.index(child.resolve()) :], child))
+        if node.tag == "include":
+            _check_file(child, base, above, document, count)
+        else:
+            _check_file(child, child.parent, above, len(above), count)
 
 
 def _attached_to_itself(path: Path, chain: tuple[Path, ...]) -> SceneError:
