@@ -32,13 +32,13 @@ Stage = Literal["read", "compile", "step"]
 Ending = Literal["loaded", "refused", "memory", "unusable"]
 
 
-def main(path: str, seconds: str, room_bytes: str) -> None:
+def main(path: str, cpu_s: str, clock_s: str, room_bytes: str) -> None:
     """Load a model, and say on stdout how that goes."""
     words = os.fdopen(os.dup(1), "w")
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
-    _bound(float(seconds), int(room_bytes))
+    _bound(float(cpu_s), float(clock_s), int(room_bytes))
 
     def say(line: str) -> None:
         words.write(f"{line}\n")
@@ -48,15 +48,19 @@ def main(path: str, seconds: str, room_bytes: str) -> None:
         say(json.dumps(_loaded(Path(path), say)))
 
 
-def _bound(seconds: float, room_bytes: int) -> None:
+def _bound(cpu_s: float, clock_s: float, room_bytes: int) -> None:
     """Let the system end this process when its time is over, and refuse it memory beyond its room.
 
     Where Python has no `resource` (Windows), or the system counts no data (macOS), nothing bounds the memory.
     """
     if hasattr(signal, "setitimer"):
-        signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
-        signal.setitimer(signal.ITIMER_REAL, seconds)
+        for end, clock, seconds in (
+            (signal.SIGPROF, signal.ITIMER_PROF, cpu_s),
+            (signal.SIGALRM, signal.ITIMER_REAL, clock_s),
+        ):
+            signal.signal(end, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {end})
+            signal.setitimer(clock, seconds)
     with contextlib.suppress(ImportError, OSError, ValueError):
         import resource
 

@@ -61,8 +61,7 @@ def read_model(path: Path) -> mujoco.MjSpec:
         When no process can be started.
     """
     load_first(path)
-    with silent():
-        return parsed(path)
+    return parsed(path)
 
 
 def parsed(path: Path) -> mujoco.MjSpec:
@@ -75,7 +74,8 @@ def parsed(path: Path) -> mujoco.MjSpec:
     """
     check_text(path)
     try:
-        spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
+        with silent():
+            spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
         for kind in _NAMED:
             # A name is decoded when it is read.
             [element.name for element in getattr(spec, kind)]

@@ -179,7 +179,7 @@ def test_what_is_refused_is_not_known(folder, cache):
         (mjcf(option='gravity="0 0 nan"'), "model a.xml cannot be simulated"),
         (mjcf('<body pos="nan 0 0"><geom size=".1"/></body>'), "model a.xml cannot be simulated"),
         (mjcf('<body><joint stiffness="nan"/><geom size=".1"/></body>'), "model a.xml cannot be simulated"),
-        (mjcf(after='<size memory="900T"/>'), "model a.xml takes more memory than 4 GB while it is compiled"),
+        (mjcf(after='<size memory="900T"/>'), "model a.xml takes more than 4 GB of memory while it is compiled"),
         (mjcf(option='timestep="1e-9"'), "scene {scene}: the physics step is too short to simulate"),
         (mjcf(option='timestep="nan"'), "scene {scene}: the physics step is no time"),
         (mjcf('<body><joint/><geom size=".1" mass="0"/></body>'), "scene {scene} does not compile: Error: mass and"),
@@ -260,7 +260,7 @@ BUSY = mjcf('<replicate count="9000" offset="0 0 1"><body><joint/><geom size=".1
 def test_a_model_that_takes_too_long(folder, monkeypatch, caplog):
     monkeypatch.setenv("CANDATA_MODEL_SECONDS", "0.4")
     lines = refusal(put(folder, BUSY))
-    assert lines[0].startswith("model a.xml takes more time than 0.4 s while it is ")
+    assert lines[0].startswith("model a.xml takes more than 0.4 s of processor time while it is ")
     assert lines[-1].endswith("or allow more: CANDATA_MODEL_SECONDS=NUMBER")
 
 
@@ -271,7 +271,7 @@ def test_a_model_that_takes_too_much_memory(folder, monkeypatch):
         pytest.skip("this system does not bound the memory of a process")
     monkeypatch.setenv("CANDATA_MODEL_GB", "0.2")
     lines = refusal(scene)
-    assert lines[0] == "model a.xml takes more memory than 0.2 GB while it is compiled"
+    assert lines[0] == "model a.xml takes more than 0.2 GB of memory while it is compiled"
     assert lines[-1].endswith("or allow more: CANDATA_MODEL_GB=NUMBER")
 
 
@@ -344,7 +344,10 @@ def test_ctrl_c_ends_a_first_load(folder):
     command = [sys.executable, "-m", "candata_cli.main", "scene", "show", "scene.yaml"]
     with subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
-        assert process.stderr.readline() == "model a.xml is loaded in a process of its own first, for at most 600 s\n"
+        assert (
+            process.stderr.readline()
+            == "model a.xml is loaded in a process of its own first, for at most 600 s of processor time\n"
+        )
         (child,) = children(process.pid)
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=60) == 130
