@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -260,7 +261,7 @@ BUSY = mjcf('<replicate count="9000" offset="0 0 1"><body><joint/><geom size=".1
 def test_a_model_that_takes_too_long(folder, monkeypatch, caplog):
     monkeypatch.setenv("CANDATA_MODEL_SECONDS", "0.4")
     lines = refusal(put(folder, BUSY))
-    assert lines[0].startswith("model a.xml takes more than 0.4 s of processor time while it is ")
+    assert re.match(r"model a\.xml takes more than (0\.4 s of processor time|1\.2 s) while it is ", lines[0])
     assert lines[-1].endswith("or allow more: CANDATA_MODEL_SECONDS=NUMBER")
 
 
