@@ -108,7 +108,7 @@ def _refuse_pairs(edit: str | None, edit_scene: str | None, cache_dir: Path | No
 
 def _try_outputs(out: Path, cache_dir: Path | None, keep: bool) -> Path | None:
     """Return the folder of what is kept, None for none, once that and the report's are tried."""
-    from candata.datasets.durable import user_cache
+    from candata.user_folders import user_cache
 
     check_output(out, "folder")
     if cache_dir is not None:

@@ -277,9 +277,9 @@ def fetch(
 ) -> None:
     """Fetch a public data set into a dataset, its hashes and licence checked."""
     from candata import __version__
-    from candata.datasets.durable import user_cache
     from candata.plugins import load
     from candata.schema.manifest import Lineage
+    from candata.user_folders import user_cache
 
     source, downloads = load("candata.fetch", "SOURCE", name.replace("-", "_")), cache or user_cache()
     _refuse_standing(out, append)

@@ -50,9 +50,9 @@ def signatures(
     those of tracker biases and joint offsets, which follow from where each recording starts. An interrupted run goes on
     where it was. Without it a diagnosis simulates effects on its own recording; the last digits, and ties, may differ.
     """
-    from candata.datasets.durable import user_cache
     from candata.gap.blind.cluster import crew_of
     from candata.gap.blind.filling import keep_signature, planned, source
+    from candata.user_folders import user_cache
 
     folder = cache_dir or user_cache()
     check_output(folder, "folder", "--cache-dir")

@@ -17,8 +17,10 @@ from candata.schema.episode import Episode, EpisodeMeta
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# What the person who runs the tests has registered is none of theirs.
-os.environ["CANDATA_REGISTRY"] = str(Path(tempfile.gettempdir(), f"candata-tests-{os.getpid()}", "registry.json"))
+# What the person who runs the tests has registered, and which models are known, is none of theirs.
+_OWN = Path(tempfile.gettempdir(), f"candata-tests-{os.getpid()}")
+os.environ["CANDATA_REGISTRY"] = str(_OWN / "registry.json")
+os.environ["XDG_CACHE_HOME"] = str(_OWN / "cache")
 
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.load_profile("fixed")

@@ -333,8 +333,3 @@ def reason(error: Exception) -> str:
         return "no such file"
     text = getattr(error, "strerror", None) or str(error)
     return (text.splitlines() or [type(error).__name__])[0]
-
-
-def user_cache() -> Path:
-    """Return the user's cache folder (XDG base directory specification)."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "candata"

@@ -21,6 +21,7 @@ from candata.loaders.layout import POINT_CLOUD, Shapes, row_dtype, row_shapes
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.episode import Episode
 from candata.schema.record import Record
+from candata.user_folders import user_cache
 
 #: Raised when the bytes of the cache, or what they mean, change.
 LAYOUT_VERSION = 2
@@ -130,7 +131,7 @@ def open_cache(
         When the cache cannot be written.
     """
     name = f"windows-{_key(dataset, channels)}"
-    homes = [folder] if folder else [dataset.path / "cache", durable.user_cache()]
+    homes = [folder] if folder else [dataset.path / "cache", user_cache()]
     found = next((cache for home in homes if (cache := _read(home / name))), None)
     if found is None:
         home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]

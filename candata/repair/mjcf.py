@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import mujoco
 import yaml
 
 from candata.datasets.drafts import draft_beside, place
@@ -20,6 +19,8 @@ from candata.repair.markup import Edit, edited, merged, parse
 from candata.repair.parts import Held, Left, holds, left, outside
 from candata.repair.writes import edits
 from candata.scenes import Scene, load_scene
+from candata.scenes.first_load import vouch
+from candata.scenes.model_file import compiled, parsed
 from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.record import Record
 from candata.simulate.world import build_worlds
@@ -185,11 +186,12 @@ def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) ->
     """Return what changed when the effects were written into the files of a copy."""
     target = build_worlds(scene, [effects]).models[0]
     root = parse(copy.model)
-    spec = mujoco.MjSpec.from_file(str(copy.model))
-    spec.compile()
+    spec = parsed(copy.model)
+    compiled(spec, scene.name)
     found = merged(edits(scene.model, target, spec, root))
     for path, raw in edited(found).items():
         path.write_bytes(raw)
+    vouch(copy.model)
     return [change for edit in found for change in _changes(edit, copy)]
 
 

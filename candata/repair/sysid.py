@@ -25,6 +25,7 @@ from candata.repair.mjcf import Change, apply_effects, fresh_folder
 from candata.repair.parts import Held, Left, left
 from candata.repair.script import IDENTIFY
 from candata.scenes import Scene
+from candata.scenes.model_file import compiled, parsed
 from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
 from candata.simulate.world import build_worlds
@@ -82,7 +83,7 @@ def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Datase
         copy = copied(scene, "whole", draft / "out")
         sensors = _sensed(copy, scene, recs)
         changes = apply_effects(copy, scene, kept)
-        model = mujoco.MjModel.from_xml_path(str(copy.model))
+        model = compiled(parsed(copy.model), scene.name)
         free = _free(scene, kept, model)
         moved = {p.effect for p in free}
         found = SysidExport(
@@ -135,7 +136,7 @@ def _free(scene: Scene, kept: Sequence[EffectSetting], model: mujoco.MjModel) ->
 
 def _sensed(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
     """Write a model whose only sensors are what was recorded, all of whose elements have names; return the sensors."""
-    spec = mujoco.MjSpec.from_file(str(copy.model))
+    spec = parsed(copy.model)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     for kind, things in (("geom", spec.geoms), ("pair", spec.pairs), ("body", spec.bodies), ("joint", spec.joints)):
@@ -153,7 +154,7 @@ def _sensed(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
         for name, kind in ((POSITION, kinds.mjSENS_FRAMEPOS), (ROTATION, kinds.mjSENS_FRAMEQUAT)):
             spec.add_sensor(name=name, type=kind, objtype=objects.mjOBJ_XBODY, objname=scene.file.object)
             names.append(name)
-    spec.compile()
+    compiled(spec, scene.name)
     copy.model.write_text(spec.to_xml())
     return tuple(names)
 

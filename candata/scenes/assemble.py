@@ -19,6 +19,7 @@ from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
 from candata.scenes.model_file import compiled, model_path, read_model
+from candata.scenes.named_files import kind_of
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import parse_yaml
@@ -28,6 +29,8 @@ LIBRARY = "candata.scenes.library"
 _MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
 #: The physics step that a model has which says nothing of it [s] (MuJoCo XML reference, option/timestep).
 USUAL_STEP_S = 0.002
+#: Physics steps a control step. Measured: this many of `cube_toss`, the lightest scene, take half a second.
+MOST_SUBSTEPS = 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,7 +262,9 @@ def _from_file(path: Path) -> Scene:
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)
     if not source.is_file():
-        raise SceneError(f"model {file.model} does not exist", expected=str(source), where=Where(path=str(path)))
+        kind = kind_of(source)
+        what = f"is {kind}, no file" if kind else "does not exist"
+        raise SceneError(f"model {file.model} {what}", expected=str(source), where=Where(path=str(path)))
     return assemble(str(path), file, read_model(source))
 
 
@@ -301,6 +306,13 @@ def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
             fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(1 / file.rate_hz / USUAL_STEP_S)):.9g}"/>',
         )
     steps = 1 / file.rate_hz / model.opt.timestep
+    if steps > MOST_SUBSTEPS:
+        raise SceneError(
+            f"scene {name}: the physics step is too short to simulate",
+            expected=f"at most {MOST_SUBSTEPS:,} physics steps a control step of {1 / file.rate_hz:g} s",
+            found=f"{steps:,.0f} of {model.opt.timestep:g} s",
+            fix=f'set <option timestep="{1 / file.rate_hz / max(1, round(1 / file.rate_hz / USUAL_STEP_S)):.9g}"/>',
+        )
     if steps < 0.99 or abs(steps - round(steps)) > 0.02:
         raise SceneError(
             f"scene {name}: the physics step does not divide the control step",

@@ -8,6 +8,7 @@ from pathlib import Path
 from candata.errors import SceneError, UsageError, Where
 from candata.scenes.assemble import Scene, assemble
 from candata.scenes.model_file import compiled, read_model
+from candata.scenes.named_files import kind_of
 from candata.scenes.proposal import Proposal, propose
 from candata.scenes.scene_text import scene_text
 from candata.schema.scene import SceneFile
@@ -29,7 +30,8 @@ def write_draft(model: Path, out: Path) -> tuple[Scene, Proposal]:
         When the model cannot be read or does not compile, or holds nothing that a scene can be made of.
     """
     if not model.is_file():
-        raise UsageError(f"model {model} does not exist", expected="an MJCF or a URDF", where=Where(path=str(model)))
+        what = f"is {kind}, no file" if (kind := kind_of(model)) else "does not exist"
+        raise UsageError(f"model {model} {what}", expected="an MJCF or a URDF", where=Where(path=str(model)))
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{out} is no scene file", expected="a name that ends in .yaml", where=Where(path=str(out)))
     spec = read_model(model)

@@ -36,7 +36,7 @@ def resolve_meshes(spec: mujoco.MjSpec, urdf: Path) -> None:
 
 def _found(uri: str, urdf: Path) -> Path:
     """Return the file that a mesh's path means."""
-    tried = list(dict.fromkeys(_candidates(uri, urdf)))
+    tried = list(dict.fromkeys(candidates(uri, urdf)))
     there = [(file, root) for file, root in tried if file.is_file()]
     for file, root in there:
         if file.resolve().is_relative_to(root.resolve()):
@@ -60,8 +60,8 @@ def _home(uri: str, urdf: Path) -> Path:
     return urdf.parent / (inside if plain else inside.name)
 
 
-def _candidates(uri: str, urdf: Path) -> Iterator[Candidate]:
-    """Yield what a path may mean, the likeliest first."""
+def candidates(uri: str, urdf: Path) -> Iterator[Candidate]:
+    """Yield what a path with a scheme may mean, the likeliest first."""
     scheme, _, rest = uri.partition("://")
     folders = list(_package_folders(urdf))
     if scheme != "file":

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 import mujoco
 
 from candata.errors import SceneError, Where
+from candata.scenes.first_load import load_first
 from candata.scenes.mesh_paths import resolve_meshes
 from candata.scenes.model_text import check_text
-from candata.scenes.pointers import refuse_pointers
 
 #: What MuJoCo raises of a model that it cannot read or compile; too little memory is a RuntimeError.
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 #: Kinds of elements whose names a scene may read.
 _NAMED = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
+#: Kinds of elements that may be read from a file.
+_OF_FILES = ("meshes", "hfields", "textures", "skins")
 
 
 def model_path(path: Path, model: str) -> Path:
@@ -44,20 +48,40 @@ def model_path(path: Path, model: str) -> Path:
 def read_model(path: Path) -> mujoco.MjSpec:
     """Return the spec of an MJCF or URDF file, the mesh paths of its packages found.
 
+    A model that is not known yet is loaded in a process of its own first, and never here if that goes wrong.
+
     Raises
     ------
     DataError
         When it, or a file that it names, is a Git LFS pointer.
     SceneError
+        When the file is no model, cannot be read, holds names that are no UTF-8, or names meshes that are not there;
+        when it crashes MuJoCo, or takes more time or memory than a first load may.
+    SetupError
+        When no process can be started.
+    """
+    load_first(path)
+    return parsed(path)
+
+
+def parsed(path: Path) -> mujoco.MjSpec:
+    """Return the spec of a model file, read in this process.
+
+    Raises
+    ------
+    SceneError
         When the file is no model, cannot be read, holds names that are no UTF-8, or names meshes that are not there.
     """
-    refuse_pointers(path)
     check_text(path)
     try:
-        spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
+        with silent():
+            spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
         for kind in _NAMED:
             # A name is decoded when it is read.
             [element.name for element in getattr(spec, kind)]
+        resolve_meshes(spec, path)
+        # So is the path of a file.
+        [element.file for kind in _OF_FILES for element in getattr(spec, kind)]
     except UnicodeDecodeError as error:
         raise SceneError(
             f"model {path.name} has a name that is not UTF-8",
@@ -70,7 +94,6 @@ def read_model(path: Path) -> mujoco.MjSpec:
         raise SceneError(
             f"model {path.name} cannot be read: {text}", where=Where(path=str(path)), fix=_remedy(text)
         ) from None
-    resolve_meshes(spec, path)
     return spec
 
 
@@ -83,10 +106,23 @@ def compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         When it does not compile; `name` says whose it is.
     """
     try:
-        return spec.compile()
+        with silent():
+            return spec.compile()
     except MODEL_ERRORS as error:
         text = " ".join(str(error).split())
         raise SceneError(f"scene {name} does not compile: {text}", fix=_remedy(text)) from None
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Keep MuJoCo from writing warnings to the console and to a file of the working directory."""
+    before, now = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    now.logto_console = now.logto_file = False
+    now.set()
+    try:
+        yield
+    finally:
+        before.set()
 
 
 def _remedy(text: str) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from candata.errors import SceneError, Where
+from candata.scenes.named_files import MOST_NESTED, too_large
 
 #: Copies of elements that a model may unfold to. Measured: MuJoCo 4.0.0 takes 8 s for 10,000 bodies, 416 s for 50,000.
 MOST_COPIES = 10_000
@@ -34,38 +35,46 @@ def check_text(path: Path) -> None:
             found="a .mjb file",
             where=Where(path=str(path)),
         )
-    _check_file(path, path.parent, (), 1)
+    _check_file(path, path.parent, (), 0, 1)
 
 
-def _check_file(path: Path, base: Path, above: tuple[Path, ...], copies: int) -> None:
-    """Check one file and those that it attaches or includes, beside `base`; `above` are the files that led to it."""
+def _check_file(path: Path, base: Path, above: tuple[Path, ...], document: int, copies: int) -> None:
+    """Check one file and those that it attaches or includes, beside `base`.
+
+    `above` are the files that led to it; those from `document` on include one another, and are one document.
+    """
     own = path.resolve()
-    if own in above:
-        raise SceneError(
-            f"model {path.name} attaches itself",
-            found=" -> ".join(p.name for p in (*above[above.index(own) :], own)),
-            where=Where(path=str(path)),
-            fix="remove the <model> that names the file it stands in",
-        )
+    above = (*above, own)
+    if len(above) > MOST_NESTED:
+        found = f"files that attach or include one another {len(above)} deep"
+        raise too_large(path, found, f"at most {MOST_NESTED} deep")
     root = _root(path)
     for node, count in _unfolded(root, copies) if root is not None else ():
         if count > MOST_COPIES:
-            raise _too_much(path, f"a <{node.tag}> that unfolds to {count:,} copies", f"at most {MOST_COPIES:,}")
+            raise too_large(path, f"a <{node.tag}> that unfolds to {count:,} copies", f"at most {MOST_COPIES:,}")
         sides = [_whole(node.get(side)) for side in _SIDES.get(node.tag, ())]
         if sides and sides[0] * sides[1] > MOST_SAMPLES:
             found = f"a <{node.tag}> of {sides[0]:,} x {sides[1]:,} samples"
-            raise _too_much(path, found, f"at most {MOST_SAMPLES:,} samples")
-        if node.tag in ("model", "include") and (child := base / node.get("file", "")).is_file():
-            # MuJoCo finds by itself a file that includes itself.
-            chain = (*above, own) if node.tag == "model" else above
-            if node.tag == "model" or child.resolve() != own:
-                _check_file(child, child.parent if node.tag == "model" else base, chain, count)
+            raise too_large(path, found, f"at most {MOST_SAMPLES:,} samples")
+        if node.tag not in ("model", "include") or not (child := base / node.get("file", "")).is_file():
+            continue
+        if node.tag == "include" and child.resolve() in above[document:]:
+            continue  # MuJoCo finds by itself a file that includes itself
+        if child.resolve() in above:
+            raise _attached_to_itself(path, (*above[above.index(child.resolve()) :], child))
+        if node.tag == "include":
+            _check_file(child, base, above, document, count)
+        else:
+            _check_file(child, child.parent, above, len(above), count)
 
 
-def _too_much(path: Path, found: str, expected: str) -> SceneError:
-    """Return the error of a model that no simulation holds."""
+def _attached_to_itself(path: Path, chain: tuple[Path, ...]) -> SceneError:
+    """Return the error of a file that attaches one of those that led to it."""
     return SceneError(
-        f"model {path.name} is too large to simulate", expected=expected, found=found, where=Where(path=str(path))
+        f"model {chain[0].name} attaches itself",
+        found=" -> ".join(p.name for p in chain),
+        where=Where(path=str(path)),
+        fix="remove the <model> that names the file it stands in",
     )
 
 

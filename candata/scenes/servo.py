@@ -15,6 +15,7 @@ import yaml
 from numpy.typing import NDArray
 
 from candata.errors import DataError, UsageError, Where
+from candata.scenes.first_load import vouch
 from candata.schema.episode import Episode
 from candata.schema.scene import Noise, SceneFile
 
@@ -97,6 +98,7 @@ def write_servo_scene(
     folder.mkdir(parents=True, exist_ok=True)
     model = servo_model(names, ranges, rate_hz, natural_hz or NATURAL_SHARE * rate_hz)
     (folder / "scene.xml").write_text(model, encoding="utf-8")
+    vouch(folder / "scene.xml")
     file = SceneFile(
         model="scene.xml",
         rate_hz=rate_hz,

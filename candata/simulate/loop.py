@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
@@ -14,6 +13,7 @@ from numpy.typing import NDArray
 from candata.effects import Forces
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
+from candata.scenes.model_file import silent
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.timing import resample_control, retime_commands, steps_of
@@ -135,20 +135,8 @@ def rollout(
         run.remember(memory)
     if earlier_commands is not None:
         run.hear(earlier_commands)
-    with _without_warnings():
+    with silent():  # warnings are counted
         return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
-
-
-@contextmanager
-def _without_warnings() -> Iterator[None]:
-    """Keep MuJoCo from writing warnings to the console and to a file of the working directory: they are counted."""
-    usual_config, quiet_config = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    quiet_config.logto_console = quiet_config.logto_file = False
-    quiet_config.set()
-    try:
-        yield
-    finally:
-        usual_config.set()
 
 
 class _Run:

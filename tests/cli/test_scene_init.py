@@ -75,7 +75,7 @@ def test_what_stands_is_overwritten_only_by_force(folder):
     ("words", "first"),
     [
         (("none.xml",), "model none.xml does not exist"),
-        ((".",), "model . does not exist"),
+        ((".",), "model . is a folder, no file"),
         (("hand.xml", "--out", "."), "the output exists already"),
         (("hand.xml", "--out", ".", "--force"), "--out . is a folder"),
         (("hand.xml", "--out", "scene.txt"), "scene.txt is no scene file"),

@@ -100,6 +100,8 @@ def test_a_model_that_attaches_itself(tmp_path):
     put(tmp_path / "b.xml", f'<mujoco><include file="c.xml"/>{ARM[:0]}</mujoco>')
     put(tmp_path / "c.xml", '<mujocoinclude><asset><model name="x" file="a.xml"/></asset></mujocoinclude>')
     assert refusal(put(tmp_path / "a.xml", attaching("b.xml")))[0] == "model a.xml attaches itself"
+    put(tmp_path / "b.xml", '<mujoco><include file="a.xml"/></mujoco>')
+    assert refusal(put(tmp_path / "a.xml", attaching("b.xml")))[0] == "model a.xml attaches itself"
 
 
 def test_a_model_may_attach_another_twice(tmp_path):

@@ -17,6 +17,7 @@ from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
 from candata.gap.blind.rigs.design import all_traits
 from candata.gap.blind.rigs.readings import Planted, episode_reading, episodes, ideal, noisy
 from candata.gap.blind.rigs.recording import Drawn, logs, nominal, sane_rig
+from candata.scenes.first_load import vouch
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.manifest import Lineage
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
@@ -197,6 +198,7 @@ def write_rig_case(path: Path, label: Label, sealed: str, number: int, duration_
         create_dataset(draft, path.name)
         append(draft, episodes(rig, drawn.outlines, read), Lineage(operation="blind case", sealed=sealed))
         (draft / "scene.xml").write_text(rig.xml + "\n")
+        vouch(draft / "scene.xml")
         (draft / "scene.yaml").write_text(rig.yaml)
         (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
         draft.replace(path)

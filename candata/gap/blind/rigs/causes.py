@@ -24,6 +24,7 @@ from candata.gap.blind.rigs.readings import Planted, Reading, ideal
 from candata.gap.blind.rigs.recording import Drawn, logs, nominal, problem, sane_rig
 from candata.gap.blind.rigs.situations import TOUCHED
 from candata.scenes import Scene, load_scene
+from candata.scenes.first_load import vouch
 from candata.schema.effect import EffectSetting
 
 Array = NDArray[np.float64]
@@ -115,6 +116,7 @@ def scene_of_rig(rig: Rig) -> Scene:
     with TemporaryDirectory() as folder:
         (Path(folder) / "scene.xml").write_text(rig.xml)
         (Path(folder) / "scene.yaml").write_text(rig.yaml)
+        vouch(Path(folder) / "scene.xml")
         return load_scene(Path(folder) / "scene.yaml")
 
 
