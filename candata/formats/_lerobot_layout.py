@@ -16,9 +16,11 @@ from pydantic import ConfigDict, Field
 from candata.errors import DataError, Where
 from candata.formats._features import Feature
 from candata.formats._memory import require_memory
-from candata.formats._sidecar import parse_json
+from candata.formats._sidecar import json_of
 from candata.lfs import refuse_pointer
+from candata.schema.json_text import MOST_BYTES
 from candata.schema.record import Record
+from candata.schema.text_bounds import TextError, decode_text, read_bounded
 
 INFO = "meta/info.json"
 SIDECAR = "meta/candata.json"
@@ -125,15 +127,14 @@ def read_text(path: Path) -> str:
     Raises
     ------
     DataError
-        When it is missing, no text, a Git LFS pointer, or more than fits into memory.
+        When it is missing, no text, a Git LFS pointer, or too large.
     """
     if not path.is_file():
         raise missing(path)
     refuse_pointer(path)
-    require_memory(path.stat().st_size, path.name, Where(path=str(path)))
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return decode_text(read_bounded(path, MOST_BYTES))
+    except (OSError, TextError) as error:
         raise unreadable(path, error) from None
 
 
@@ -198,7 +199,7 @@ def unreadable(path: Path, error: Exception) -> DataError:
 def _info(root: Path) -> Info:
     """Return `meta/info.json`, its version known."""
     path = root / INFO
-    value = parse_json(read_text(path), path)
+    value = json_of(read_text(path), path)
     version = value.get("codebase_version") if isinstance(value, dict) else None
     if version not in PER_EPISODE + SHARED:
         raise DataError(
@@ -218,7 +219,7 @@ def _per_episode_entries(root: Path, info: Info) -> Iterator[Entry]:
         if not line.strip():
             continue
         place = f"{path}, line {number}"
-        index, rows, tasks = _fields(parse_json(line, place), place)
+        index, rows, tasks = _fields(json_of(line, place), place)
         places = {"episode_chunk": index // info.chunks_size, "episode_index": index}
         yield Entry(index, rows, tasks, _file(root, info.data_path, places))
 

@@ -16,8 +16,10 @@ from zarr.storage import ZipStore
 
 from candata.errors import DataError, Where
 from candata.formats._memory import require_memory
-from candata.formats._sidecar import parse_json
+from candata.formats._sidecar import json_of
 from candata.lfs import refuse_pointer
+from candata.schema.json_text import MOST_BYTES
+from candata.schema.text_bounds import read_start
 
 #: The file that makes a folder a group, and the one that makes it an array, by the format of zarr.
 _GROUPS: dict[Literal[2, 3], str] = {2: ".zgroup", 3: "zarr.json"}
@@ -100,7 +102,8 @@ def attributes(buffer: Buffer) -> dict[str, Any]:
         return {}
     if isinstance(place, Path):
         refuse_pointer(place)
-    found = parse_json(place.read_bytes(), place)
+    with place.open("rb") as file:
+        found = json_of(read_start(file, MOST_BYTES + 1), place)  # more of them than that are refused
     own = found if buffer.version == 2 or not isinstance(found, dict) else found.get("attributes", {})
     return own if isinstance(own, dict) else {}
 

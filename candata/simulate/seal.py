@@ -16,6 +16,7 @@ from candata.effects import Parameter, effect, effect_names, setting
 from candata.errors import DataError, UsageError, Where
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
+from candata.schema.json_text import parse_json, read_json
 from candata.schema.record import Record
 
 ANY = "any"
@@ -39,7 +40,7 @@ class Seal(Record):
     @property
     def effect(self) -> EffectSetting:
         """The setting that was withheld."""
-        return EffectSetting.parse(json.loads(self.label), "label")
+        return EffectSetting.parse(parse_json(self.label), "label")
 
     @property
     def stream(self) -> int:
@@ -154,10 +155,7 @@ def read_seal(path: Path) -> Seal:
     """
     if not path.is_file():
         raise UsageError("no sealed file", expected="what --withhold wrote", where=Where(path=str(path)))
-    try:
-        return Seal.parse(json.loads(path.read_text()), path)
-    except ValueError as error:
-        raise UsageError(f"{path.name} is not JSON: {error}", where=Where(path=str(path))) from None
+    return Seal.parse(read_json(path), path)
 
 
 def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:

@@ -9,6 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from candata.schema.json_text import parse_json
+
 NAME = "log.jsonl"
 
 
@@ -49,7 +51,7 @@ def _lines(text: str) -> Iterator[dict[str, Any]]:
     """Yield the whole lines up to the first torn one."""
     for line in text.splitlines():
         try:
-            value = json.loads(line)
+            value = parse_json(line, finite=False)
         except ValueError:
             return
         if not isinstance(value, dict) or "step" not in value:
