@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import lzma
 import math
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +31,8 @@ _LARGEST_GAIN = 1100
 _SLACK_BYTES = 1 << 20
 #: Rows are read in blocks of whole chunks of about this size: a call of zarr costs a millisecond, memory is short.
 _BLOCK_BYTES = 1 << 24
+#: What reading a member of a damaged zip file raises: its name, its place, its kind of compression, its contents.
+_ZIP_ERRORS = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 Tree = Path | zipfile.Path
 
@@ -102,8 +106,12 @@ def attributes(buffer: Buffer) -> dict[str, Any]:
         return {}
     if isinstance(place, Path):
         refuse_pointer(place)
-    with place.open("rb") as file:
-        found = json_of(read_start(file, MOST_BYTES + 1), place)  # more of them than that are refused
+    try:
+        with place.open("rb") as file:
+            data = read_start(file, MOST_BYTES + 1)
+    except _ZIP_ERRORS as error:
+        raise _unreadable(buffer, place.name, error) from None
+    found = json_of(data, place)  # more bytes than that are refused
     own = found if buffer.version == 2 or not isinstance(found, dict) else found.get("attributes", {})
     return own if isinstance(own, dict) else {}
 
