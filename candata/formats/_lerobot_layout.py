@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ConfigDict, Field
 
+from candata.datasets.footer import read_chunks
 from candata.errors import DataError, Where
 from candata.formats._features import Feature
 from candata.formats._memory import require_memory
@@ -155,7 +156,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
             lacking = [name for name in columns if name not in known]
             if not lacking:
                 taken = [*columns, *(name for name in optional if name in known)]
-                require_memory(_claimed_bytes(file.metadata, taken), path.name, Where(path=str(path)))
+                require_memory(_claimed_bytes(path, taken), path.name, Where(path=str(path)))
                 return file.read(columns=taken, use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise unreadable(path, error) from None
@@ -167,12 +168,11 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     )
 
 
-def _claimed_bytes(metadata: pq.FileMetaData, columns: Sequence[str]) -> int:
+def _claimed_bytes(path: Path, columns: Sequence[str]) -> int:
     """Return the size of columns as float64, by what a file says of itself; packed they may take next to nothing."""
-    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
-    chunks = (group.column(k) for group in groups for k in range(group.num_columns))
     starts = tuple(f"{name}." for name in columns)
-    return 8 * sum(c.num_values for c in chunks if f"{c.path_in_schema}.".startswith(starts))
+    chunks = (chunk for group in read_chunks(path) for chunk in group)
+    return 8 * sum(max(chunk.values, 0) for chunk in chunks if f"{chunk.column}.".startswith(starts))
 
 
 def missing(path: Path) -> DataError:
