@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator, Sequence
 from itertools import accumulate
@@ -15,7 +16,6 @@ from candata.datasets.dataset import Dataset
 from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
 from candata.datasets.history import derived
 from candata.errors import DataError, MissingExtraError, UnknownNameError, UsageError, Where
-from candata.schema.json_text import parse_json
 from candata.schema.manifest import VersionFile
 
 if TYPE_CHECKING:
@@ -149,7 +149,7 @@ def _require_expression(database: DuckDBPyConnection, where: str) -> None:
 def _parse(database: DuckDBPyConnection, statement: str) -> dict[str, Any]:
     """Return the database's parse tree of a statement, or what its parser says against it."""
     ((text,),) = database.execute("select json_serialize_sql(?)", [statement]).fetchall()
-    parsed: dict[str, Any] = parse_json(text)
+    parsed: dict[str, Any] = json.loads(text)
     return parsed
 
 

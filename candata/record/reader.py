@@ -20,8 +20,6 @@ from collections import deque
 from contextlib import suppress
 from typing import Any
 
-from candata.schema.json_text import parse_json
-
 HEAD = struct.Struct("<BqI")
 DATA, OPENED, LOST, BACK, FAILED = range(5)
 
@@ -89,7 +87,7 @@ def main(arguments: list[str]) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, _PRIORITY)
-    settings = parse_json(arguments[1])
+    settings = json.loads(arguments[1])
     outlet = Outlet(sys.stdout.fileno())
     try:
         port, note = open_port(settings["port"], settings["baud"])

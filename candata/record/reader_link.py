@@ -16,7 +16,6 @@ from typing import Any, Literal, Self
 
 from candata.errors import CandataError, MissingExtraError, SetupError, Where
 from candata.record import reader
-from candata.schema.json_text import parse_json
 
 _KINDS: dict[int, Literal["data", "opened", "lost", "back", "failed"]] = {
     reader.DATA: "data",
@@ -140,7 +139,7 @@ class ReaderLink:
             if end > len(self._rest):
                 break
             data, at = self._rest[at + reader.HEAD.size : end], end
-            facts = {} if kind == reader.DATA else parse_json(data)
+            facts = {} if kind == reader.DATA else json.loads(data)
             events.append(Event(_KINDS[kind], stamp_ns, data if kind == reader.DATA else b"", facts))
         self._rest = self._rest[at:]
         return events

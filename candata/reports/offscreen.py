@@ -6,11 +6,10 @@ process; the parent (`candata.reports.render`) starts this module once for each 
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
-
-from candata.schema.json_text import parse_json
 
 #: Files of the folder that parent and child share.
 MODEL, POSES, REQUEST, FRAMES = "model.mjb", "qpos.npy", "request.json", "frames.npy"
@@ -24,7 +23,7 @@ def main(folder: Path) -> None:
     import numpy as np
 
     model = mujoco.MjModel.from_binary_path(str(folder / MODEL))
-    request = parse_json((folder / REQUEST).read_bytes())
+    request = json.loads((folder / REQUEST).read_text())
     width, height = 2 * request["width"], 2 * request["height"]
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.offsamples = 0  # smoothing is by the 2 x 2 mean below, background included
