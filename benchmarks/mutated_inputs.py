@@ -23,7 +23,7 @@ from tests.mutated.readers import READERS
 from tests.mutated.running import CRASHED, LATE, READ, REFUSED, WRONG, lay_input, outcome, run_readers, sources, tally
 
 #: Inputs of a reader before the next one has its turn, so that all come equally far.
-TURN = 2_000
+TURN = 200
 
 
 def run(names: list[str], inputs: int, jobs: int, seed: int, out: Path) -> None:

@@ -32,7 +32,6 @@ from candata.errors import DataError, UnknownNameError
 from candata.schema.channels import CHANNELS, QUATERNION, VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
-from candata.schema.json_text import parse_json
 from candata.schema.manifest import Lineage
 
 #: Gram-force a newton (standard gravity, CGPM 1901).
@@ -396,6 +395,6 @@ def unchecked(raw: RawEpisode) -> Episode:
 
 def repeated(raw: RawEpisode, name: str) -> RawEpisode:
     """Return the same episode under another id: a duplicate."""
-    fields = parse_json(raw.meta_json) | {"id": name}
+    fields = json.loads(raw.meta_json) | {"id": name}
     text = json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return replace(raw, id=name, meta_json=text, stored_hash=hash_columns(text, raw.arrays))

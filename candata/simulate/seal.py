@@ -18,6 +18,7 @@ from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.json_text import parse_json, read_json
 from candata.schema.record import Record
+from candata.schema.text_bounds import TextError
 
 ANY = "any"
 SALT_BYTES = 32
@@ -39,8 +40,17 @@ class Seal(Record):
 
     @property
     def effect(self) -> EffectSetting:
-        """The setting that was withheld."""
-        return EffectSetting.parse(parse_json(self.label), "label")
+        """The setting that was withheld.
+
+        Raises
+        ------
+        UsageError
+            When the label is not what was written.
+        """
+        try:
+            return EffectSetting.parse(parse_json(self.label), "label")
+        except TextError as error:
+            raise UsageError("the sealed label is damaged", expected="JSON", found=str(error)) from None
 
     @property
     def stream(self) -> int:

@@ -379,7 +379,8 @@ def _read_wire(folder: Path) -> object:
     from candata.record.devices import _xhand_frames as wire
     from candata.record.devices import device
 
-    hand, data = device("xhand"), (folder / "bytes").read_bytes()
+    hand, path = device("xhand"), folder / "bytes"
+    data = path.read_bytes() if path.exists() else b""
     framer = hand.framer()
     sealed = [wire.seal((wire.HEAD + body)[:-2]) for body in data.split(wire.HEAD)[1:]]
     frames = framer.feed(data, 0) + framer.feed(b"".join(sealed), 0) + framer.finish()
