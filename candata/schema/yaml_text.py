@@ -83,7 +83,7 @@ class _Loader(yaml.SafeLoader):
         allowed: tuple[Any, ...] = (None, "!", _TEXT, *_COLLECTIONS)
         if isinstance(node, yaml.ScalarNode):
             plain = self.resolve(yaml.ScalarNode, node.value, (True, False))
-            allowed: tuple[Any, ...] = (None, "!", _TEXT, plain) + ((_FLOAT,) if plain == _INT else ())
+            allowed = (None, "!", _TEXT, plain) + ((_FLOAT,) if plain == _INT else ())
         if event.tag not in allowed:
             raise _at(event, f"the tag `{event.tag[:80]}`", "remove it", "plain values without tags")
         if node.tag in (_INT, _FLOAT):
