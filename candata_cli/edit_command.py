@@ -58,11 +58,10 @@ def edit_test(
 
 def _closed_share(path: Path) -> float:
     """Return the share that closed in the diagnosis, 1 where there is no report."""
-    import json
-
+    from candata.schema.json_text import read_json
     from candata.schema.report import Report
 
     if not path.is_file():
         return 1.0
-    gap = Report.parse(json.loads(path.read_text()), path).gap
+    gap = Report.parse(read_json(path), path).gap
     return gap.closed if gap is not None and gap.closed is not None else 1.0

@@ -224,17 +224,10 @@ def _yaml(path: Path | None) -> dict[str, Any] | None:
     """Return the fields of a model's configuration that a file gives."""
     if path is None:
         return None
-    import yaml
-
     from candata.errors import UsageError, Where
-    from candata.schema.yaml_text import parse_yaml
+    from candata.schema.yaml_text import read_yaml
 
-    try:
-        fields = parse_yaml(path.read_text())
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError(
-            "--config cannot be read", found=str(error).splitlines()[0], where=Where(path=str(path))
-        ) from None
+    fields = read_yaml(path, "--config")
     if not isinstance(fields, dict):
         raise UsageError("--config holds no fields", expected="name: value", where=Where(path=str(path)))
     return fields

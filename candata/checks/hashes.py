@@ -5,7 +5,6 @@ Without `deep`, files are compared by their size and episodes by their content, 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from candata.datasets.durable import file_sha256, reason
 from candata.datasets.parts import EPISODES, MANIFEST
 from candata.errors import DataError, UsageError
 from candata.schema.episode import EpisodeMeta
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import FileEntry
 
 #: What to do about damage.
@@ -77,7 +77,7 @@ def _clouds(part: RawPart, rows: list[dict[str, Any]], deep: bool) -> Iterator[F
     named: dict[str, str] = {}
     for row in rows:
         try:
-            cloud = EpisodeMeta.parse(json.loads(row["meta"]), part.folder).point_cloud
+            cloud = EpisodeMeta.parse(parse_json(row["meta"]), part.folder).point_cloud
         except (UsageError, ValueError):
             continue  # the rule on the schema tells
         if cloud:

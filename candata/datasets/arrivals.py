@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -22,6 +21,7 @@ from candata.datasets.tags import read_tags, tag_path
 from candata.datasets.versions import DATASET, create_version, read_version
 from candata.errors import DataError, UsageError, Where
 from candata.schema.effect import EffectSetting
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import PartFile, VersionFile
 
 #: Columns of a catalog row that are compared in their own way: `effects` by what it means, `meta` by the content hash.
@@ -134,7 +134,7 @@ def _require_episode(part: RawPart, raw: RawEpisode, row: dict[str, Any]) -> str
     try:
         meta = raw.meta()
         told = episode_row(meta, raw.arrays["time_ns"], found, row["row_group"])
-        settings = None if row["effects"] is None else json.loads(row["effects"])
+        settings = None if row["effects"] is None else parse_json(row["effects"])
         effects = None if settings is None else tuple(EffectSetting.model_validate(one) for one in settings)
     except (*UNREADABLE, IndexError, RecursionError, UsageError) as error:
         raise durable.damaged(path, f"no record of {raw.id}: {durable.reason(error)}") from None

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from candata.datasets.footer import Chunk, read_chunks
 from candata.errors import DataError, Where
 
 #: What may be unfolded at once from a file of any size [bytes]: half of the memory that a reader of untrusted data
@@ -62,9 +63,10 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, group: int | 
     """
     meta = pq.read_metadata(path)
     leaves = [meta.schema.column(i) for i in range(meta.num_columns)]
-    groups = range(meta.num_row_groups) if group is None else [group]
+    claimed = read_chunks(path)
     stored = path.stat().st_size
-    require_bounded(path, sum(_decoded_bytes(meta.row_group(i), leaves, columns) for i in groups), stored)
+    groups = claimed if group is None else claimed[group : group + 1]
+    require_bounded(path, sum(_decoded_bytes(chunks, leaves, columns) for chunks in groups), stored)
     texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
     names = None if columns is None else list(columns)
     with pq.ParquetFile(path, metadata=meta, read_dictionary=texts) as file:
@@ -76,13 +78,13 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, group: int | 
     return table.cast(pa.schema([field.with_type(_plain(field.type)) for field in table.schema], table.schema.metadata))
 
 
-def _decoded_bytes(group: pq.RowGroupMetaData, leaves: Sequence[pq.ColumnSchema], columns: Sequence[str] | None) -> int:
+def _decoded_bytes(chunks: Sequence[Chunk], leaves: Sequence[pq.ColumnSchema], columns: Sequence[str] | None) -> int:
     """Return what a row group takes decoded, by its number of values and by its pages [bytes]."""
     total = 0
-    for i, leaf in enumerate(leaves):
+    for chunk, leaf in zip(chunks, leaves, strict=True):
         if columns is None or leaf.path.split(".")[0] in columns:
-            chunk, width = group.column(i), max(_VALUE_BYTES, leaf.length)
-            total += max(chunk.total_uncompressed_size, chunk.num_values * width, group.num_rows * width)
+            width = max(_VALUE_BYTES, leaf.length)
+            total += max(chunk.size_bytes, chunk.values * width, chunk.rows * width, 0)
     return total
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import fcntl
 import hashlib
-import json
 import os
 import shutil
 import time
@@ -15,11 +14,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import ValidationError
-
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.lfs import pointer_error
+from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.record import Record
+from candata.schema.text_bounds import TextError, read_bounded
 
 STAGING = "staging"
 #: Folder in it where a pull keeps whole files until their part is whole.
@@ -264,16 +263,16 @@ def encode_record(record: Record) -> bytes:
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the bytes of a file of the dataset.
+    """Return the bytes of a JSON file of the dataset.
 
     Raises
     ------
     DataError
-        When the file is missing or cannot be read; names it.
+        When the file is missing, too large, or cannot be read; names it.
     """
     try:
-        return path.read_bytes()
-    except OSError as error:
+        return read_bounded(path, MOST_BYTES)
+    except (OSError, TextError) as error:
         raise damaged(path, reason(error)) from None
 
 
@@ -304,16 +303,7 @@ def decode_record(kind: type[SomeRecord], data: bytes, path: str | Path) -> Some
     UsageError
         When they hold no such record; names the field.
     """
-    try:
-        return kind.model_validate_json(data)
-    except ValidationError:
-        pass  # asked again for words that name the field, and for a lineage that is nested deep
-    try:
-        value = json.loads(data)
-        json.dumps(value, ensure_ascii=False).encode()  # raises for half of a surrogate pair
-    except RecursionError:
-        raise ValueError("nested too deep") from None
-    return kind.parse(value, path)
+    return kind.parse(parse_json(data), path)
 
 
 def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:

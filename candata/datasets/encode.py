@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX, canonical_order
 from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.json_text import parse_json
 
 #: Shapes without the time axis, by column: what all episodes of one part share.
 Layout = dict[str, tuple[int, ...]]
@@ -78,11 +79,7 @@ class RawEpisode:
         ValueError, UsageError
             When the stored text is no JSON, or no such record.
         """
-        try:
-            fields = json.loads(self.meta_json)
-        except RecursionError:
-            raise ValueError("the record is nested too deep") from None
-        return EpisodeMeta.parse(fields, f"meta of {self.id}")
+        return EpisodeMeta.parse(parse_json(self.meta_json), f"meta of {self.id}")
 
 
 def meta_json(meta: EpisodeMeta) -> str:
@@ -254,7 +251,7 @@ def stored_layout(schema: pa.Schema) -> Layout:
         When what the schema tells is damaged.
     """
     layout = {field.name: _stored_shape(field.type) for field in list(schema)[1:]}
-    return layout | {n: tuple(s) for n, s in json.loads((schema.metadata or {}).get(LAYOUT_KEY, b"{}")).items()}
+    return layout | {n: tuple(s) for n, s in parse_json((schema.metadata or {}).get(LAYOUT_KEY, b"{}")).items()}
 
 
 def _stored_shape(kind: pa.DataType) -> tuple[int, ...]:

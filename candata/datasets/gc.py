@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import json
 import os
 import re
 import stat
@@ -18,6 +17,7 @@ from candata.datasets.parts import MANIFEST, RawPart
 from candata.datasets.tags import read_tags
 from candata.datasets.versions import numbers, read_dataset_file, read_version, version_path
 from candata.errors import DataError, UsageError
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import PartEntry, VersionFile
 
 Kind = Literal["version", "part", "staging", "catalog", "cloud", "cache"]
@@ -214,7 +214,7 @@ def _caches(root: Path, reach: _Reach) -> Iterator[Garbage]:
         if not path.name.startswith("windows-") or not _own_folder(path):
             continue
         try:
-            digest = json.loads((path / "cache.json").read_bytes())["cache"]["digest"]
+            digest = parse_json((path / "cache.json").read_bytes())["cache"]["digest"]
         except (OSError, ValueError, KeyError, TypeError):
             digest = None
         if digest not in reach.digests:
@@ -234,7 +234,7 @@ def _clouds(root: Path, reach: _Reach, gone: set[str]) -> tuple[list[Garbage], t
         for part_id in standing | set(reach.parts):
             entry = PartEntry(id=part_id, sha256="", rows=0, episodes=0)
             metas = RawPart(root, entry).table()["meta"].to_pylist()
-            named |= {json.loads(meta).get("point_cloud") for meta in metas}
+            named |= {parse_json(meta).get("point_cloud") for meta in metas}
     except (DataError, ValueError, AttributeError, TypeError) as error:
         reason = str(error).splitlines()[0]
         return [], (f"point clouds stay: a part that may name them cannot be read ({reason})",)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from candata.datasets.remotes import (
 )
 from candata.datasets.versions import DATASET, digest_of
 from candata.errors import DataError, UnknownNameError, UsageError, Where
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import FORMAT_VERSION, DatasetFile, FileEntry, PartEntry, PartFile, TagFile, VersionFile
 from candata.schema.registry import RemoteVersion
 
@@ -164,7 +164,7 @@ def _head(store: Store, name: str) -> bytes:
     if data is None:
         raise corrupted(store, key, "no such file")
     try:
-        found = json.loads(data)["format_version"]
+        found = parse_json(data)["format_version"]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise corrupted(store, key, "no format version") from None
     if not isinstance(found, int) or isinstance(found, bool):

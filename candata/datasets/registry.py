@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 import tempfile
 from collections.abc import Callable
@@ -13,7 +12,9 @@ from candata.datasets import durable
 from candata.datasets.names import is_name, require_name
 from candata.datasets.versions import DATASET, read_dataset_file
 from candata.errors import CandataError, DataError, SetupError, UnknownNameError, UsageError, Where
+from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.registry import REGISTRY_VERSION, RegistryFile, RemoteEntry
+from candata.schema.text_bounds import TextError, read_bounded
 
 
 def registry_path() -> Path:
@@ -36,18 +37,18 @@ def read_registry(path: Path | None = None) -> RegistryFile:
     """
     file = path or registry_path()
     try:
-        data = file.read_bytes()
+        data = read_bounded(file, MOST_BYTES)
     except FileNotFoundError:
         return RegistryFile()
-    except OSError as error:
+    except (OSError, TextError) as error:
         raise _unreadable(file, durable.reason(error)) from None
     try:
-        value = json.loads(data)
+        value = parse_json(data)
         version = value.get("registry_version") if isinstance(value, dict) else None
         if isinstance(version, int) and version > REGISTRY_VERSION:
             raise _unreadable(file, f"registry version {version}, newer than {REGISTRY_VERSION}")
         return RegistryFile.parse(value, file)
-    except (ValueError, RecursionError) as error:
+    except TextError as error:
         raise _unreadable(file, f"no valid JSON: {error}") from None
     except UsageError as error:
         raise _unreadable(file, error.problem) from None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from candata.datasets.parts import RawPart, entry_of, hold
 from candata.datasets.tags import read_tags, tag_path
 from candata.errors import DataError, UsageError, Where
 from candata.schema.channels import CHANNELS
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import FORMAT_VERSION, DatasetFile, Lineage, PartEntry, PartFile, TagFile, VersionFile
 
 DATASET = "dataset.json"
@@ -121,7 +121,7 @@ def format_of(root: Path) -> int:
             fix="check the path",
         )
     try:
-        found = json.loads(durable.read_bytes(path))["format_version"]
+        found = parse_json(durable.read_bytes(path))["format_version"]
     except (ValueError, KeyError, TypeError) as error:
         raise durable.damaged(path, f"no format version: {durable.reason(error)}") from None
     if not isinstance(found, int) or isinstance(found, bool):

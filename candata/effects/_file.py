@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import yaml
-
 from candata.errors import UsageError, Where
-from candata.lfs import refuse_pointer
 from candata.schema.effect import EffectsFile
-from candata.schema.yaml_text import parse_yaml
+from candata.schema.yaml_text import read_yaml
 
 
 def read_effects(path: Path) -> EffectsFile:
@@ -22,14 +19,7 @@ def read_effects(path: Path) -> EffectsFile:
     DataError
         When it is a Git LFS pointer.
     """
-    refuse_pointer(path)
-    try:
-        return EffectsFile.parse(parse_yaml(path.read_text()), path)
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "it is no text"
-        raise UsageError(f"no effects file: {why}", where=Where(path=str(path))) from None
-    except yaml.YAMLError as error:
-        raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
+    return EffectsFile.parse(read_yaml(path, "the effects file"), path)
 
 
 def scene_of(file: EffectsFile, path: Path) -> str:

@@ -13,12 +13,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ConfigDict, Field
 
+from candata.datasets.footer import read_chunks
 from candata.errors import DataError, Where
 from candata.formats._features import Feature
 from candata.formats._memory import require_memory
-from candata.formats._sidecar import parse_json
+from candata.formats._sidecar import json_of
 from candata.lfs import refuse_pointer
+from candata.schema.json_text import MOST_BYTES
 from candata.schema.record import Record
+from candata.schema.text_bounds import TextError, decode_text, read_bounded
 
 INFO = "meta/info.json"
 SIDECAR = "meta/candata.json"
@@ -125,15 +128,14 @@ def read_text(path: Path) -> str:
     Raises
     ------
     DataError
-        When it is missing, no text, a Git LFS pointer, or more than fits into memory.
+        When it is missing, no text, a Git LFS pointer, or too large.
     """
     if not path.is_file():
         raise missing(path)
     refuse_pointer(path)
-    require_memory(path.stat().st_size, path.name, Where(path=str(path)))
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        return decode_text(read_bounded(path, MOST_BYTES))
+    except (OSError, TextError) as error:
         raise unreadable(path, error) from None
 
 
@@ -154,7 +156,7 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
             lacking = [name for name in columns if name not in known]
             if not lacking:
                 taken = [*columns, *(name for name in optional if name in known)]
-                require_memory(_claimed_bytes(file.metadata, taken), path.name, Where(path=str(path)))
+                require_memory(_claimed_bytes(path, taken), path.name, Where(path=str(path)))
                 return file.read(columns=taken, use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise unreadable(path, error) from None
@@ -166,12 +168,11 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
     )
 
 
-def _claimed_bytes(metadata: pq.FileMetaData, columns: Sequence[str]) -> int:
+def _claimed_bytes(path: Path, columns: Sequence[str]) -> int:
     """Return the size of columns as float64, by what a file says of itself; packed they may take next to nothing."""
-    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
-    chunks = (group.column(k) for group in groups for k in range(group.num_columns))
     starts = tuple(f"{name}." for name in columns)
-    return 8 * sum(c.num_values for c in chunks if f"{c.path_in_schema}.".startswith(starts))
+    chunks = (chunk for group in read_chunks(path) for chunk in group)
+    return 8 * sum(max(chunk.values, 0) for chunk in chunks if f"{chunk.column}.".startswith(starts))
 
 
 def missing(path: Path) -> DataError:
@@ -198,7 +199,7 @@ def unreadable(path: Path, error: Exception) -> DataError:
 def _info(root: Path) -> Info:
     """Return `meta/info.json`, its version known."""
     path = root / INFO
-    value = parse_json(read_text(path), path)
+    value = json_of(read_text(path), path)
     version = value.get("codebase_version") if isinstance(value, dict) else None
     if version not in PER_EPISODE + SHARED:
         raise DataError(
@@ -218,7 +219,7 @@ def _per_episode_entries(root: Path, info: Info) -> Iterator[Entry]:
         if not line.strip():
             continue
         place = f"{path}, line {number}"
-        index, rows, tasks = _fields(parse_json(line, place), place)
+        index, rows, tasks = _fields(json_of(line, place), place)
         places = {"episode_chunk": index // info.chunks_size, "episode_index": index}
         yield Entry(index, rows, tasks, _file(root, info.data_path, places))
 

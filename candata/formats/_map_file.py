@@ -3,15 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
-import yaml
-
-from candata.errors import UsageError, Where
-from candata.formats._memory import require_memory
-from candata.lfs import refuse_pointer
 from candata.schema.record import Record
-from candata.schema.yaml_text import parse_yaml
+from candata.schema.yaml_text import read_yaml
 
 R = TypeVar("R", bound=Record)
 
@@ -22,27 +17,8 @@ def read_map_file(kind: type[R], path: Path) -> R:
     Raises
     ------
     UsageError
-        When the file is missing, is no YAML, or a field is missing, unknown or wrong.
+        When the file is missing, too large, no YAML, or a field is missing, unknown or wrong.
     DataError
         When it is a Git LFS pointer.
     """
-    where = Where(path=str(path))
-    refuse_pointer(path)
-    try:
-        value: Any = parse_yaml(_text(path))
-    except UnicodeDecodeError:
-        raise UsageError("the map is no text", expected="a YAML file", found="other bytes", where=where) from None
-    except OSError as error:
-        raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
-    except yaml.YAMLError as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:400], where=where) from None
-    return kind.parse(value, path)
-
-
-def _text(path: Path) -> str:
-    """Return the text of a map; a device or a pipe may never end."""
-    if path.exists() and not path.is_file():
-        raise OSError(0, "no regular file")
-    if path.exists():
-        require_memory(path.stat().st_size, "the map", Where(path=str(path)))
-    return path.read_text(encoding="utf-8")
+    return kind.parse(read_yaml(path, "the map"), path)

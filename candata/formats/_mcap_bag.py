@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
-from candata.errors import DataError, Where
+from candata.errors import DataError, UsageError, Where
 from candata.formats._mcap_decode import decoded, decoder, type_name
 from candata.formats._mcap_fields import LATEST_NS, Extract
 from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
 from candata.lfs import refuse_pointer
-from candata.schema.yaml_text import parse_yaml
+from candata.schema.yaml_text import read_yaml
 
 METADATA = "metadata.yaml"
 #: First bytes of other files that bags come in, what they are, and what to do.
@@ -124,12 +123,11 @@ def recordings(source: Path) -> tuple[Recording, ...]:
 def _listed(folder: Path) -> tuple[Path, ...]:
     """Return the files that a bag's `metadata.yaml` names."""
     path = folder / METADATA
-    refuse_pointer(path)
     try:
-        value = parse_yaml(path.read_text(encoding="utf-8"))
+        value = read_yaml(path)
         names = value["rosbag2_bagfile_information"]["relative_file_paths"]
         names = [Path(name).name for name in names]
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, LookupError, TypeError, ValueError) as error:
+    except (LookupError, TypeError, ValueError, UsageError) as error:
         raise DataError(
             "the bag's metadata.yaml cannot be read",
             expected="rosbag2_bagfile_information: relative_file_paths",

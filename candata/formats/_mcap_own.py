@@ -19,6 +19,7 @@ from candata.formats._mcap_messages import message
 from candata.formats._mcap_scan import Scan
 from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX
 from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.json_text import parse_json
 
 #: Name of the metadata record, and topics.
 EPISODE = "candata.episode"
@@ -128,7 +129,7 @@ def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
         elif isinstance(item, Message):
             topic = topics.get(item.channel_id)
             if topic == ROWS:
-                rows.append(json.loads(item.data))
+                rows.append(parse_json(item.data, finite=False))
             elif topic == TAXELS:
                 dense.append(_counts(item.data))
             elif topic == POINTS:
@@ -137,8 +138,8 @@ def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
         raise DataError(f"the file is cut or damaged: whole records end at byte {scan.end}")
     if record["layout"] != LAYOUT:
         raise DataError(f"layout {record['layout']!r}, where this version of candata reads {LAYOUT!r}")
-    meta = EpisodeMeta.parse(json.loads(record["meta"]), path)
-    columns: Mapping[str, list[int]] = json.loads(record["columns"])
+    meta = EpisodeMeta.parse(parse_json(record["meta"]), path)
+    columns: Mapping[str, list[int]] = parse_json(record["columns"])
     arrays = {name: _column(name, shape, rows, dense) for name, shape in columns.items()}
     return Episode(meta, arrays), record["content_hash"], cloud if meta.point_cloud else None
 

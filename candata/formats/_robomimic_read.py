@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections import Counter
@@ -25,6 +24,7 @@ from candata.lfs import refuse_pointer
 from candata.schema.channels import CHANNELS, DENSE
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
+from candata.schema.json_text import parse_json
 
 T = TypeVar("T")
 
@@ -277,7 +277,7 @@ def _guess(known: Sequence[str], path: Path) -> FeatureMap:
 def _rate_hz(data: Any) -> float | None:
     """Return the control rate of the environment, where the file says it."""
     try:
-        arguments = json.loads(data.attrs["env_args"])
+        arguments = parse_json(data.attrs["env_args"], finite=False)
         rate_hz = float(arguments["env_kwargs"]["control_freq"])
     except (KeyError, TypeError, ValueError, RecursionError):
         return None

@@ -19,6 +19,8 @@ from candata.formats._assemble import checked
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.exchange import SIDECAR_VERSION, ExportedColumn, ExportedEpisode, ExportFile
+from candata.schema.json_text import parse_json
+from candata.schema.text_bounds import TextError
 
 
 def exported(episode: Episode) -> ExportedEpisode:
@@ -76,7 +78,7 @@ def parse_export(value: str | bytes, path: object) -> ExportFile:
     UsageError
         When a field is missing, unknown or wrong.
     """
-    found = parse_json(value, path)
+    found = json_of(value, path)
     version = found.get("format_version") if isinstance(found, dict) else None
     if version != SIDECAR_VERSION:
         raise DataError(
@@ -99,10 +101,10 @@ def parse_episode(value: str | bytes, path: object) -> ExportedEpisode:
     UsageError
         When a field is missing, unknown or wrong.
     """
-    return ExportedEpisode.parse(parse_json(value, path), str(path))
+    return ExportedEpisode.parse(json_of(value, path), str(path))
 
 
-def parse_json(value: str | bytes, path: object) -> Any:
+def json_of(value: str | bytes, path: object) -> Any:
     """Return the value of JSON text.
 
     Raises
@@ -111,11 +113,8 @@ def parse_json(value: str | bytes, path: object) -> Any:
         When it is no JSON; says where.
     """
     try:
-        found = json.loads(value)
-        if (b"\\ud" if isinstance(value, bytes) else "\\ud") in value.lower():  # type: ignore[operator]
-            json.dumps(found, ensure_ascii=False).encode()  # refuses halves of characters
-        return found
-    except (ValueError, RecursionError) as error:
+        return parse_json(value, finite=False)
+    except TextError as error:
         raise DataError(
             "the file is no JSON", found=str(error)[:200], where=Where(path=str(path)), fix="restore it from a copy"
         ) from None

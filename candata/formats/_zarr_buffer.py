@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import lzma
 import math
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +18,10 @@ from zarr.storage import ZipStore
 
 from candata.errors import DataError, Where
 from candata.formats._memory import require_memory
-from candata.formats._sidecar import parse_json
+from candata.formats._sidecar import json_of
 from candata.lfs import refuse_pointer
+from candata.schema.json_text import MOST_BYTES
+from candata.schema.text_bounds import read_start
 
 #: The file that makes a folder a group, and the one that makes it an array, by the format of zarr.
 _GROUPS: dict[Literal[2, 3], str] = {2: ".zgroup", 3: "zarr.json"}
@@ -27,6 +31,8 @@ _LARGEST_GAIN = 1100
 _SLACK_BYTES = 1 << 20
 #: Rows are read in blocks of whole chunks of about this size: a call of zarr costs a millisecond, memory is short.
 _BLOCK_BYTES = 1 << 24
+#: What reading a member of a damaged zip file raises: its name, its place, its kind of compression, its contents.
+_ZIP_ERRORS = (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error, lzma.LZMAError)
 
 Tree = Path | zipfile.Path
 
@@ -100,7 +106,12 @@ def attributes(buffer: Buffer) -> dict[str, Any]:
         return {}
     if isinstance(place, Path):
         refuse_pointer(place)
-    found = parse_json(place.read_bytes(), place)
+    try:
+        with place.open("rb") as file:
+            data = read_start(file, MOST_BYTES + 1)
+    except _ZIP_ERRORS as error:
+        raise _unreadable(buffer, place.name, error) from None
+    found = json_of(data, place)  # more bytes than that are refused
     own = found if buffer.version == 2 or not isinstance(found, dict) else found.get("attributes", {})
     return own if isinstance(own, dict) else {}
 

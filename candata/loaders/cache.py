@@ -20,6 +20,7 @@ from candata.errors import CandataError, DataError, SetupError, Where
 from candata.loaders.layout import POINT_CLOUD, Shapes, row_dtype, row_shapes
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.episode import Episode
+from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.user_folders import user_cache
 
@@ -176,7 +177,7 @@ def _key(dataset: Dataset, channels: Sequence[str] | None) -> str:
 def _read(folder: Path) -> Cache | None:
     """Return the cache in `folder`; None where there is none, or it is not what was written."""
     try:
-        facts = json.loads((folder / FACTS).read_bytes())
+        facts = parse_json((folder / FACTS).read_bytes())
         file = CacheFile.parse(facts["cache"], folder / FACTS)
         if facts["sha256"] != _hash(file) or {n: _crc(folder / n) for n in ARRAYS} != file.crc32:
             return None
@@ -234,7 +235,7 @@ def _counts(dataset: Dataset) -> list[int]:
 def _write(dataset: Dataset, shapes: Shapes, clouds: bool, folder: Path, progress: Progress) -> CacheFile:
     """Write the arrays into `folder` and return what is in them."""
     catalog = dataset.catalog()
-    meta = [json.loads(text) for text in catalog["meta"].to_pylist()]
+    meta = [parse_json(text) for text in catalog["meta"].to_pylist()]
     counts = _counts(dataset)
     names = {key: _common_names(dataset, meta, key, axis, shapes) for key, axis in _NAMED_AXES.items()}
     named_clouds = tuple(fields.get(POINT_CLOUD) for fields in meta)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -16,6 +15,7 @@ from candata.datasets.encode import LAYOUT_KEY
 from candata.datasets.parts import STEPS, UNREADABLE, RawPart
 from candata.errors import DataError, UnknownNameError, Where
 from candata.schema.channels import CHANNELS, VALID_SUFFIX, canonical_order
+from candata.schema.json_text import parse_json
 
 #: The pseudo-channel that asks for a point cloud of every episode's object.
 POINT_CLOUD = "point_cloud"
@@ -164,7 +164,7 @@ def _part_layout(part: RawPart) -> Shapes:
     """Return the shapes that a part's episodes share."""
     path = part.folder / STEPS
     try:
-        stored = json.loads((pq.read_schema(path).metadata or {})[LAYOUT_KEY])
+        stored = parse_json((pq.read_schema(path).metadata or {})[LAYOUT_KEY])
     except UNREADABLE as error:
         raise durable.damaged(path, durable.reason(error)) from None
     return {name: tuple(shape) for name, shape in stored.items()}

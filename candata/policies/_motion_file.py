@@ -22,6 +22,7 @@ from candata.policies._contract import Array, Motion, Plan
 from candata.policies._drive import command_range
 from candata.policies._postures import finish
 from candata.scenes import Scene
+from candata.schema.json_text import parse_json
 
 #: Columns beside the actuators': time from the start of the motion, and its name where there are several.
 TIME, MOTION = "time_s", "motion"
@@ -180,7 +181,7 @@ def command_limits(scene: Scene) -> Array:
 def _metadata(schema: pa.Schema) -> dict:
     """Return the metadata that candata writes; empty in a file of another's."""
     try:
-        metadata = json.loads((schema.metadata or {}).get(_KEY, b"{}"))
+        metadata = parse_json((schema.metadata or {}).get(_KEY, b"{}"))
     except ValueError:
         return {}
     return metadata if isinstance(metadata, dict) else {}

@@ -24,6 +24,7 @@ from candata.formats._mcap_scan import Scan
 from candata.record.calibration import Calibration, from_metadata, to_metadata
 from candata.record.devices._contract import Commands, Device, States
 from candata.record.sink import Sink
+from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 
 PROFILE = "candata"
@@ -291,7 +292,7 @@ def read_log(path: str | Path) -> Log:
     try:
         calibration = from_metadata(_parse_values(metadata[CALIBRATION], place)) if CALIBRATION in metadata else None
         arrays = {**_states(messages, meta), **_targets(messages, meta)}
-        statistics = tuple(json.loads(data) for _, data in messages[STATISTICS].values())
+        statistics = tuple(parse_json(data, finite=False) for _, data in messages[STATISTICS].values())
     except (KeyError, TypeError, ValueError) as error:
         raise DataError("the log does not hold what its metadata says", found=str(error), where=place) from None
     with path.open("rb") as file:
@@ -338,7 +339,7 @@ def _collect(scan: Scan) -> tuple[_Messages, dict[str, Mapping[str, str]], list[
 def _parse_values(values: Mapping[str, str], place: Where) -> dict[str, Any]:
     """Return the values of a metadata record, each of which is JSON."""
     try:
-        return {name: json.loads(value) for name, value in values.items()}
+        return {name: parse_json(value, finite=False) for name, value in values.items()}
     except ValueError as error:
         raise DataError("a metadata record of the log is not JSON", found=str(error), where=place) from None
 

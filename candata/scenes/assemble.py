@@ -10,11 +10,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
-from candata.lfs import refuse_pointer
 from candata.plugins import load, names
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import BuiltinScene
@@ -22,7 +20,7 @@ from candata.scenes.model_file import compiled, model_path, read_model
 from candata.scenes.named_files import kind_of
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
-from candata.schema.yaml_text import parse_yaml
+from candata.schema.yaml_text import read_yaml
 
 LIBRARY = "candata.scenes.library"
 #: Endings of files that are models.
@@ -252,12 +250,7 @@ def _from_file(path: Path) -> Scene:
     """Return the scene of a `scene.yaml`."""
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
-    refuse_pointer(path)
-    try:
-        raw = parse_yaml(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
-        raise UsageError(f"{path.name} is not YAML: {error}", where=Where(path=str(path))) from None
-    file = SceneFile.parse(raw, path)
+    file = SceneFile.parse(read_yaml(path), path)
     if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)

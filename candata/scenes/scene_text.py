@@ -7,10 +7,9 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
-import yaml
-
 from candata.scenes.proposal import Proposal
 from candata.schema.scene import Servo
+from candata.schema.text_bounds import TextError
 from candata.schema.yaml_text import parse_yaml
 
 _WIDTH = 110
@@ -46,7 +45,7 @@ def quoted(name: str) -> str:
     """Return a name as YAML: as it is where that is read as the same text, else in quotes."""
     try:
         plain = parse_yaml(f"[{name}]") == [name] and "#" not in name and name == name.strip()
-    except yaml.YAMLError:
+    except TextError:
         plain = False
     return name if plain else json.dumps(name, ensure_ascii=not name.isprintable())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from candata.schema.record import Record
 
@@ -10,7 +10,12 @@ Value = float | str | tuple[float, ...]
 
 
 class EffectSetting(Record):
-    """One effect with its values: `element` null means all elements it can act on."""
+    """One effect with its values: `element` null means all elements it can act on.
+
+    Numbers may be anything: what is possible in a scene is said by who knows the scene.
+    """
+
+    model_config = ConfigDict(allow_inf_nan=True)
 
     name: str
     element: str | None = None

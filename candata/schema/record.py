@@ -13,7 +13,7 @@ from candata.schema.record_errors import refusal
 class Record(BaseModel):
     """A frozen, validated value that refuses fields it does not know."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=())
+    model_config = ConfigDict(frozen=True, extra="forbid", protected_namespaces=(), allow_inf_nan=False)
 
     @classmethod
     def parse(cls, value: Any, path: str | Path) -> Self:

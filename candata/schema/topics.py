@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag
 
 from candata.schema.record import Record
-from candata.schema.scene import Positive, Rate
+from candata.schema.scene import Rate
 
 #: `header`: the stamp in the message. `log`: when it was recorded. `publish`: when it was sent. `fitted`: the stamp in
 #: the message, moved onto the recorder's clock by a straight line through both.
@@ -35,7 +35,7 @@ class TopicEntry(Record):
     scale: float = 1.0
     clock: Clock | None = None
     role: StreamRole | None = None
-    max_gap_periods: Positive = 1.5
+    max_gap_periods: Annotated[float, Field(gt=0, allow_inf_nan=True)] = 1.5
 
 
 def _form(value: object) -> str:

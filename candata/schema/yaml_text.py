@@ -7,19 +7,26 @@ truth values, an octal number, others of base ten and sixty, and a date.
 
 from __future__ import annotations
 
+import math
 import re
+from pathlib import Path
 from typing import Any
 
 import yaml
 
-#: Fields that one mapping may hold once others are merged into it (`<<`); merges of merges grow without end.
-_MOST_FIELDS = 10_000
+from candata.schema.text_bounds import MOST_DIGITS, TextError, decode_text, line_of, read_value
+
+#: Size of YAML text [bytes]; how many values it may unfold to, aliases and merges followed; how deep they may be
+#: nested. pyyaml takes 4 s for a million line ends, 1.4 s for so many anchors. Chosen.
+MOST_BYTES, MOST_VALUES, MOST_DEPTH = 400_000, 10_000, 64
 #: Kinds of words of pyyaml that stay as they are: nothing, and the key that merges.
 _NULL, _MERGE = "tag:yaml.org,2002:null", "tag:yaml.org,2002:merge"
+_TEXT, _INT, _FLOAT = "tag:yaml.org,2002:str", "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_COLLECTIONS = ("tag:yaml.org,2002:seq", "tag:yaml.org,2002:map")
 #: What YAML 1.2 reads as no text otherwise, with the characters that it may begin with.
 _WORDS = {
     "bool": (r"true|True|TRUE|false|False|FALSE", "tTfF"),
-    "int": (r"[-+]?(?:0|[1-9][0-9]*)|0x[0-9a-fA-F]+", "-+0123456789"),
+    "int": (r"[-+]?(?:0|[1-9][0-9]*)|0x[0-9a-fA-F]+|0o[0-7]+", "-+0123456789"),
     "float": (
         r"[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|[-+]?[0-9]+[eE][-+]?[0-9]+"
         r"|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
@@ -29,9 +36,9 @@ _WORDS = {
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, without merges that unfold to more than any file says, and without halves of characters.
+    """The safe loader within bounds, with the words of YAML 1.2 and no tag that makes anything else.
 
-    Its words are those of YAML 1.2, and a key that stands twice is an error: the first would be lost.
+    A key that stands twice is an error: the first would be lost.
     """
 
     yaml_implicit_resolvers = {
@@ -39,36 +46,75 @@ class _Loader(yaml.SafeLoader):
         for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
+    def __init__(self, text: str):
+        super().__init__(text)
+        self._depth = self._values = 0
+        self._anchored: dict[str, int] = {}
+
+    def compose_node(self, parent: Any, index: Any) -> yaml.Node | None:
+        """Return a node, once what the text unfolds to with it is within the bounds."""
+        event = self.peek_event()
+        if isinstance(event, yaml.AliasEvent):
+            known = event.anchor in self.anchors  # type: ignore[has-type]
+            if known and event.anchor not in self._anchored:
+                raise _at(event, f"the alias *{event.anchor} within what it stands for", "write the values out")
+            self._count(event, self._anchored.get(str(event.anchor), 0))
+            return super().compose_node(parent, index)
+        before, self._depth = self._values, self._depth + 1
+        if self._depth > MOST_DEPTH:
+            raise _at(event, "values nested too deep", expected=f"at most {MOST_DEPTH} levels")
+        self._count(event, 1)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        if event.anchor is not None:
+            self._anchored[event.anchor] = self._values - before
+        self._check_tag(event, node)
+        return node
+
+    def _count(self, event: yaml.Event, values: int) -> None:
+        """Add to what the text unfolds to."""
+        self._values += values
+        if self._values > MOST_VALUES:
+            fix = "write fewer aliases (*name) or values; data belong into a table"
+            raise _at(event, f"more than {MOST_VALUES:,} values, aliases unfolded", fix)
+
+    def _check_tag(self, event: Any, node: Any) -> None:
+        """Refuse a tag that makes something else of a value than the text says, and numbers beyond any use."""
+        allowed: tuple[Any, ...] = (None, "!", _TEXT, *_COLLECTIONS)
+        if isinstance(node, yaml.ScalarNode):
+            plain = self.resolve(yaml.ScalarNode, node.value, (True, False))
+            allowed = (None, "!", _TEXT, plain) + ((_FLOAT,) if plain == _INT else ())
+        if event.tag not in allowed:
+            raise _at(event, f"the tag `{event.tag[:80]}`", "remove it", "plain values without tags")
+        if node.tag in (_INT, _FLOAT):
+            if len(node.value) > MOST_DIGITS:
+                raise _at(event, f"a number of {len(node.value):,} digits", expected=f"at most {MOST_DIGITS}")
+            if node.tag == _FLOAT and node.value[-1].isdigit() and math.isinf(float(node.value)):
+                raise _at(event, f"the number {node.value[:80]}", expected="numbers below 1.8e308")
+
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are all different."""
         node = super().compose_mapping_node(anchor)
-        first: dict[tuple[str, str], yaml.ScalarNode] = {}
+        first: dict[Any, yaml.ScalarNode] = {}
         for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode) or key.tag == _MERGE:
+            if not isinstance(key, yaml.ScalarNode):
+                raise _at(key, "a key that is itself a list or has keys", expected="names as keys")
+            if key.tag == _MERGE:
                 continue
-            before = first.setdefault((key.tag, key.value), key)
+            before = first.setdefault(self.construct_object(key), key)
             if before is not key:
-                raise yaml.constructor.ConstructorError(
-                    f"the key `{key.value}` stands twice, first",
-                    before.start_mark,
-                    "and again: remove one of them",
-                    key.start_mark,
-                )
+                line = before.start_mark.line + 1
+                raise _at(key, f"the key `{key.value[:80]}` stands twice, first in line {line}", "remove one of them")
         return node
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        """Merge what a mapping refers to into it."""
-        super().flatten_mapping(node)
-        if len(node.value) > _MOST_FIELDS:
-            raise yaml.constructor.ConstructorError(
-                None, None, f"a mapping of more than {_MOST_FIELDS} fields", node.start_mark
-            )
 
     def construct_scalar(self, node: yaml.Node) -> Any:
         """Return a plain value, which can be written as UTF-8."""
         value = super().construct_scalar(node)  # type: ignore[arg-type]
         if isinstance(value, str):
-            value.encode()
+            try:
+                value.encode()
+            except UnicodeEncodeError:
+                raise _at(node, "half of a character (\\ud800 to \\udfff)") from None
         return value
 
 
@@ -76,17 +122,46 @@ for _tag, (_pattern, _first) in _WORDS.items():
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
 
 
-def parse_yaml(text: str) -> Any:
-    """Return the value of YAML text.
+def _at(place: Any, found: str, fix: str | None = None, expected: str | None = None) -> TextError:
+    """Return the error of a node or an event."""
+    return TextError(found, place.start_mark.line + 1, expected, fix)
+
+
+def parse_yaml(text: str | bytes) -> Any:
+    """Return the value of YAML text; bytes are UTF-8.
 
     Raises
     ------
-    yaml.YAMLError
-        Whatever is wrong with it: its form, a key that stands twice, a number too long.
+    TextError
+        Whatever is wrong with it: its form, a key that stands twice, more values than the bounds allow.
     """
+    if len(text) > MOST_BYTES:
+        raise TextError(f"{len(text):,} bytes", expected=f"at most {MOST_BYTES:,}")
+    if isinstance(text, bytes):
+        text = decode_text(text)
     try:
         return yaml.load(text, _Loader)
-    except yaml.YAMLError:
-        raise
-    except Exception as error:  # pyyaml lets through what the constructors of values raise
-        raise yaml.YAMLError(f"{type(error).__name__}: {error}") from None
+    except yaml.reader.ReaderError as error:
+        character = f"the character U+{ord(text[error.position]):04X}"
+        raise TextError(character, line_of(text, error.position), "printable text", "remove it") from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        found = ", ".join(part for part in (error.context, error.problem, error.note) if part)
+        raise TextError(found, None if mark is None else mark.line + 1) from None
+    except (OverflowError, ValueError) as error:  # an escape such as "\U99999999" is no character
+        if isinstance(error, TextError):
+            raise
+        raise TextError(f"an escape that is no character: {error}") from None
+
+
+def read_yaml(path: Path, what: str | None = None) -> Any:
+    """Return the value of a YAML file; `what` it is to the user is its name by default.
+
+    Raises
+    ------
+    UsageError
+        When it cannot be read, is too large, or is no YAML; names the line.
+    DataError
+        When it is a Git LFS pointer.
+    """
+    return read_value(path, parse_yaml, "YAML", MOST_BYTES, what)

@@ -16,7 +16,9 @@ from candata.effects import Parameter, effect, effect_names, setting
 from candata.errors import DataError, UsageError, Where
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
+from candata.schema.json_text import parse_json, read_json
 from candata.schema.record import Record
+from candata.schema.text_bounds import TextError
 
 ANY_EFFECT = "any"
 SALT_BYTES = 32
@@ -38,8 +40,17 @@ class Seal(Record):
 
     @property
     def effect(self) -> EffectSetting:
-        """The setting that was withheld."""
-        return EffectSetting.parse(json.loads(self.label), "label")
+        """The setting that was withheld.
+
+        Raises
+        ------
+        UsageError
+            When the label is not what was written.
+        """
+        try:
+            return EffectSetting.parse(parse_json(self.label), "label")
+        except TextError as error:
+            raise UsageError("the sealed label is damaged", expected="JSON", found=str(error)) from None
 
     @property
     def stream(self) -> int:
@@ -156,10 +167,7 @@ def read_seal(path: Path) -> Seal:
     """
     if not path.is_file():
         raise UsageError("no sealed file", expected="what --withhold wrote", where=Where(path=str(path)))
-    try:
-        return Seal.parse(json.loads(path.read_text()), path)
-    except ValueError as error:
-        raise UsageError(f"{path.name} is not JSON: {error}", where=Where(path=str(path))) from None
+    return Seal.parse(read_json(path), path)
 
 
 def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:

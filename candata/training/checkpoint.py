@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from safetensors.torch import save_file
 
 from candata.datasets.durable import sync
 from candata.errors import DataError, UsageError, Where
+from candata.schema.json_text import parse_json
 from candata.training.settings import Progress, Run
 
 SUFFIX = ".safetensors"
@@ -145,7 +145,7 @@ def read(path: Path) -> Checkpoint:
             where=Where(path=str(path)),
         )
     try:
-        fields = json.loads(header["run"]), json.loads(header["progress"])
+        fields = parse_json(header["run"]), parse_json(header["progress"])
     except ValueError as error:
         raise _unreadable(path, str(error)) from None
     return Checkpoint(path, Run.parse(fields[0], path), Progress.parse(fields[1], path))

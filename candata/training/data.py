@@ -11,6 +11,7 @@ from typing import Any
 from candata.datasets import Dataset
 from candata.errors import UnknownNameError, UsageError
 from candata.loaders import Mixed, Mixture, Split, Windows, find_split, mix, split_digest, windows
+from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.training import runs
 from candata.training.settings import Source
@@ -107,7 +108,7 @@ def channels_for(channels: tuple[str, ...], *datasets: Dataset) -> tuple[str, ..
     """Return the channels to ask windows for: those the model reads, and clouds where all have one."""
     metadata_texts = (text for dataset in datasets for text in dataset.catalog()["meta"].to_pylist())
     return (
-        (*channels, "point_cloud") if all(json.loads(text).get("point_cloud") for text in metadata_texts) else channels
+        (*channels, "point_cloud") if all(parse_json(text).get("point_cloud") for text in metadata_texts) else channels
     )
 
 

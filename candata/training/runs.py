@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,7 +11,9 @@ from typing import Any
 from candata.datasets.durable import alone, encode_record, ensure_folder, sync
 from candata.errors import SetupError, UsageError, Where
 from candata.loaders import Split, split_digest
+from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.record import Record
+from candata.schema.text_bounds import read_bounded
 from candata.training.settings import Run
 
 FILE = "run.json"
@@ -120,7 +121,7 @@ def read_run(folder: Path) -> Run:
     """
     path = folder / FILE
     try:
-        value = json.loads(path.read_text())
+        value = parse_json(read_bounded(path, MOST_BYTES))
     except (OSError, ValueError) as error:
         raise UsageError(
             "no run",
@@ -146,7 +147,7 @@ def read_splits(folder: Path, run: Run) -> tuple[Split, ...] | None:
     if not path.is_file():
         return None
     try:
-        value = json.loads(path.read_bytes())
+        value = parse_json(read_bounded(path, MOST_BYTES))
     except ValueError as error:
         raise UsageError(
             "the split of the run is damaged",

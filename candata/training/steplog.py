@@ -9,6 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from candata.schema.json_text import parse_json
+
 NAME = "log.jsonl"
 
 
@@ -42,14 +44,14 @@ class StepLog:
 def read_log(folder: Path) -> list[dict[str, Any]]:
     """Return the lines of a run's log; empty for none, a torn last line left out."""
     path = folder / NAME
-    return list(_lines(path.read_text())) if path.is_file() else []
+    return list(_lines(path.read_bytes())) if path.is_file() else []
 
 
-def _lines(text: str) -> Iterator[dict[str, Any]]:
+def _lines(content: bytes) -> Iterator[dict[str, Any]]:
     """Yield the whole lines up to the first torn one."""
-    for line in text.splitlines():
+    for line in content.splitlines():
         try:
-            value = json.loads(line)
+            value = parse_json(line, finite=False)
         except ValueError:
             return
         if not isinstance(value, dict) or "step" not in value:

@@ -140,7 +140,10 @@ def test_a_bad_policy_file_is_a_usage_error(arm, tmp_path, capsys):
             ("--scene", "cube_toss", "--withhold", "armature"),
             "effect armature cannot act in scene cube_toss\n",
         ),
-        (("--scene", "cube_toss", "--effects", "none.yaml"), "no effects file: No such file or directory\n"),
+        (
+            ("--scene", "cube_toss", "--effects", "none.yaml"),
+            "the effects file cannot be read\n  expected: a YAML file\n",
+        ),
         (("--scene", "cube_toss", "--jobs", 0), "--jobs is too small\n"),
     ],
 )

@@ -114,7 +114,7 @@ def test_an_export_for_the_toolbox_takes_a_dataset(mine):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--effects", "none.yaml", "--out", "o"), "no effects file: No such file or directory"),
+        (("--effects", "none.yaml", "--out", "o"), "the effects file cannot be read"),
         (("--effects", "../mine/effects.yaml", "--out", "."), "the output exists already"),
         (("--effects", "../mine/effects.yaml", "--out", "o", "--scene", "cube_toss"), "cannot act in scene cube_toss"),
         (("--effects", "../mine/effects.yaml", "--out", "o", "--to", "urdf"), "unknown target 'urdf'"),

@@ -183,8 +183,8 @@ def test_a_mixture_is_trained_on_and_its_shares_are_told(data, tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (b"\x80\x81", "--config cannot be read\n  found: 'utf-8'"),
-        (b"a: [", "--config cannot be read\n  found: while parsing"),
+        (b"\x80\x81", "--config is no YAML\n  expected: text in UTF-8"),
+        (b"a: [", "--config is no YAML\n  found: while parsing"),
         (b"seed: 18446744073709551616", "seed: Input should be less than 18446744073709551616"),
     ],
 )

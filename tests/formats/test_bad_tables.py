@@ -109,7 +109,7 @@ def test_units(columns, write):
 
 def test_a_map_that_is_missing_or_no_yaml(tmp_path):
     assert refusal(tmp_path / "map.yaml") == (
-        "the map cannot be read\n  found: No such file or directory\n  where: map.yaml"
+        "the map cannot be read\n  expected: a YAML file\n  found: No such file or directory\n  where: map.yaml"
     )
     (tmp_path / "map.yaml").write_text("file: [")
     assert refusal(tmp_path / "map.yaml").startswith("the map is no YAML\n")
@@ -300,7 +300,7 @@ def test_a_name_too_long_and_a_map_that_is_no_file(columns, write):
     assert refusal(write(columns, file="x" * 5000 + ".csv"), DataError).startswith("the table does not exist\n")
     pipe = write(columns).parent / "pipe.yaml"
     os.mkfifo(pipe)
-    assert refusal(pipe).startswith("the map cannot be read\n  found: no regular file\n")
+    assert refusal(pipe).startswith("the map cannot be read\n  expected: a YAML file\n  found: no regular file\n")
 
 
 @pytest.mark.parametrize("rate_hz", [1e-300, 1e12, float("inf")])
@@ -311,7 +311,7 @@ def test_a_rate_that_no_device_has(columns, write, rate_hz):
 def test_a_rate_too_long_to_be_shown(columns, write):
     path = write(columns)
     path.write_text(path.read_text().replace("rate_hz: 100", "rate_hz: 0x" + "f" * 10_000))
-    assert "  found: a long int\n" in refusal(path)
+    assert "  expected: at most 400\n  found: a number of 10,002 digits\n" in refusal(path)
 
 
 def test_a_map_with_numbers_for_columns_of_a_table_with_names(columns, write):
@@ -324,4 +324,4 @@ def test_a_map_with_numbers_for_columns_of_a_table_with_names(columns, write):
 
 def test_a_map_that_is_no_text_says_what_is_expected(tmp_path):
     (tmp_path / "map.yaml").write_bytes(b"PAR1\xe8")
-    assert "is no text\n  expected: a YAML file" in refusal(tmp_path / "map.yaml")
+    assert "  expected: text in UTF-8\n  found: the byte 0xe8" in refusal(tmp_path / "map.yaml")

@@ -11,14 +11,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from hypothesis import given, settings
 
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.fetch import g1_inspire_pick
 from candata.formats import Reading, Writing
 from candata.formats.lerobot import FORMAT
 from tests.conftest import make_episode
-from tests.formats._damage import damaged_copy, damages, only_own_errors
 from tests.formats.made_sets import JOINTS, feature, write_lerobot
 
 
@@ -289,14 +287,6 @@ def test_a_path_too_long_and_an_info_that_is_no_file(made):
     os.mkfifo(root / "meta/info.json")
     with pytest.raises(DataError, match=r"info\.json is missing"):
         read(root)
-
-
-@settings(max_examples=25)
-@given(damage=damages())
-def test_damage_gives_only_own_errors(damage, exported, tmp_path_factory):
-    target = tmp_path_factory.getbasetemp() / "by-names"
-    damaged_copy(exported, target, damage)
-    only_own_errors(lambda: FORMAT.read(target, Reading()))
 
 
 def test_the_real_picks(shared):

@@ -8,13 +8,11 @@ import json
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
 
 from candata.errors import DataError, MissingExtraError, UnknownNameError, UsageError
 from candata.formats import Reading, Writing
 from candata.formats.robomimic import FORMAT
 from tests.conftest import make_episode
-from tests.formats._damage import damaged_copy, damages, only_own_errors
 
 h5py = pytest.importorskip("h5py")
 
@@ -228,24 +226,6 @@ def test_without_h5py_the_extra_is_named(tmp_path, others, monkeypatch):
         read(path)
     with pytest.raises(MissingExtraError, match=r"candata\[formats\]"):
         FORMAT.write([make_episode("a")], tmp_path, Writing("set", "d" * 64))
-
-
-@settings(max_examples=40)
-@given(damage=damages())
-def test_damage_gives_only_own_errors(damage, tmp_path_factory):
-    source = tmp_path_factory.getbasetemp() / "others.hdf5"
-    if not source.exists():
-        write_others(source)
-    target = tmp_path_factory.getbasetemp() / "damaged.hdf5"
-    damaged_copy(source, target, damage)
-    only_own_errors(lambda: FORMAT.read(target, Reading(allow_gaps=True)))
-
-
-@pytest.mark.slow
-@settings(max_examples=2000)
-@given(damage=damages())
-def test_much_damage_gives_only_own_errors(damage, tmp_path_factory):
-    test_damage_gives_only_own_errors.hypothesis.inner_test(damage, tmp_path_factory)
 
 
 @pytest.mark.parametrize(

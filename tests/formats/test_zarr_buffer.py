@@ -112,3 +112,13 @@ def test_a_folder_of_two_buffers_is_refused(tmp_path):
         write_buffer(tmp_path / "in" / f"{name}.zarr")
     with pytest.raises(DataError, match=r"found: a\.zarr, b\.zarr"):
         read(tmp_path / "in", tmp_path)
+
+
+def test_a_zip_file_whose_attributes_are_damaged(tmp_path):
+    path = zipped(write_buffer(tmp_path / "b.zarr"))
+    data = bytearray(path.read_bytes())
+    place = data.index(b".zattrs")
+    data[place - 30 : place - 26] = b"XXXX"  # the mark of the member's own header
+    path.write_bytes(data)
+    with pytest.raises(DataError, match=r"\.zattrs of the buffer cannot be read"):
+        read(path, tmp_path)

@@ -185,7 +185,7 @@ def test_no_cases_and_a_case_under_another_name_are_refused(tmp_path, run):
     with pytest.raises(UsageError, match="another name"):
         read_cases(tmp_path)
     (tmp_path / "case-0007" / CASE).write_text(text[:-5])
-    with pytest.raises(UsageError, match="not JSON"):
+    with pytest.raises(UsageError, match=r"case\.json is no JSON"):
         read_cases(tmp_path)
 
 

@@ -135,7 +135,7 @@ def test_a_scene_file_that_is_missing(tmp_path):
             "model: scene.xml\nrate_hz: -1\n",
             "scene.yaml is not valid: rate_hz: Input should be greater than 0",
         ),
-        ("model: [", "scene.yaml is not YAML"),
+        ("model: [", "scene.yaml is no YAML"),
     ],
 )
 def test_a_scene_file_that_is_not_valid(written, roles, text):

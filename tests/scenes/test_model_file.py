@@ -274,7 +274,7 @@ def test_a_scene_file_beside_a_model_is_offered(tmp_path):
 
 
 def test_a_scene_file_that_is_no_text(tmp_path):
-    with pytest.raises(UsageError, match=r"scene\.yaml is not YAML: 'utf-8'"):
+    with pytest.raises(UsageError, match=r"scene\.yaml is no YAML\n  expected: text in UTF-8"):
         load_scene(put(tmp_path / "scene.yaml", "model: \xe9".encode("latin-1")))
 
 

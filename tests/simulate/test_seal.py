@@ -100,6 +100,12 @@ def test_a_seal_that_was_changed_does_not_open(tmp_path):
         open_seal(path, open_dataset(tmp_path / "set"))
 
 
+def test_a_sealed_label_that_is_damaged_is_one_clear_error(hand):
+    drawn = draw(hand, "any", 1, "0" * 64)
+    with pytest.raises(UsageError, match="the sealed label is damaged"):
+        _ = drawn.model_copy(update={"label": drawn.label[:-3]}).effect
+
+
 def test_the_effect_is_applied(tmp_path):
     withhold(tmp_path, salt=None)
     seal = read_seal(tmp_path / "set.seal.json")

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import save_file
 
 from candata.errors import DataError, UsageError
-from candata.training import checkpoint, ema
+from candata.training import checkpoint, ema, steplog
 from candata.training.loop import train
 
 
@@ -132,3 +132,8 @@ def test_the_average_is_that_of_diffusers():
         ema.update(ours, layer.state_dict(), step, 0.75)
     for mean, expected in zip(ours.values(), known.shadow_params, strict=True):
         torch.testing.assert_close(mean, expected)
+
+
+def test_a_log_ends_before_the_first_line_that_is_no_text(tmp_path):
+    (tmp_path / steplog.NAME).write_bytes(b'{"step": 1, "loss": 0.5}\n{"step": 2, "loss": NaN}\n{"step": \xff}\n')
+    assert [line["step"] for line in steplog.read_log(tmp_path)] == [1, 2]

@@ -11,7 +11,6 @@ whose texts are `Label` records. `sealed` is sha256 over the bytes of the text a
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -29,6 +28,7 @@ from candata.gap.conclusion import lasting
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode
+from candata.schema.json_text import parse_json, read_json
 from candata.schema.manifest import Lineage
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
@@ -154,7 +154,7 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
         Length of an episode.
     """
     path, scene = Path(folder), load_scene(scene_name)
-    label = Label.parse(json.loads(text), path)
+    label = Label.parse(parse_json(text), path)
     policies = possible_policies(scene)
     plans = [
         Job(f"episode-{i:04d}", i, policies[i % len(policies)], seed, label.effects, hidden=True, noise_seed=label.seed)
@@ -241,7 +241,7 @@ def open_labels(cases: dict[Path, CaseFile], sealed: LabelsFile) -> dict[str, La
                 found=f"sealed {commitment(text, sealed.salt)[:12]}", where=Where(path=str(folder)),
                 fix="give the labels that were written beside these cases",
             )  # fmt: skip
-        out[case.name] = Label.parse(json.loads(text), case.name)
+        out[case.name] = Label.parse(parse_json(text), case.name)
     return out
 
 
@@ -249,7 +249,4 @@ def _json(path: Path) -> object:
     """Return the content of a JSON file."""
     if not path.is_file():
         raise UsageError(f"no file {path.name}", where=Where(path=str(path)))
-    try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise UsageError(f"{path.name} is not JSON: {error}", where=Where(path=str(path))) from None
+    return read_json(path)

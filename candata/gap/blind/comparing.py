@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from math import comb
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from candata.errors import UsageError, Where
 from candata.gap.blind.running import RESULTS, known
 from candata.schema.bench import BenchFile, CaseResult, Changed, Compared
+from candata.schema.json_text import read_json
 
 SCORE = "bench.json"
 
@@ -76,7 +76,7 @@ def _opened(folder: Path) -> dict[str, tuple[CaseResult, bool]]:
                 where=Where(path=str(folder)),
                 fix="score the cases first",
             )
-    score = BenchFile.parse(json.loads((folder / SCORE).read_text()), folder / SCORE)
+    score = BenchFile.parse(read_json(folder / SCORE), folder / SCORE)
     missed = {miss.case for miss in score.misses}
     results = known(folder)
     if score.done != len(results):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections import Counter
@@ -18,6 +17,7 @@ from candata.gap.conclusion import lasting
 from candata.gap.diagnosis import diagnose
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult
+from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.schema.report import Report
 
@@ -173,4 +173,4 @@ def finished(path: Path, record: type[R]) -> list[R]:
     if lines[-1]:
         with path.open("r+", encoding="utf-8") as file:
             file.truncate(len("\n".join(lines[:-1]).encode()) + (1 if len(lines) > 1 else 0))
-    return [record.parse(json.loads(line), path) for line in lines[:-1] if line]
+    return [record.parse(parse_json(line), path) for line in lines[:-1] if line]

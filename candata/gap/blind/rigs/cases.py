@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,6 +18,7 @@ from candata.gap.blind.rigs.readings import Planted, episode_reading, episodes, 
 from candata.gap.blind.rigs.recording import Drawn, logs, nominal, sane_rig
 from candata.scenes.first_load import vouch
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
+from candata.schema.json_text import parse_json
 from candata.schema.manifest import Lineage
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
@@ -174,7 +174,7 @@ def make_rig_case(folder: str, text: str, sealed: str, episodes: int, duration_s
         Length of an episode; the scene's own by default.
     """
     path = Path(folder)
-    write_rig_case(path, Label.parse(json.loads(text), path), sealed, episodes, duration_s)
+    write_rig_case(path, Label.parse(parse_json(text), path), sealed, episodes, duration_s)
     return path.name
 
 
