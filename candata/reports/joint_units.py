@@ -25,7 +25,7 @@ def joint_units(scene: str | None) -> Mapping[str, str]:
     return {joint.name: joint.unit for joint in found} | {j.actuator: j.unit for j in found if j.actuator}
 
 
-def readable(unit: str, element: str, units: Mapping[str, str]) -> str:
+def readable_unit(unit: str, element: str, units: Mapping[str, str]) -> str:
     """Return a unit in which `joint` and `command` are replaced by what the element's joint takes.
 
     Parameters

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
+import shutil
+import subprocess
 from dataclasses import replace
 
 import mujoco
@@ -339,3 +344,51 @@ def small_pictures(monkeypatch):
     """A filmstrip of few pixels, for tests that do not look at it."""
     monkeypatch.setattr(filmstrip, "WIDTH", 48)
     monkeypatch.setattr(filmstrip, "HEIGHT", 40)
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--enable-logging=stderr")
+#: Runs a function in the page once it is loaded, and tells the frame around it what the function saw.
+DRIVER = """<script>
+addEventListener("load", () => {
+  const seen = (FUNCTION)();
+  parent.postMessage(JSON.stringify({ ...seen, width: innerWidth, needed: document.documentElement.scrollWidth }), "*");
+});
+</script></body>"""
+#: Holds the page at a width that the browser's own window refuses, and keeps what the driver wrote down.
+FRAME = """<!DOCTYPE html><link rel="icon" href="data:,"><output id="seen"></output><script>
+addEventListener("message", e => { document.getElementById("seen").textContent = e.data; });
+</script><iframe src="page.html" style="width:WIDTHpx;height:900px;border:0"></iframe>"""
+
+
+@pytest.fixture
+def browse(tmp_path):
+    """The function that opens a page at a width and returns what a function of the page saw; the console is silent."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no chromium here")
+
+    def run(text: str, function: str, width: int) -> dict:
+        folder = tmp_path / "browser"
+        folder.mkdir()
+        driver = DRIVER.replace("FUNCTION", function)
+        (folder / "page.html").write_text(text.replace("</body>", driver), "utf-8")
+        (folder / "frame.html").write_text(FRAME.replace("WIDTH", str(width)))
+        profile, address = f"--user-data-dir={folder / 'profile'}", (folder / "frame.html").as_uri()
+        command = (
+            browser,
+            *FLAGS,
+            "--window-size=1400,1000",
+            "--virtual-time-budget=5000",
+            profile,
+            "--dump-dom",
+            address,
+        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert re.findall(r".*:CONSOLE.*", done.stderr) == []
+        seen = json.loads(html.unescape(re.search(r'<output id="seen">(.*?)</output>', done.stdout, re.S).group(1)))
+        assert seen.pop("width") == width
+        assert seen.pop("needed") <= width, "nothing makes the page scroll sideways"
+        return seen
+
+    return run

@@ -45,7 +45,7 @@ def named(name: str, element: str | None = None, **values) -> NamedEffect:
     ],
 )  # fmt: skip
 def test_a_change_in_words(effect, what, mjcf):
-    assert advice.change(effect) == advice.Change(what, mjcf)
+    assert advice.change(effect) == advice.SimulatorChange(what, mjcf)
 
 
 def test_what_mjcf_cannot_hold_is_added_by_the_effects_file():
@@ -60,22 +60,22 @@ def test_every_phrase_is_of_an_effect_and_every_effect_has_one():
 
 def test_an_effect_without_a_phrase_is_said_by_its_name(monkeypatch):
     monkeypatch.delitem(advice.PHRASES, "backlash")
-    text = advice.change(named("backlash", "index2", gap_rad=0.03)).what
+    text = advice.change(named("backlash", "index2", gap_rad=0.03)).instruction
     assert text == "Add backlash at index2: gears have play, a dead zone of the command, 30 mrad"
-    assert "Add wind: 0.4 N" in advice.change(named("wind", force_N=0.4)).what
+    assert "Add wind: 0.4 N" in advice.change(named("wind", force_N=0.4)).instruction
 
 
 def test_a_long_vector_stays_in_the_file():
     change = advice.change(named("tactile_bias", bias_N=tuple([0.1] * 15)))
-    assert "the 15 values of effects.yaml" in change.what
+    assert "the 15 values of effects.yaml" in change.instruction
 
 
 def test_what_could_not_be_tested_and_why(make_report):
     report = make_report()
-    dead = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.SILENT)
+    dead = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.NO_RESPONSE)
     blind = report.data.model_copy(update={"channels": ("joint_position", "object_pose")})
     report = report.model_copy(update={"ranking": (*report.ranking, dead), "data": blind})
-    rows = {why: what for what, why in advice.untested(report)}
+    rows = {why: what for what, why in advice.untested_effects(report)}
     assert rows["not tested: it moves nothing in these motions"] == "rolling friction"
     assert "tactile lag" in rows["fingertip force was not recorded"]
     assert "tactile gain" not in str(rows), "it was ranked"
@@ -90,7 +90,7 @@ def test_what_is_named_is_not_said_to_be_untested(make_report):
     )
     for named, said in (((), True), (report.effects, False)):
         some = report.model_copy(update={"ranking": (alone,), "effects": named})
-        assert ("gains little on the episodes looked at" in dict(map(reversed, advice.untested(some)))) is said
+        assert ("gains little on the episodes looked at" in dict(map(reversed, advice.untested_effects(some)))) is said
 
 
 def test_too_few_episodes_say_how_many_are_missing(make_report):

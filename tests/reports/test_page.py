@@ -62,7 +62,8 @@ class Page(HTMLParser):
 def said(text: str) -> str:
     """The page's text as a reader sees it, scripts left out."""
     body = re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)
-    return html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\N{NO-BREAK SPACE}", " ")
+    lines = html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\N{NO-BREAK SPACE}", " ").splitlines()
+    return "\n".join(filter(None, map(str.strip, lines)))
 
 
 @pytest.mark.parametrize("verdict", get_args(Verdict))
@@ -72,7 +73,7 @@ def test_every_verdict_is_written_with_its_sentences(tmp_path, make_report, full
     assert path == tmp_path / "new" / "report.html"
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
     text = said(path.read_text(encoding="utf-8"))
-    for sentence in (words.where, words.which, words.how_far, words.not_known):
+    for sentence in (words.where_sentence, words.cause_sentence, words.closure_sentence, words.unknowns_sentence):
         assert sentence(report) in text
     assert reports.explain(verdict) in text
 
@@ -173,7 +174,7 @@ def test_a_heat_map_of_nothing_but_gaps(make_heat):
 def test_the_ranking_shows_a_named_effect_wherever_it_ranks(make_report):
     report = make_report()
     late = report.effects[0].model_copy(update={"name": "tactile_bias", "element": None})
-    shown = figures.shown_candidates(report.model_copy(update={"effects": (late,)}))
+    shown = figures.drawn_candidates(report.model_copy(update={"effects": (late,)}))
     assert len(shown) == figures.MOST_RANKED + 1
     assert shown[-1].name == "tactile_bias"
 
@@ -181,7 +182,7 @@ def test_the_ranking_shows_a_named_effect_wherever_it_ranks(make_report):
 def test_the_ranking_is_not_filled_with_one_effect(make_report):
     report = make_report()
     local = tuple(report.ranking[1].model_copy(update={"element": f"joint{k}"}) for k in range(20))
-    shown = figures.shown_candidates(report.model_copy(update={"ranking": (*local, *report.ranking)}))
+    shown = figures.drawn_candidates(report.model_copy(update={"ranking": (*local, *report.ranking)}))
     assert [c.name for c in shown].count("joint_damping") == figures.MOST_VARIANTS
     assert len({c.name for c in shown}) > 8
 
@@ -224,7 +225,7 @@ def test_ambiguous_says_what_to_record_and_changes_nothing(tmp_path, make_report
     evidence = make_unrepaired(full_evidence)
     text = said(reports.write_report(make_report("ambiguous"), evidence, None, tmp_path, "").read_text("utf-8"))
     assert "Nothing yet" in text
-    assert "command filemotion.parquetseparatesjoint damping from joint dry friction" in text
+    assert "command filemotion.parquet\nseparatesjoint damping from joint dry friction" in text
 
 
 def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evidence):
