@@ -153,14 +153,16 @@ def untested_effects(report: Report) -> list[tuple[str, str]]:
         if candidate.reason and candidate.name not in named_effects:
             reason = REASONS.get(candidate.reason, candidate.reason)
             names_by_reason.setdefault(reason, []).append(candidate.name)
-    unranked = set(effect_names()) - {candidate.name.split(" ")[0] for candidate in report.ranking}
-    for name in sorted(unranked) if report.ranking else ():
+    unranked_names = set(effect_names()) - {candidate.name.split(" ")[0] for candidate in report.ranking}
+    for name in sorted(unranked_names) if report.ranking else ():
         channels = effect(name).moves
         reason = "not a candidate here: the scene has nothing for it to act on"
         if channels and not set(channels) & set(report.data.channels):
             reason = f"{words.enumeration([words.readable_name(c) for c in channels], 'or')} was not recorded"
         names_by_reason.setdefault(reason, []).append(name)
-    return [(words.enumeration(list(map(words.readable_name, names))), why) for why, names in names_by_reason.items()]
+    return [
+        (words.enumeration(list(map(words.readable_name, names))), reason) for reason, names in names_by_reason.items()
+    ]
 
 
 def missing_channels(report: Report) -> list[str]:

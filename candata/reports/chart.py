@@ -87,7 +87,7 @@ def plane(marks: Markup) -> Markup:
     return Markup('<svg viewBox="{}" preserveAspectRatio="none" aria-hidden="true">{}</svg>').format(size, marks)
 
 
-def joined(parts: Iterable[Markup]) -> Markup:
+def join_markup(parts: Iterable[Markup]) -> Markup:
     """Return pieces of markup as one."""
     return Markup("").join(parts)
 
@@ -122,14 +122,14 @@ def dots(
     tooltip: Callable[[int], str] | None = None,
 ) -> Markup:
     """Return a dot at every finite point; `tooltip` gives the text that shows when one is pointed at."""
-    drawn = [
+    paths = [
         Markup('<path d="M{} {}h0">{}</path>').format(
             x.x_place(x_value), y.y_place(y_value), _title(tooltip(k)) if tooltip else ""
         )
         for k, (x_value, y_value) in enumerate(zip(xs, ys, strict=True))
         if math.isfinite(x_value) and math.isfinite(y_value)
     ]
-    return Markup('<g class="dots {}">{}</g>').format(css_class, joined(drawn)) if drawn else Markup("")
+    return Markup('<g class="dots {}">{}</g>').format(css_class, join_markup(paths)) if paths else Markup("")
 
 
 def span(x: Axis, y: Axis, ends: tuple[float, float], height: float, css_class: str) -> Markup:
@@ -168,7 +168,7 @@ def tooltip_strips(x: Axis, xs: Sequence[float], tooltips: Sequence[str]) -> Mar
         Markup('<path d="M{} 0H{}V{}H{}Z">{}</path>').format(low, high, PLANE, low, _title(text))
         for text, low, high in zip(tooltips, map(x.x_place, edges[:-1]), map(x.x_place, edges[1:]), strict=True)
     )
-    return Markup('<g class="strips">{}</g>').format(joined(strips))
+    return Markup('<g class="strips">{}</g>').format(join_markup(strips))
 
 
 def mark(css_class: str, steps: str) -> Markup:

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from candata.datasets.compare import Compared, Comparison, Row, Side, Spread
 from candata.datasets.distance import Drawn
-from candata.reports.chart import Axis, chart, joined, linear_axis
+from candata.reports.chart import Axis, chart, join_markup, linear_axis
 from candata.reports.distributions import bars
 from candata.reports.document import render_page
 from candata.reports.inspection import units_of
@@ -64,25 +64,25 @@ class StatisticRow:
     percent: float
 
 
-def page(compared: Compared) -> str:
+def page(pair: Compared) -> str:
     """Return the page as text."""
-    comparison = compared.comparison
-    this, against = comparison.this, comparison.against
-    units = units_of({*this.scenes, *against.scenes})
-    longest = max((row.spreads or 0.0 for row in comparison.rows), default=0.0) or 1.0
+    comparison = pair.comparison
+    sides = (comparison.this, comparison.against)
+    units = units_of({scene for side in sides for scene in side.scenes})
+    largest_spreads = max((row.spreads or 0.0 for row in comparison.rows), default=0.0) or 1.0
     return render_page(
         "comparison",
-        title=f"{this.label} beside {against.label}",
+        title=" beside ".join(side.label for side in sides),
         tone="none",
-        this=this,
-        against=against,
+        this=comparison.this,
+        against=comparison.against,
         meaning=verdict(comparison),
         answers=[_answer(comparison, group, title, units) for group, title in GROUPS.items()],
-        distributions=_drawn_pairs(compared, units),
-        rows=[_statistic_row(row, units, longest) for row in comparison.rows[:MOST_ROWS]],
+        distributions=_distribution_pairs(pair, units),
+        rows=[_statistic_row(row, units, largest_spreads) for row in comparison.rows[:MOST_ROWS]],
         unlisted_count=max(len(comparison.rows) - MOST_ROWS, 0),
         remarks=[sentence_case(text) for text in (*comparison.unmatched, *comparison.notes)],
-        sides=[(f"{side.label}@{side.digest[:12]}", _side_words(side)) for side in (this, against)],
+        sides=[(f"{side.label}@{side.digest[:12]}", _side_words(side)) for side in sides],
         method=_method(comparison),
     )
 
@@ -116,12 +116,12 @@ def _answer(comparison: Comparison, group: str, title: str, units: Mapping[str, 
     return title, f"{count} of {len(rows)} differ", f"Most: {name}, median {medians.strip()}."
 
 
-def _drawn_pairs(compared: Compared, units: Mapping[str, str]) -> list[DistributionPair]:
+def _distribution_pairs(pair: Compared, units: Mapping[str, str]) -> list[DistributionPair]:
     """Return the distributions of the first rows: those that differ, a few in any case."""
-    rows = compared.comparison.rows
+    rows = pair.comparison.rows
     count = min(max(LEAST_DRAWN, sum(bool(row.differs) for row in rows)), MOST_DRAWN)
-    pairs = list(zip(rows, compared.drawn, strict=True))[:count]
-    return [_distribution_pair(row, histograms, row_unit(row, units)) for row, histograms in pairs]
+    entries = list(zip(rows, pair.drawn, strict=True))[:count]
+    return [_distribution_pair(row, histograms, row_unit(row, units)) for row, histograms in entries]
 
 
 def _distribution_pair(row: Row, histograms: Drawn, unit: str) -> DistributionPair:
@@ -135,12 +135,12 @@ def _distribution_pair(row: Row, histograms: Drawn, unit: str) -> DistributionPa
     x = linear_axis([histograms.edges[0], histograms.edges[-1]], 4)
     y = Axis(0, 1.06 * top, ((0.0, "0"), (top, percent(top))))
     sides = (("against", histograms.against), ("this", histograms.this))
-    marks = joined(bars(x, y, histograms.edges.tolist(), v.tolist(), f"histo {side}") for side, v in sides)
+    marks = join_markup(bars(x, y, histograms.edges.tolist(), v.tolist(), f"histo {side}") for side, v in sides)
     label = f"distributions of {row.statistic} {row.element}"
     return DistributionPair(title, chart(x, y, marks, label, 84, unit or "share", "share"), "", distance)
 
 
-def _statistic_row(row: Row, units: Mapping[str, str], longest: float) -> StatisticRow:
+def _statistic_row(row: Row, units: Mapping[str, str], largest_spreads: float) -> StatisticRow:
     """Return one row of the table."""
     cells = (
         row.statistic,
@@ -152,7 +152,7 @@ def _statistic_row(row: Row, units: Mapping[str, str], longest: float) -> Statis
         DASH if row.luck is None else digits(row.luck),
         DASH if row.spreads is None else digits(row.spreads),
     )
-    return StatisticRow(cells, bool(row.differs), 100 * (row.spreads or 0.0) / longest)
+    return StatisticRow(cells, bool(row.differs), 100 * (row.spreads or 0.0) / largest_spreads)
 
 
 def _spread(spread: Spread) -> str:
@@ -173,8 +173,8 @@ def _side_words(side: Side) -> str:
 
 def _method(comparison: Comparison) -> list[tuple[str, str]]:
     """Return what the words of the table mean."""
-    differencing = (
+    derivatives = (
         f"By differences over {digits(1e3 * comparison.step_s)} ms on both sides, noise of the sensors included; noise "
         "may be most of an acceleration."
     )
-    return [("speeds, accelerations", differencing), *METHOD]
+    return [("speeds, accelerations", derivatives), *METHOD]

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from markupsafe import Markup
 
 from candata.reports import space
-from candata.reports.chart import Axis, areas, chart, dots, floats, joined, line, linear_axis, tooltip_strips
+from candata.reports.chart import Axis, areas, chart, dots, floats, join_markup, line, linear_axis, tooltip_strips
 from candata.reports.envelope import runs
 from candata.training.results import Evaluation, Scores, Track
 
@@ -35,11 +35,11 @@ def against_horizon(evaluation: Evaluation, measure: str, factor: float, unit: s
     """
     classes = forecaster_classes(evaluation.forecasters)
     lines = [
-        (scores.summary, classes[name], _scaled(getattr(scores.windows, measure), factor))
+        (scores.summary, classes[name], _in_unit(getattr(scores.windows, measure), factor))
         for name, scores in evaluation.forecasters.items()
     ]
     if measure == "position_error_m" and evaluation.samples > 1:
-        energy = _scaled(evaluation.forecasters[evaluation.model].windows.position_energy_m, factor)
+        energy = _in_unit(evaluation.forecasters[evaluation.model].windows.position_energy_m, factor)
         lines.insert(1, ("energy score of its samples", f"{classes[evaluation.model]} energy", energy))
     times = [(k + 1) / evaluation.rate_hz for k in range(len(lines[0][2]))]
     x = linear_axis(times, 5)
@@ -48,12 +48,12 @@ def against_horizon(evaluation: Evaluation, measure: str, factor: float, unit: s
         "\n".join([f"{time:g} s ahead", *(f"{name}: {values[k]:.3g} {unit}" for name, _, values in lines)])
         for k, time in enumerate(times)
     ]
-    marks = joined(line(x, y, times, values, css_class) for _, css_class, values in reversed(lines))
+    marks = join_markup(line(x, y, times, values, css_class) for _, css_class, values in reversed(lines))
     label = f"{measure.rsplit('_', 1)[0].replace('_', ' ')} against the horizon"
     return chart(x, y, marks + tooltip_strips(x, times, tooltips), label, 190, "seconds ahead")
 
 
-def _scaled(values: Sequence[float | None], factor: float) -> list[float]:
+def _in_unit(values: Sequence[float | None], factor: float) -> list[float]:
     """Return values times a factor, NaN for what is missing."""
     return [math.nan if value is None else factor * value for value in values]
 
@@ -81,10 +81,10 @@ def contact_timeline(track: Track) -> Markup:
         texts = [[*text, f"recorded: {int(flag)}"] for text, flag in zip(texts, track.contact, strict=True)]
     if track.forecast_contact is not None:
         marks.append(line(x, y, times, floats(track.forecast_contact), "forecaster0"))
-        known = zip(texts, track.forecast_contact, strict=True)
-        texts = [text if math.isnan(p) else [*text, f"forecast: {p:.2f}"] for text, p in known]
+        forecasts = zip(texts, track.forecast_contact, strict=True)
+        texts = [text if math.isnan(p) else [*text, f"forecast: {p:.2f}"] for text, p in forecasts]
     marks.append(tooltip_strips(x, times, ["\n".join(text) for text in texts]))
-    return chart(x, y, joined(marks), f"contact in {track.id}", 58)
+    return chart(x, y, join_markup(marks), f"contact in {track.id}", 58)
 
 
 def episodes(evaluation: Evaluation) -> Markup:
@@ -94,16 +94,16 @@ def episodes(evaluation: Evaluation) -> Markup:
     shares = [100 * share for episode in evaluation.by_episode for share in episode.adds_auc.values()]
     x, y = linear_axis(moved_cm, 10, include=(0.0,)), linear_axis(shares, 7, " %")
     forecasters = reversed(list(evaluation.forecasters.items()))
-    marks = joined(_episode_dots(evaluation, name, scores, classes[name], x, y) for name, scores in forecasters)
+    marks = join_markup(_episode_dots(evaluation, name, scores, classes[name], x, y) for name, scores in forecasters)
     return chart(x, y, marks, "ADD-S AUC of every episode", 250, "largest motion of the object [cm]")
 
 
 def _episode_dots(evaluation: Evaluation, name: str, scores: Scores, css_class: str, x: Axis, y: Axis) -> Markup:
     """Return a mark for each episode of one forecaster."""
-    scored = [episode for episode in evaluation.by_episode if name in episode.adds_auc]
-    xs, ys = [100 * e.moved_m for e in scored], [100 * e.adds_auc[name] for e in scored]
+    scores_by_episode = [episode for episode in evaluation.by_episode if name in episode.adds_auc]
+    xs, ys = [100 * e.moved_m for e in scores_by_episode], [100 * e.adds_auc[name] for e in scores_by_episode]
 
     def tooltip(k: int) -> str:
-        return f"{scored[k].id}\n{scores.summary}: {ys[k]:.1f} %\nmoved {xs[k]:.1f} cm"
+        return f"{scores_by_episode[k].id}\n{scores.summary}: {ys[k]:.1f} %\nmoved {xs[k]:.1f} cm"
 
     return dots(x, y, xs, ys, css_class, tooltip)

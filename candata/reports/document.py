@@ -14,20 +14,20 @@ from candata.reports.numbers import digits, percent
 @cache
 def _environment() -> Environment:
     """Return the templates, which escape every value that is not markup, and the filters that they know."""
-    made = Environment(
+    environment = Environment(
         loader=PackageLoader("candata.reports"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {
+    environment.filters |= {
         "digits": digits,
         "percent": percent,
         "readable": words.readable_name,
         "typeset": words.keep_units,
     }
-    return made
+    return environment
 
 
 def render_page(template: str, **values: object) -> str:

@@ -122,8 +122,8 @@ def summary(evaluation: Evaluation) -> str:
         f"error ahead: {_lead_time(evaluation)} of one forecast"
     )
     seen_count = evaluation.seen_episodes
-    warnings = [f"{seen_count} of the episodes were trained on"] if seen_count else []
-    return "\n".join([f"{verdict(evaluation)[1]}: {_model(evaluation)}", "", *lines, "", note, *warnings])
+    seen_lines = [f"{seen_count} of the episodes were trained on"] if seen_count else []
+    return "\n".join([f"{verdict(evaluation)[1]}: {_model(evaluation)}", "", *lines, "", note, *seen_lines])
 
 
 def _model(evaluation: Evaluation) -> str:
@@ -138,11 +138,11 @@ def _group_words(evaluation: Evaluation) -> str:
 
 def _meaning(evaluation: Evaluation) -> str:
     """Return one sentence on what was done."""
-    warning = f" {evaluation.seen_episodes} of them were trained on." if evaluation.seen_episodes else ""
+    seen_words = f" {evaluation.seen_episodes} of them were trained on." if evaluation.seen_episodes else ""
     history_s = (evaluation.history - 1) / evaluation.rate_hz
     return (
         f"{evaluation.episodes} episodes, forecast from their first {history_s:.1f} s to their end: the model sees its "
-        f"own poses, joints and actions are replayed from the recording.{warning}"
+        f"own poses, joints and actions are replayed from the recording.{seen_words}"
     )
 
 

@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from candata.gap.evidence import Course, Element, Elements, HeatMap
 from candata.reports import words
-from candata.reports.chart import Axis, chart, dots, floats, joined, line, linear_axis
+from candata.reports.chart import Axis, chart, dots, floats, join_markup, line, linear_axis
 from candata.reports.document import render
 from candata.reports.numbers import digits
 from candata.schema.report import Report
@@ -34,15 +34,15 @@ class Panel:
     courses: tuple[tuple[str, Markup], ...]
 
 
-def panels(elements: Elements, opened: str, repair: str) -> Markup:
-    """Return a panel for each element, the one with the label `opened` in sight.
+def panels(elements: Elements, open_label: str, repair: str) -> Markup:
+    """Return a panel for each element, the one with the label `open_label` in sight.
 
     `repair` names the repaired simulation.
     """
-    return render("panels", panels=[_panel(element, elements.ids, repair, opened) for element in elements.of])
+    return render("panels", panels=[_panel(element, elements.ids, repair, open_label) for element in elements.of])
 
 
-def opened_label(elements: Elements, report: Report, heat: HeatMap) -> str:
+def most_telling_label(elements: Elements, report: Report, heat: HeatMap) -> str:
     """Return the label of the first symptom that has a panel, else of the row with the largest ratio."""
     labels = [element.label for element in elements.of]
     symptoms = [f"{symptom.channel} {symptom.element or ''}".strip() for symptom in report.where]
@@ -53,13 +53,13 @@ def opened_label(elements: Elements, report: Report, heat: HeatMap) -> str:
     return next((label for label in candidates if label in labels), labels[0])
 
 
-def _panel(element: Element, ids: tuple[str, ...], repair: str, opened: str) -> Panel:
+def _panel(element: Element, ids: tuple[str, ...], repair: str, open_label: str) -> Panel:
     """Return the panel of one element."""
     return Panel(
         label=element.label,
         name=words.sentence_case(f"{words.readable_name(element.channel)} {element.element}".strip()),
         unit=element.unit,
-        is_open=element.label == opened,
+        is_open=element.label == open_label,
         scatter=_scatter(element, ids, repair),
         courses=tuple((ids[course.episode], _course(element, course, ids)) for course in element.courses),
     )
@@ -86,7 +86,9 @@ def _scatter(element: Element, ids: tuple[str, ...], repair: str) -> Markup:
         marks.append(dots(x, y, places, repaired_errors, "after", lambda k: tooltip(repair, repaired_errors, k)))
     count = f" ({len(order)} of {len(ids)} drawn)" if len(order) < len(ids) else ""
     title = f"each held-out episode, worst first{count}"
-    return chart(x, y, joined(marks), f"mean error of {element.label} by episode", 120, title, f"mean error [{unit}]")
+    return chart(
+        x, y, join_markup(marks), f"mean error of {element.label} by episode", 120, title, f"mean error [{unit}]"
+    )
 
 
 def _course(element: Element, course: Course, ids: tuple[str, ...]) -> Markup:
@@ -94,7 +96,7 @@ def _course(element: Element, course: Course, ids: tuple[str, ...]) -> Markup:
     values = [course.real, course.before] + ([] if course.after is None else [course.after])
     x = linear_axis(floats(course.time_s), 5, " s")
     y = linear_axis([value for part in values for value in floats(part)], 3)
-    marks = joined(
+    marks = join_markup(
         line(x, y, floats(course.time_s), floats(part), css_class)
         for part, css_class in zip(values, ("recorded", "before", "after"), strict=False)
     )

@@ -17,7 +17,7 @@ from candata.reports.chart import (
     chart,
     dots,
     floats,
-    joined,
+    join_markup,
     line,
     linear_axis,
     log_axis,
@@ -56,12 +56,14 @@ class CandidateRow:
 def candidates(report: Report) -> Markup:
     """Return the best candidates with held-out gain, 90 % interval, support and share; named ones stand out."""
     shares = {(effect.name, effect.element): effect.share for effect in report.effects}
-    drawn = drawn_candidates(report)
-    ends = [v for c in drawn for v in (c.held_out_gain, c.gain_low, c.gain_high) if v is not None]
+    best_candidates = drawn_candidates(report)
+    ends = [v for c in best_candidates for v in (c.held_out_gain, c.gain_low, c.gain_high) if v is not None]
     x = linear_axis(ends, 3, include=(0.0,))
-    rows = [_candidate_row(candidate, shares.get((candidate.name, candidate.element)), x) for candidate in drawn]
+    rows = [
+        _candidate_row(candidate, shares.get((candidate.name, candidate.element)), x) for candidate in best_candidates
+    ]
     ticks = [(f"{100 * x.share(value):.1f}", text) for value, text in x.ticks]
-    undrawn_count = sum(not candidate.reason for candidate in report.ranking) - len(drawn)
+    undrawn_count = sum(not candidate.reason for candidate in report.ranking) - len(best_candidates)
     return render("candidates", rows=rows, ticks=ticks, undrawn_count=undrawn_count)
 
 
@@ -77,7 +79,7 @@ def _candidate_row(candidate: Ranked, share: float | None, x: Axis) -> Candidate
     return CandidateRow(
         name=words.effect_title(candidate.name, candidate.element),
         is_named=share is not None,
-        gain=plane(joined(marks)),
+        gain=plane(join_markup(marks)),
         support=candidate.support,
         share="" if share is None else percent(share),
     )
@@ -85,15 +87,15 @@ def _candidate_row(candidate: Ranked, share: float | None, x: Axis) -> Candidate
 
 def drawn_candidates(report: Report) -> list[Ranked]:
     """Return the best candidates that were tested, each effect on few of its elements, and those that are named."""
-    named = {(effect.name, effect.element) for effect in report.effects}
-    candidates_tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named]
+    named_keys = {(effect.name, effect.element) for effect in report.effects}
+    candidates_tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named_keys]
     variants = Counter[str]()
     best_ranked: list[Ranked] = []
     for candidate in candidates_tested:
         variants[candidate.name] += 1
         if variants[candidate.name] <= MOST_VARIANTS and len(best_ranked) < MOST_RANKED:
             best_ranked.append(candidate)
-    return [c for c in candidates_tested if c in best_ranked or (c.name, c.element) in named]
+    return [c for c in candidates_tested if c in best_ranked or (c.name, c.element) in named_keys]
 
 
 def mismatch_bars(gap: Gap, repair: str | None) -> Markup:
@@ -124,15 +126,15 @@ def losses(values: EpisodeLosses, repair: str | None = "repaired") -> Markup:
     def tooltip(name: str, mismatches: list[float], k: int) -> str:
         return f"{values.ids[order[k]]}, {name}: {words.times_floor(mismatches[k])}"
 
-    crowded = " many" if len(order) > CROWDED_FROM else ""
+    size_class = " many" if len(order) > CROWDED_FROM else ""
     marks = [band(x, y, low, high)]
-    marks.append(dots(x, y, places, nominal, f"before{crowded}", lambda k: tooltip("nominal", nominal, k)))
+    marks.append(dots(x, y, places, nominal, f"before{size_class}", lambda k: tooltip("nominal", nominal, k)))
     if repair:
         marks.append(
-            dots(x, y, places, repaired_losses, f"after{crowded}", lambda k: tooltip(repair, repaired_losses, k))
+            dots(x, y, places, repaired_losses, f"after{size_class}", lambda k: tooltip(repair, repaired_losses, k))
         )
     label, x_title = "mismatch of each held-out episode", "held-out episode, by mismatch before"
-    return chart(x, y, joined(marks), label, 230, x_title, "mismatch over its floor")
+    return chart(x, y, join_markup(marks), label, 230, x_title, "mismatch over its floor")
 
 
 def trace(time_s: np.ndarray, course: Trace) -> Markup:
@@ -143,7 +145,7 @@ def trace(time_s: np.ndarray, course: Trace) -> Markup:
     times = floats(np.asarray(time_s)[::step])
     values = {css_class: floats(np.asarray(part)[::step]) for css_class, part in parts.items()}
     x, y = linear_axis(times, 6, " s"), linear_axis([v for part in values.values() for v in part], 4)
-    marks = joined(line(x, y, times, part, css_class) for css_class, part in values.items())
+    marks = join_markup(line(x, y, times, part, css_class) for css_class, part in values.items())
     return chart(x, y, marks, f"{course.channel} {course.element} over time", 120)
 
 
@@ -167,7 +169,7 @@ def parameter_range(estimate: Estimate, search_range: Range | None) -> Markup:
         )
         marks.append(span(x, y, (low, high), 0.5, "named"))
     marks.append(dots(x, y, [float(estimate.value)], [0.5], "named"))  # type: ignore[arg-type]
-    return Markup('<span class="range">{}</span>').format(plane(joined(marks)))
+    return Markup('<span class="range">{}</span>').format(plane(join_markup(marks)))
 
 
 def _count_ticks(count: int) -> tuple[tuple[float, str], ...]:

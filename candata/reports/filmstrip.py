@@ -9,7 +9,7 @@ from markupsafe import Markup
 from candata.gap.evidence import Example
 from candata.reports.document import render
 from candata.reports.png import data_uri
-from candata.reports.render import film
+from candata.reports.render import render_frames
 
 #: Pictures a row, and their size in pixels (shown at half of it or less).
 COLUMNS, WIDTH, HEIGHT = 6, 264, 220
@@ -28,7 +28,7 @@ def filmstrip(model: mujoco.MjModel | None, example: Example, repair: str) -> Ma
     steps = moments(example)
     if len(steps) == 0:
         return Markup("")
-    pictures = film(model, np.concatenate([np.asarray(qpos)[steps] for *_, qpos in rows]), None, WIDTH, HEIGHT)
+    pictures = render_frames(model, np.concatenate([np.asarray(qpos)[steps] for *_, qpos in rows]), None, WIDTH, HEIGHT)
     frames = [data_uri(frame) for frame in pictures.frames]
     count = len(steps)
     return render(

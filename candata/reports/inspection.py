@@ -72,7 +72,7 @@ def page(survey: Survey, episode: str | None = None) -> str:
         phase_key=traces.phase_key(False),
         fingertips=summary.fingertip_contact_shares or {"any": summary.contact_share},
         is_one_episode=episode is not None,
-        episodes=[_episode_figures(chosen) for chosen in survey.shown[: 1 if episode else None]],
+        episodes=[_episode_figures(survey_entry) for survey_entry in survey.shown[: 1 if episode else None]],
         path_key=PATH_KEY,
         scope="this episode" if episode or summary.episodes == 1 else f"all {summary.episodes:,} episodes",
         distributions=distributions(survey.distributions, units),
@@ -178,15 +178,15 @@ def _unit(channel: ChannelSummary, units: Mapping[str, str]) -> str:
     return ", ".join(joint_unit_names) or readable_unit(unit, "", units)
 
 
-def _episode_figures(chosen: Shown) -> EpisodeFigures:
+def _episode_figures(survey_entry: Shown) -> EpisodeFigures:
     """Return the figures of one episode, and what it has no channel for."""
-    episode = chosen.episode
+    episode = survey_entry.episode
     path, contact, forces = space.path(episode), traces.timeline(episode), traces.forces(episode)
     joints = traces.joints(episode, joint_units(episode.meta.scene))
     figures = {"valid pose of an object": path, "contact": contact, "forces": forces, "joints": joints}
     return EpisodeFigures(
         episode=episode.meta.id,
-        facts=_facts(chosen),
+        facts=_facts(survey_entry),
         path=path,
         contact=contact,
         forces=forces,
@@ -195,10 +195,10 @@ def _episode_figures(chosen: Shown) -> EpisodeFigures:
     )
 
 
-def _facts(chosen: Shown) -> str:
+def _facts(survey_entry: Shown) -> str:
     """Return what an episode is, in one line."""
-    episode, meta = chosen.episode, chosen.episode.meta
+    episode, meta = survey_entry.episode, survey_entry.episode.meta
     seed = f"seed {meta.seed}" if meta.seed is not None else None
     attributes = ", ".join(filter(None, [meta.source, meta.task, meta.object, seed, meta.outcome]))
     length = f"{len(episode):,} {_noun(len(episode), 'row')} in {digits(float(episode.time_s[-1]))} s"
-    return f"{chosen.reason[0].upper()}{chosen.reason[1:]}; {length}; {attributes}."
+    return f"{survey_entry.reason[0].upper()}{survey_entry.reason[1:]}; {length}; {attributes}."

@@ -82,16 +82,16 @@ def format_estimate(estimate: Estimate, unit: str) -> FormattedEstimate:
     if values is None:
         return FormattedEstimate(str(estimate.value), "", "")
     readable_unit, factor = _readable_unit(unit, values)
-    ends = [_numbers(bound) for bound in (estimate.low, estimate.high)]
+    ends = [_numbers(end) for end in (estimate.low, estimate.high)]
     interval = ""
     if ends[0] is not None and ends[1] is not None:
         pairs = zip(ends[0], ends[1], strict=True)
-        interval = _bracketed(f"{digits(factor * low)} to {digits(factor * high)}" for low, high in pairs)
+        interval = _in_brackets(f"{digits(factor * low)} to {digits(factor * high)}" for low, high in pairs)
     elif ends[0] is not None:
-        interval = f"at least {_bracketed(digits(factor * v) for v in ends[0])}"
+        interval = f"at least {_in_brackets(digits(factor * v) for v in ends[0])}"
     elif ends[1] is not None:
-        interval = f"at most {_bracketed(digits(factor * v) for v in ends[1])}"
-    value = _bracketed(digits(factor * v) for v in values)
+        interval = f"at most {_in_brackets(digits(factor * v) for v in ends[1])}"
+    value = _in_brackets(digits(factor * v) for v in values)
     equally_good = EQUALLY_GOOD.get(estimate.bounded, "")
     return FormattedEstimate(value, interval, "" if readable_unit == "1" else readable_unit, equally_good)
 
@@ -132,7 +132,7 @@ def _readable_unit(unit: str, values: tuple[float, ...]) -> tuple[str, float]:
     return unit, 1.0
 
 
-def _bracketed(parts: Iterable[str]) -> str:
+def _in_brackets(parts: Iterable[str]) -> str:
     """Return a single part as it is, several in brackets."""
     texts = list(parts)
     return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"

@@ -69,16 +69,16 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
         filmstrip=filmstrip(model, evidence.example, words.after_name(report)) if evidence.example else "",
         example=evidence.example,
         traces=_traces(evidence.example) if evidence.example else [],
-        named_effects=tables.named_effects(report, evidence.ranges),
+        named_effects=tables.effect_rows(report, evidence.ranges),
         ranges_known=bool(evidence.ranges),
-        unknown=tables.unknown(report.unknown) if report.unknown else [],
-        next_motion=tables.next_motion(report.next_motion) if report.next_motion else [],
-        further_fields=tables.further_fields(report),
+        unknown=tables.unknown_rows(report.unknown) if report.unknown else [],
+        next_motion=tables.motion_rows(report.next_motion) if report.next_motion else [],
+        further_fields=tables.further_rows(report),
         measure_columns=tables.measure_columns(report),
-        measures=tables.measures(report),
-        untested=tables.untested(report),
-        data=tables.data(report),
-        verdicts=tables.verdicts(),
+        measures=tables.measure_rows(report),
+        untested=tables.untested_rows(report),
+        data=tables.data_rows(report),
+        verdicts=tables.verdict_rows(),
         terms=words.TERMS,
         effects_yaml=effects_yaml.strip(),
     )
@@ -133,8 +133,8 @@ def _panels(report: Report, evidence: Evidence) -> Markup:
     elements = evidence.elements
     if evidence.heat is None or not len(evidence.heat.rows) or elements is None or not elements.of:
         return Markup("")
-    opened_label = exhibits.opened_label(elements, report, evidence.heat)
-    return exhibits.panels(elements, opened_label, words.after_name(report))
+    label = exhibits.most_telling_label(elements, report, evidence.heat)
+    return exhibits.panels(elements, label, words.after_name(report))
 
 
 def _panel_key(report: Report, evidence: Evidence) -> list[tuple[str, str]]:
@@ -150,10 +150,10 @@ def _before_after(report: Report, evidence: Evidence) -> Markup:
     if report.gap is None:
         return Markup("")
     repair = words.after_name(report) if words.repair_was_tried(report) else None
-    drawn = figures.mismatch_bars(report.gap, repair)
+    figure = figures.mismatch_bars(report.gap, repair)
     if evidence.losses is not None and len(evidence.losses.ids):
-        drawn += figures.losses(evidence.losses, repair)
-    return drawn
+        figure += figures.losses(evidence.losses, repair)
+    return figure
 
 
 def _traces(example: Example) -> list[tuple[str, str, Markup]]:

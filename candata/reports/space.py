@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from candata.datasets.summary import ANY, touches
-from candata.reports.chart import joined, linear_axis
+from candata.reports.chart import join_markup, linear_axis
 from candata.reports.envelope import turning_rows
 from candata.reports.numbers import digits
 from candata.reports.traces import masked
@@ -57,7 +57,7 @@ def path(episode: Episode) -> Markup:
 
 
 def paths(
-    positions: Mapping[str, Array], time_s: Array, css_classes: Mapping[str, str], fitted: Sequence[str]
+    positions: Mapping[str, Array], time_s: Array, css_classes: Mapping[str, str], held_names: Sequence[str]
 ) -> Markup:
     """Return the paths of several forecasters in one cube, the last of them on top.
 
@@ -68,10 +68,10 @@ def paths(
     time_s : (T,) float64 [s]
     css_classes : mapping of str to str
         Class of each path.
-    fitted : sequence of str
+    held_names : sequence of str
         Names of the paths that the cube holds; the others may leave it.
     """
-    centre, half_m = _cube(np.concatenate([positions[name] for name in fitted]), LEAST_LOOP_HALF_M)
+    centre, half_m = _cube(np.concatenate([positions[name] for name in held_names]), LEAST_LOOP_HALF_M)
     marks = list(_frame(centre, half_m))
     for name, position in positions.items():
         points = CUBE_HALF * (position - centre) / half_m
@@ -81,7 +81,7 @@ def paths(
         for k in np.unique(np.linspace(0, len(points) - 1, POINTS_WITH_TIME).round().astype(int)).tolist():
             place = ", ".join(digits(100 * value) for value in position[k])
             marks.append(_curve("point", [[points[k]]], f"{name}, {time_s[k]:.2f} s: {place} cm"))
-    start = CUBE_HALF * (positions[fitted[0]][0] - centre) / half_m
+    start = CUBE_HALF * (positions[held_names[0]][0] - centre) / half_m
     marks.append(_curve("start", [[start]], "the loop begins here"))
     return _drawing(marks, "paths of the object in space")
 
@@ -94,8 +94,8 @@ def _cube(position: Array, least_half_m: float) -> tuple[Array, float]:
 
 def _rows_in_view(points: Array) -> int:
     """Return how many rows of a path pass before it lies outside of the drawing, from any side; one at least."""
-    outside = np.flatnonzero(np.linalg.norm(points, axis=1) > 2 * VIEW_HALF_X)
-    return max(int(outside[0]), 1) if len(outside) else len(points)
+    outside_rows = np.flatnonzero(np.linalg.norm(points, axis=1) > 2 * VIEW_HALF_X)
+    return max(int(outside_rows[0]), 1) if len(outside_rows) else len(points)
 
 
 def _drawing(marks: Iterable[Markup], label: str) -> Markup:
@@ -104,7 +104,14 @@ def _drawing(marks: Iterable[Markup], label: str) -> Markup:
         '<svg class="space" viewBox="{} {} {} {}" role="img" aria-label="{}" data-azimuth="{:g}" data-elevation="{:g}">'
         "{}</svg>"
     ).format(
-        -VIEW_HALF_X, -VIEW_HALF_Y, 2 * VIEW_HALF_X, 2 * VIEW_HALF_Y, label, AZIMUTH_DEG, ELEVATION_DEG, joined(marks)
+        -VIEW_HALF_X,
+        -VIEW_HALF_Y,
+        2 * VIEW_HALF_X,
+        2 * VIEW_HALF_Y,
+        label,
+        AZIMUTH_DEG,
+        ELEVATION_DEG,
+        join_markup(marks),
     )
 
 
@@ -172,12 +179,12 @@ def _triads(points: Array, quaternions: Array, valid_rows: NDArray[np.int64]) ->
 
 def _curve(css_class: str, strokes: Sequence[Sequence[Sequence[float] | Array] | Array], tooltip: str = "") -> Markup:
     """Return strokes as a path that knows its points in space, so that it can be turned."""
-    rounded = [[[round(float(v)) for v in point] for point in stroke] for stroke in strokes]
-    in_space = ";".join(",".join(" ".join(map(str, point)) for point in stroke) for stroke in rounded)
-    flat = "".join("M" + "L".join("{} {}".format(*_projected_point(p)) for p in stroke) for stroke in rounded)
+    points = [[[round(float(v)) for v in point] for point in stroke] for stroke in strokes]
+    in_space = ";".join(",".join(" ".join(map(str, point)) for point in stroke) for stroke in points)
+    steps = "".join("M" + "L".join("{} {}".format(*_projected_point(p)) for p in stroke) for stroke in points)
     title = Markup("<title>{}</title>").format(tooltip) if tooltip else ""
     return Markup('<path class="{}" data-p="{}" d="{}{}">{}</path>').format(
-        css_class, in_space, flat, "h0" if len(rounded[0]) == 1 else "", title
+        css_class, in_space, steps, "h0" if len(points[0]) == 1 else "", title
     )
 
 

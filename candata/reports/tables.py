@@ -53,7 +53,7 @@ class NamedEffectRow:
     support: float
 
 
-def named_effects(report: Report, ranges: Mapping[tuple[str, str | None, str], Range]) -> list[NamedEffectRow]:
+def effect_rows(report: Report, ranges: Mapping[tuple[str, str | None, str], Range]) -> list[NamedEffectRow]:
     """Return a row for each parameter of each named effect."""
     rows = []
     for effect in report.effects:
@@ -82,7 +82,7 @@ def _range_text(search_range: Range, unit: str) -> str:
     return f"{' to '.join(text.value.strip('[]').split(', '))} {text.unit}".strip()
 
 
-def unknown(part: Unknown) -> list[tuple[str, str]]:
+def unknown_rows(part: Unknown) -> list[tuple[str, str]]:
     """Return what is known of the part that no effect explains: where it acts, its size, what it depends on."""
     size = f"{digits(part.size)} {part.unit or ''}".strip() if part.size is not None else ""
     return [
@@ -95,7 +95,7 @@ def unknown(part: Unknown) -> list[tuple[str, str]]:
     ]
 
 
-def next_motion(motion: NextMotion) -> list[tuple[str, str]]:
+def motion_rows(motion: NextMotion) -> list[tuple[str, str]]:
     """Return what to record next: the motion, its file, what it separates."""
     return [
         ("motion", words.readable_name(motion.name)),
@@ -106,12 +106,12 @@ def next_motion(motion: NextMotion) -> list[tuple[str, str]]:
     ]
 
 
-def further_fields(report: Report) -> list[tuple[str, str]]:
+def further_rows(report: Report) -> list[tuple[str, str]]:
     """Return what newer versions of the record hold beyond what this page knows."""
     return _other_fields(report, SHOWN_FIELDS)
 
 
-def untested(report: Report) -> list[tuple[str, str]]:
+def untested_rows(report: Report) -> list[tuple[str, str]]:
     """Return what could not be tested and why: channels, effects that nothing shows, effects that cannot act."""
     rows = [(words.readable_name(c), "not recorded, so it was not compared") for c in advice.missing_channels(report)]
     return rows + [(words.sentence_case(effects), reason) for effects, reason in advice.untested_effects(report)]
@@ -137,7 +137,7 @@ def measure_columns(report: Report) -> list[str]:
     return list(dict.fromkeys(key for row in report.measures.values() for key in row))
 
 
-def measures(report: Report) -> list[tuple[str, ...]]:
+def measure_rows(report: Report) -> list[tuple[str, ...]]:
     """Return the plain measures, one a row."""
     columns = measure_columns(report)
     return [
@@ -146,12 +146,12 @@ def measures(report: Report) -> list[tuple[str, ...]]:
     ]
 
 
-def verdicts() -> list[tuple[str, str]]:
+def verdict_rows() -> list[tuple[str, str]]:
     """Return each verdict word with its meaning."""
     return [(word, words.explain(word)) for word in get_args(Verdict)]
 
 
-def data(report: Report) -> list[tuple[str, str]]:
+def data_rows(report: Report) -> list[tuple[str, str]]:
     """Return what the diagnosis saw and where it came from."""
     source, count = report.data, report.data.episodes
     held_out = "each held out once" if count.held_out == count.total else f"of which {count.held_out} held out"

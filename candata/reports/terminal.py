@@ -73,8 +73,8 @@ def _effect(effect: NamedEffect) -> str:
         for name, estimate in effect.parameters.items()
     )
     element = f" on {effect.element}" if effect.element else ""
-    bound = ", at its bound" if effect.at_bound else ""
-    return f"{effect.name}{element}: {values}{bound}; share {percent(effect.share)}"
+    bound_note = ", at its bound" if effect.at_bound else ""
+    return f"{effect.name}{element}: {values}{bound_note}; share {percent(effect.share)}"
 
 
 def _untested_words(report: Report) -> str:

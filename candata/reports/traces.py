@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.datasets.elements import actuator_labels, fingertip_labels, joint_labels
 from candata.datasets.summary import ANY, touches
-from candata.reports.chart import Axis, areas, chart, joined, line, linear_axis, mark
+from candata.reports.chart import Axis, areas, chart, join_markup, line, linear_axis, mark
 from candata.reports.document import render
 from candata.reports.envelope import bounds, envelope, runs
 from candata.reports.joint_units import readable_unit
@@ -86,7 +86,7 @@ def timeline(episode: Episode) -> Markup:
     for k, name in enumerate(rows[1:]):
         marks.append(_strokes(x, y, time_s, touch[name if tips else ANY], len(rows) - 2 - k, "touching"))
     label = "contact of each fingertip over time"
-    return render("timeline", key=phase_key(), chart=chart(x, y, joined(marks), label, 20 * len(rows), "time [s]"))
+    return render("timeline", key=phase_key(), chart=chart(x, y, join_markup(marks), label, 20 * len(rows), "time [s]"))
 
 
 def phase_key(with_touch: bool = True) -> list[tuple[str, str]]:
@@ -136,7 +136,7 @@ def _trace(
     y = linear_axis([value for _, ys in points.values() for value in ys], 4)
     marks = [] if touch is None else [areas(x, _spans(episode.time_s, touch, 0.0), "touch")]
     marks += [line(x, y, xs, ys, css_class) for css_class, (xs, ys) in points.items()]
-    return chart(x, y, joined(marks), f"{name} over time", 84, "", unit)
+    return chart(x, y, join_markup(marks), f"{name} over time", 84, "", unit)
 
 
 def _grid(charts: Sequence[tuple[str, Markup]], total: int, key: Sequence[tuple[str, str]]) -> Markup:

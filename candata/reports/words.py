@@ -90,19 +90,20 @@ def where_sentence(report: Report) -> str:
         return "Not examined: the budget was spent before."
     if not report.where:
         return "No channel leaves the range that sensor noise alone explains."
-    strongest, *weaker_symptoms = report.where
-    text = f"The gap shows most in {symptom_place(strongest)}: {times_floor(strongest.ratio)} ({p_text(strongest.p)})"
+    strongest_symptom, *weaker_symptoms = report.where
+    size = f"{times_floor(strongest_symptom.ratio)} ({p_text(strongest_symptom.p)})"
+    text = f"The gap shows most in {symptom_place(strongest_symptom)}: {size}"
     next_places = list(dict.fromkeys(symptom_place(symptom) for symptom in weaker_symptoms))[:2]
     return f"{text}; then in {enumeration(next_places)}." if next_places else f"{text}."
 
 
 def where_headline(report: Report) -> str:
-    """Return the strongest symptom in a few words; empty when there is none."""
+    """Return the strongest_symptom symptom in a few words; empty when there is none."""
     if not report.where:
         return ""
-    strongest = report.where[0]
-    phase = f", {readable_name(strongest.phase)}" if strongest.phase else ""
-    return sentence_case(strongest.element or _channel_words(strongest.channel)) + phase
+    strongest_symptom = report.where[0]
+    phase = f", {readable_name(strongest_symptom.phase)}" if strongest_symptom.phase else ""
+    return sentence_case(strongest_symptom.element or _channel_words(strongest_symptom.channel)) + phase
 
 
 def cause_headline(report: Report) -> str:

@@ -184,12 +184,10 @@ def unrepaired(found: Evidence) -> Evidence:
     assert shown is not None
     assert drawn is not None
     traces = tuple(replace(t, after=None) for t in shown.traces)
-    of = tuple(
-        replace(e, after=None, courses=tuple(replace(c, after=None) for c in e.courses)) for e in drawn.of
-    )  # fmt: skip
+    of = tuple(replace(e, after=None, courses=tuple(replace(c, after=None) for c in e.courses)) for e in drawn.of)
     return replace(
         found, example=replace(shown, traces=traces, qpos_after=None), elements=replace(drawn, of=of), ranges={}
-    )  # fmt: skip
+    )
 
 
 RANKING = [

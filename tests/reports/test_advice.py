@@ -35,15 +35,20 @@ def named(name: str, element: str | None = None, **values) -> NamedEffect:
             "Set the time constant of contacts at object, fingertips and support to 30.4 ms (29.8 to 30.5)",
             "0.0304 as the first number of solref of the <geom>s that touch, the second as it is",
         ),
-        (named("torque_limit", "ring1", limit_Nm=1.25), "Limit the torque of the servo of ring1 to 1.25 N m",
-         'forcerange="-1.25 1.25" of the actuator'),
+        (
+            named("torque_limit", "ring1", limit_Nm=1.25),
+            "Limit the torque of the servo of ring1 to 1.25 N m",
+            'forcerange="-1.25 1.25" of the actuator',
+        ),
         (named("friction_cone", cone="elliptic"), "Use the elliptic friction cone", '<option cone="elliptic"/>'),
-        (named("object_com", offset_m=(0.01, 0.0, -0.002)),
-         "Move the object's centre of mass by [10, 0, -2] mm, in its own frame",
-         "add 0.01 0 -0.002 to pos of its <inertial>"),
+        (
+            named("object_com", offset_m=(0.01, 0.0, -0.002)),
+            "Move the object's centre of mass by [10, 0, -2] mm, in its own frame",
+            "add 0.01 0 -0.002 to pos of its <inertial>",
+        ),
         (named("actuation_delay", delay_s=0.0125), "Delay the commands of every servo by 12.5 ms", ""),
     ],
-)  # fmt: skip
+)
 def test_a_change_in_words(effect, what, mjcf):
     assert advice.change(effect) == advice.SimulatorChange(what, mjcf)
 

@@ -21,10 +21,14 @@ MISS = Miss(case="case-0003", kind="one", truth="a<b>", verdict="no_gap", named=
 @pytest.fixture
 def bench() -> BenchFile:
     plain = BenchFile(
-        scene="s", cases=50, done=50, rows=ROWS, misses=(MISS,),
+        scene="s",
+        cases=50,
+        done=50,
+        rows=ROWS,
+        misses=(MISS,),
         confusion={"a<b>": {"no_gap": 1}, "other": {"other": 3}},
         calibration=(Bin(support=0.7, right=0.6, n=10), Bin(support=0.95, right=0.9, n=10)),
-    )  # fmt: skip
+    )
     return plain.model_copy(update={"baselines": (plain, plain.model_copy(update={"method": "oracle"}))})
 
 

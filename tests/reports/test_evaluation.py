@@ -36,16 +36,25 @@ def scores(summary: str, size: float, adds: bool = True, contact: bool = True) -
     ahead = tuple(0.002 + size * k for k in range(1, 17))
     said = Contact(precision=0.9, recall=0.8, f1=0.847) if contact else None
     opened = WindowScores(
-        position_error_m=ahead, rotation_error_rad=tuple(5 * v for v in ahead),
-        position_mse_m2=tuple(v**2 for v in ahead), rotation_mse_rad2=tuple(25 * v**2 for v in ahead),
-        position_energy_m=tuple(0.8 * v for v in ahead), adds_m=tuple(v / 2 if adds else None for v in ahead),
-        adds_auc=1 - 40 * size if adds else None, contact=said,
-    )  # fmt: skip
+        position_error_m=ahead,
+        rotation_error_rad=tuple(5 * v for v in ahead),
+        position_mse_m2=tuple(v**2 for v in ahead),
+        rotation_mse_rad2=tuple(25 * v**2 for v in ahead),
+        position_energy_m=tuple(0.8 * v for v in ahead),
+        adds_m=tuple(v / 2 if adds else None for v in ahead),
+        adds_auc=1 - 40 * size if adds else None,
+        contact=said,
+    )
     success = Success(count=14, total=19, share=14 / 19, low=0.512, high=0.882)
     closed = ClosedLoopScores(
-        adds_auc=1 - 50 * size if adds else None, adds_m=size * 8 if adds else None, position_error_m=size * 12,
-        rotation_error_rad=size * 50, final_position_error_m=size * 16, success=success, contact=said,
-    )  # fmt: skip
+        adds_auc=1 - 50 * size if adds else None,
+        adds_m=size * 8 if adds else None,
+        position_error_m=size * 12,
+        rotation_error_rad=size * 50,
+        final_position_error_m=size * 16,
+        success=success,
+        contact=said,
+    )
     return Scores(summary=summary, windows=opened, closed_loop=closed)
 
 
@@ -61,10 +70,26 @@ def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) 
     }
     auc = {"contact_diffusion": 0.94, "stays": 0.88, "keeps_velocity": 0.7} if adds else {}
     fields = {
-        "run": "first", "checkpoint": "best.safetensors", "step": 4000, "model": NAMES[0],
-        "trained_on": "sim@0123456789ab", "dataset": "sim@0123456789ab", "split": "default", "group": "test",
-        "seen_episodes": 0, "episodes": 2, "windows": 620, "rows": 480, "rate_hz": 10.0, "history": 8, "horizon": 16,
-        "samples": 16, "sampling_steps": 10, "execute": 8, "seed": 0, "contact_from": "predicted",
+        "run": "first",
+        "checkpoint": "best.safetensors",
+        "step": 4000,
+        "model": NAMES[0],
+        "trained_on": "sim@0123456789ab",
+        "dataset": "sim@0123456789ab",
+        "split": "default",
+        "group": "test",
+        "seen_episodes": 0,
+        "episodes": 2,
+        "windows": 620,
+        "rows": 480,
+        "rate_hz": 10.0,
+        "history": 8,
+        "horizon": 16,
+        "samples": 16,
+        "sampling_steps": 10,
+        "execute": 8,
+        "seed": 0,
+        "contact_from": "predicted",
         "forecasters": forecasters,
         "gain": {name: Gain(value=0.05, low=0.03, high=0.08) for name in NAMES[1:]} if adds else {},
         "by_episode": [
@@ -72,7 +97,7 @@ def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) 
             for k in range(2)
         ],
         "revision": "0.1.0",
-    }  # fmt: skip
+    }
     return Evaluation.model_validate(fields | changes)
 
 

@@ -108,6 +108,7 @@ def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one_whole(tmp_path, d
 
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(SetupError, match="no space"):
-        write_diagnosis(Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED),
-                        scene, tmp_path)  # fmt: skip
+        write_diagnosis(
+            Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED), scene, tmp_path
+        )
     assert (tmp_path / "report.json").read_text() == before

@@ -38,7 +38,10 @@ def test_moments_spread_over_the_rows_that_are_known(full_evidence):
 def test_a_short_episode_shows_each_moment_once(full_evidence):
     example = full_evidence.example
     few = replace(
-        example, time_s=example.time_s[:3], qpos_real=example.qpos_real[:3],
-        qpos_before=example.qpos_before[:3], qpos_after=None,
-    )  # fmt: skip
+        example,
+        time_s=example.time_s[:3],
+        qpos_real=example.qpos_real[:3],
+        qpos_before=example.qpos_before[:3],
+        qpos_after=None,
+    )
     assert moments(few).tolist() == [0, 1, 2]

@@ -75,8 +75,16 @@ def test_a_page_has_every_part_and_asks_for_nothing(dataset):
     text = inspection.page(survey(dataset(made("a"), made("b", rows=90))))
     found = Tags(text)
     assert found.open == []
-    for heading in ("Channels", "Contact", "Episodes", "Distributions", "Where it comes from", "Object in space",
-                    "Forces", "Joints and commands"):  # fmt: skip
+    for heading in (
+        "Channels",
+        "Contact",
+        "Episodes",
+        "Distributions",
+        "Where it comes from",
+        "Object in space",
+        "Forces",
+        "Joints and commands",
+    ):
         assert f">{heading}</h" in text, heading
     assert not re.search(r"(src|href)=\"(?!data:)", text)
     assert found.classes.count("space") == 2
@@ -86,8 +94,11 @@ def test_a_page_has_every_part_and_asks_for_nothing(dataset):
 def test_names_are_text(dataset):
     names = {"joint_names": (EVIL, "b"), "fingertip_names": (EVIL, "t"), "task": EVIL, "scene": EVIL}
     data = dataset(made(EVIL, **names))
-    for text in (inspection.page(survey(data)), inspection.page(survey(data, ids=[EVIL]), EVIL),
-                 comparison.page(compare(data, data))):  # fmt: skip
+    for text in (
+        inspection.page(survey(data)),
+        inspection.page(survey(data, ids=[EVIL]), EVIL),
+        comparison.page(compare(data, data)),
+    ):
         assert "<script>alert" not in text
         assert Tags(text).scripts <= 1
         assert "&lt;script&gt;alert" in text
@@ -99,12 +110,16 @@ def test_names_are_text(dataset):
         ({"object_pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (60, 1))}, "no contact, no forces, no joints."),
         ({"joint_position": np.zeros((60, 2))}, "no valid pose of an object, no contact, no forces."),
         (
-            {"object_pose": np.full((60, 7), np.nan), "object_pose_valid": np.zeros(60, bool),
-             "joint_position": np.zeros((60, 1)), "contact": np.zeros(60, bool)},
+            {
+                "object_pose": np.full((60, 7), np.nan),
+                "object_pose_valid": np.zeros(60, bool),
+                "joint_position": np.zeros((60, 1)),
+                "contact": np.zeros(60, bool),
+            },
             "no valid pose of an object, no forces.",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_an_episode_lacks_is_said(dataset, arrays, absent):
     text = inspection.page(survey(dataset(made(**arrays))))
     assert f"This episode has {absent}" in text

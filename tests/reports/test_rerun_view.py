@@ -40,9 +40,14 @@ def made(world, name="e", **changed):
         "fingertip_contact": np.arange(ROWS)[:, None] % 5 == np.arange(5),
     }
     meta = {
-        "id": name, "source": "sim", "rate_hz": 80.0, "scene": "xhand_tabletop", "joint_names": world.file.joints,
-        "actuator_names": world.file.actuator_names, "fingertip_names": world.file.fingertips,
-    }  # fmt: skip
+        "id": name,
+        "source": "sim",
+        "rate_hz": 80.0,
+        "scene": "xhand_tabletop",
+        "joint_names": world.file.joints,
+        "actuator_names": world.file.actuator_names,
+        "fingertip_names": world.file.fingertips,
+    }
     meta |= {k: changed.pop(k) for k in list(changed) if k in meta or k == "point_cloud"}
     arrays = {k: v for k, v in (arrays | changed).items() if v is not None}
     return Episode(EpisodeMeta.model_validate(meta), arrays)

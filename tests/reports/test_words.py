@@ -62,9 +62,11 @@ def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
 
 def test_summary_of_many_long_effects_stays_short(make_report):
     effect = {
-        "name": "tactile_bias", "share": 0.1, "support": 0.5,
+        "name": "tactile_bias",
+        "share": 0.1,
+        "support": 0.5,
         "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
-    }  # fmt: skip
+    }
     text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
     assert len(text.splitlines()) <= 25
     assert "and 6 more in report.json" in text
@@ -74,17 +76,24 @@ def test_the_longest_summary_fits_a_terminal(make_report):
     """Everything that can be said at once, each of it long."""
     long = "word " * 120
     effect = {
-        "name": "tactile_bias", "element": "index_tip", "share": 0.1, "support": 0.5, "at_bound": True,
+        "name": "tactile_bias",
+        "element": "index_tip",
+        "share": 0.1,
+        "support": 0.5,
+        "at_bound": True,
         "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
-    }  # fmt: skip
+    }
     dead = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": NO_RESPONSE} for k in range(30)]
     data = make_report().data.model_dump() | {"notes": [long], "channels": ["joint_position"], "floor": "assumed"}
     for count in (1, 2, 3, 9):
         report = make_report(
-            "partly_explained", effects=[effect] * count, unknown={"words": long}, data=data,
+            "partly_explained",
+            effects=[effect] * count,
+            unknown={"words": long},
+            data=data,
             ranking=[*make_report().model_dump()["ranking"], *dead],
             next_motion={"name": long, "file": "motion.parquet", "separates": ["a", "b"]},
-        )  # fmt: skip
+        )
         lines = reports.summary(report).splitlines()
         assert len(lines) <= 25
         assert max(map(len, lines)) <= 100
