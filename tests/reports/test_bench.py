@@ -20,7 +20,7 @@ MISS = Miss(case="case-0003", kind="one", truth="a<b>", verdict="no_gap", named=
 
 @pytest.fixture
 def bench() -> BenchFile:
-    plain = BenchFile(
+    method = BenchFile(
         scene="s",
         cases=50,
         done=50,
@@ -29,7 +29,7 @@ def bench() -> BenchFile:
         confusion={"a<b>": {"no_gap": 1}, "other": {"other": 3}},
         calibration=(Bin(support=0.7, right=0.6, n=10), Bin(support=0.95, right=0.9, n=10)),
     )
-    return plain.model_copy(update={"baselines": (plain, plain.model_copy(update={"method": "oracle"}))})
+    return method.model_copy(update={"baselines": (method, method.model_copy(update={"method": "oracle"}))})
 
 
 def test_the_text_says_measured_n_and_target_then_the_misses(bench):
@@ -37,8 +37,8 @@ def test_the_text_says_measured_n_and_target_then_the_misses(bench):
     assert lines[0] == "s: 50 of 50 cases, 1 missed"
     assert lines[3].split() == ["one", "effect:", "first", "80.0", "%", "40", ">=", "95", "%", "MISSED"]
     assert lines[4].split()[-1] == "met"
-    missed = next(line for line in lines if line.startswith("case-0003"))
-    assert missed.split() == ["case-0003", "one", "a<b>", "no_gap", "-", "1.23", "not", "first"]
+    miss_line = next(line for line in lines if line.startswith("case-0003"))
+    assert miss_line.split() == ["case-0003", "one", "a<b>", "no_gap", "-", "1.23", "not", "first"]
     assert "oracle" in next(line for line in lines if line.startswith("measure ("))
 
 
@@ -52,11 +52,11 @@ def test_the_page_is_self_contained_and_escapes_what_it_shows(bench, tmp_path):
 
 
 def test_a_confusion_map_puts_right_names_on_its_diagonal():
-    drawn = confusion({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})
-    assert re.findall(r'<th scope="col">(\w+)</th>', drawn) == ["a", "b", "no_gap"]
-    rows = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in re.findall(r'<th scope="row">.*?</tr>', drawn, re.S)]
+    table = confusion({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})
+    assert re.findall(r'<th scope="col">(\w+)</th>', table) == ["a", "b", "no_gap"]
+    rows = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in re.findall(r'<th scope="row">.*?</tr>', table, re.S)]
     assert rows == [["3", "1", ""], ["", "2", ""], ["", "", "4"]]
-    assert re.findall(r'class="(s\d)" title="hidden a, said (\w): (\d of \d)"', drawn) == [
+    assert re.findall(r'class="(s\d)" title="hidden a, said (\w): (\d of \d)"', table) == [
         ("s3", "a", "3 of 4"),
         ("s1", "b", "1 of 4"),
     ]
@@ -71,9 +71,9 @@ def test_each_bin_of_the_calibration_shows_its_numbers(bench):
 @pytest.mark.parametrize("width", [1280, 380])
 def test_the_page_fits(browse, bench, width):
     names = [f"an_effect_with_quite_a_long_name_{k}" for k in range(30)]
-    wide = bench.model_copy(update={"confusion": {name: {name: 3, "no_gap": 1} for name in names}})
+    large_bench = bench.model_copy(update={"confusion": {name: {name: 3, "no_gap": 1} for name in names}})
     count = """() => ({ cells: document.querySelectorAll(".confusion tbody td").length })"""
-    assert browse(bench_page(wide), count, width) == {"cells": 30 * 31}
+    assert browse(bench_page(large_bench), count, width) == {"cells": 30 * 31}
 
 
 def test_units_and_targets_in_words():

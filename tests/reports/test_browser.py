@@ -46,13 +46,13 @@ DRAG = """() => {
 def test_a_click_on_the_heat_map_shows_the_elements_episodes(
     browse, make_report, full_evidence, hand, no_gl, small_pictures, width
 ):
-    seen = browse(page.page(make_report(), full_evidence, hand, "effects: []\n"), CLICK, width)
-    assert seen["before"] == [{"element": "joint_position index2", "dots": 24, "courses": 3}]
-    assert seen["after"] == [{"element": "fingertip_force index_tip", "dots": 24, "courses": 3}]
-    assert seen["pressed"] == "true"
+    observed = browse(page.page(make_report(), full_evidence, hand, "effects: []\n"), CLICK, width)
+    assert observed["before"] == [{"element": "joint_position index2", "dots": 24, "courses": 3}]
+    assert observed["after"] == [{"element": "fingertip_force index_tip", "dots": 24, "courses": 3}]
+    assert observed["pressed"] == "true"
 
 
-def made(path, seed):
+def make_dataset(path, seed):
     rng, rows, episodes = np.random.default_rng(seed), 80, []
     names = tuple(f"a_joint_with_quite_a_long_name_{i}" for i in range(5))
     for k in range(6):
@@ -73,20 +73,20 @@ def made(path, seed):
 
 @WIDTHS
 def test_the_page_of_a_dataset_fits_and_its_path_turns(browse, tmp_path, width):
-    seen = browse(inspection.page(survey(made(tmp_path / "one", 1))), DRAG, width)
-    assert seen.pop("charts") > 5
-    assert seen == {"turned": True, "apart": True}
+    observed = browse(inspection.page(survey(make_dataset(tmp_path / "one", 1))), DRAG, width)
+    assert observed.pop("charts") > 5
+    assert observed == {"turned": True, "apart": True}
 
 
 @WIDTHS
 def test_the_page_of_two_datasets_fits(browse, tmp_path, width):
-    pair = compare(made(tmp_path / "one", 1), made(tmp_path / "two", 2))
-    seen = browse(comparison.page(pair), DRAG, width)
-    assert seen.pop("charts") > 5
-    assert seen == {"turned": None, "apart": True}
+    pair = compare(make_dataset(tmp_path / "one", 1), make_dataset(tmp_path / "two", 2))
+    observed = browse(comparison.page(pair), DRAG, width)
+    assert observed.pop("charts") > 5
+    assert observed == {"turned": None, "apart": True}
 
 
 @WIDTHS
 def test_the_page_of_a_validation_fits(browse, tmp_path, width):
-    dataset = made(tmp_path / "one", 1)
+    dataset = make_dataset(tmp_path / "one", 1)
     assert browse(validation.page(dataset, check(dataset)), DRAG, width)["charts"] == 0

@@ -38,8 +38,8 @@ def test_ticks_are_round_numbers():
 
 def test_a_line_breaks_where_a_value_is_missing():
     unit = Axis(0.0, 1.0, ())
-    drawn = line(unit, unit, [0.0, 0.5, 0.6, 1.0], [0.0, 1.0, math.nan, 0.5], "x")
-    assert re.search(r'd="([^"]*)"', drawn).group(1) == "M0 1000l500 -1000M1000 500h0"
+    markup = line(unit, unit, [0.0, 0.5, 0.6, 1.0], [0.0, 1.0, math.nan, 0.5], "x")
+    assert re.search(r'd="([^"]*)"', markup).group(1) == "M0 1000l500 -1000M1000 500h0"
     assert line(unit, unit, [0.0], [math.nan], "x") == ""
 
 
@@ -49,9 +49,9 @@ def test_a_dot_far_outside_stays_beside_the_chart():
 
 
 def test_a_strip_reaches_half_way_to_its_neighbours_and_escapes_its_text():
-    drawn = tooltip_strips(Axis(0.0, 1.0), [0.2, 0.4, 0.8], ["a<b", "c", "d"])
-    assert re.findall(r'd="M(-?\d+) 0H(-?\d+)V', drawn) == [("-50", "300"), ("300", "600"), ("600", "1050")]
-    assert "<title>a&lt;b</title>" in drawn
+    markup = tooltip_strips(Axis(0.0, 1.0), [0.2, 0.4, 0.8], ["a<b", "c", "d"])
+    assert re.findall(r'd="M(-?\d+) 0H(-?\d+)V', markup) == [("-50", "300"), ("300", "600"), ("600", "1050")]
+    assert "<title>a&lt;b</title>" in markup
 
 
 @pytest.mark.parametrize("values", [[], [math.nan], [math.inf], [0.0, 0.0]])

@@ -33,29 +33,29 @@ LARGEST_PAGE = 400_000
 
 def scores(summary: str, size: float, adds: bool = True, contact: bool = True) -> Scores:
     """Errors that grow with the horizon in proportion to `size`."""
-    ahead = tuple(0.002 + size * k for k in range(1, 17))
-    said = Contact(precision=0.9, recall=0.8, f1=0.847) if contact else None
-    opened = WindowScores(
-        position_error_m=ahead,
-        rotation_error_rad=tuple(5 * v for v in ahead),
-        position_mse_m2=tuple(v**2 for v in ahead),
-        rotation_mse_rad2=tuple(25 * v**2 for v in ahead),
-        position_energy_m=tuple(0.8 * v for v in ahead),
-        adds_m=tuple(v / 2 if adds else None for v in ahead),
+    errors_m = tuple(0.002 + size * k for k in range(1, 17))
+    contact_scores = Contact(precision=0.9, recall=0.8, f1=0.847) if contact else None
+    windows = WindowScores(
+        position_error_m=errors_m,
+        rotation_error_rad=tuple(5 * v for v in errors_m),
+        position_mse_m2=tuple(v**2 for v in errors_m),
+        rotation_mse_rad2=tuple(25 * v**2 for v in errors_m),
+        position_energy_m=tuple(0.8 * v for v in errors_m),
+        adds_m=tuple(v / 2 if adds else None for v in errors_m),
         adds_auc=1 - 40 * size if adds else None,
-        contact=said,
+        contact=contact_scores,
     )
     success = Success(count=14, total=19, share=14 / 19, low=0.512, high=0.882)
-    closed = ClosedLoopScores(
+    closed_loop = ClosedLoopScores(
         adds_auc=1 - 50 * size if adds else None,
         adds_m=size * 8 if adds else None,
         position_error_m=size * 12,
         rotation_error_rad=size * 50,
         final_position_error_m=size * 16,
         success=success,
-        contact=said,
+        contact=contact_scores,
     )
-    return Scores(summary=summary, windows=opened, closed_loop=closed)
+    return Scores(summary=summary, windows=windows, closed_loop=closed_loop)
 
 
 def make_evaluation(adds: bool = True, contact: bool = True, **changes: object) -> Evaluation:
@@ -106,11 +106,11 @@ def make_track(number: int = 0, contact: bool = True) -> Track:
     time_s = 0.7 + np.arange(26) / 10
     truth = np.tile([0.1, 0.05, 0.06, 1.0, 0, 0, 0], (26, 1))
     truth[:, 2] += 0.08 * np.clip(time_s - 1, 0, 1)
-    half = truth.copy()
-    half[:, 2] = (truth[:, 2] + 0.06) / 2
-    away = truth.copy()
-    away[:, 0] += 0.1 * (time_s - 0.7)
-    poses = {"contact_diffusion": half, "stays": np.tile(truth[0], (26, 1)), "keeps_velocity": away}
+    half_lift = truth.copy()
+    half_lift[:, 2] = (truth[:, 2] + 0.06) / 2
+    drifting = truth.copy()
+    drifting[:, 0] += 0.1 * (time_s - 0.7)
+    poses = {"contact_diffusion": half_lift, "stays": np.tile(truth[0], (26, 1)), "keeps_velocity": drifting}
     forecast = np.concatenate([[np.nan], np.linspace(0, 1, 25)])
     return Track(f"ep-{number}", time_s, truth, poses, time_s > 1 if contact else None, forecast if contact else None)
 
@@ -137,16 +137,16 @@ class Page(HTMLParser):
             self.tooltips.append(text)
 
 
-def said(text: str) -> str:
+def visible_text(text: str) -> str:
     """The page's text as a reader sees it."""
     return html.unescape(re.sub(r"<[^>]+>", " ", text))
 
 
 def test_both_files_are_written(tmp_path):
-    found = make_evaluation()
-    path = report.write_evaluation(found, TRACKS, tmp_path / "new")
+    evaluation = make_evaluation()
+    path = report.write_evaluation(evaluation, TRACKS, tmp_path / "new")
     assert sorted(p.name for p in path.parent.iterdir()) == ["evaluation.html", "evaluation.json"]
-    assert Evaluation.model_validate_json((path.parent / "evaluation.json").read_text()) == found
+    assert Evaluation.model_validate_json((path.parent / "evaluation.json").read_text()) == evaluation
     assert path.stat().st_size < LARGEST_PAGE
 
 
@@ -168,18 +168,18 @@ def test_the_page_asks_for_nothing_and_has_every_figure(tmp_path):
 
 
 def test_a_page_that_cannot_be_written_says_so(tmp_path, monkeypatch):
-    def full(path, *_arguments, **_more):
+    def raise_disk_full(path, *_arguments, **_options):
         path.touch()
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(Path, "write_text", raise_disk_full)
     with pytest.raises(SetupError, match=r"the page cannot be written\n\s+found: No space left on device"):
         report.write_evaluation(make_evaluation(), TRACKS, tmp_path / "out")
     assert not list((tmp_path / "out").iterdir())
 
 
 def test_the_page_says_what_it_is():
-    text = said(report.page(make_evaluation(), TRACKS))
+    text = visible_text(report.page(make_evaluation(), TRACKS))
     for words in (
         "Better than every baseline",
         "joints and actions are replayed",
@@ -215,14 +215,14 @@ def test_each_step_of_the_horizon_tells_all_forecasters():
 
 
 def test_a_path_that_flies_off_is_cut_and_one_that_stands_is_drawn():
-    far, still = make_track(), make_track()
-    far.poses["stays"][5:, 0] = 1e6
-    still.truth[:] = still.truth[0]
-    still.poses["contact_diffusion"][:] = still.truth[0]
-    for track in (far, still):
-        drawn = course(track)
-        assert "nan" not in drawn
-        assert max(abs(int(number)) for number in re.findall(r"-?\d+", drawn)) < 10_000
+    flying_track, standing_track = make_track(), make_track()
+    flying_track.poses["stays"][5:, 0] = 1e6
+    standing_track.truth[:] = standing_track.truth[0]
+    standing_track.poses["contact_diffusion"][:] = standing_track.truth[0]
+    for track in (flying_track, standing_track):
+        markup = course(track)
+        assert "nan" not in markup
+        assert max(abs(int(number)) for number in re.findall(r"-?\d+", markup)) < 10_000
 
 
 @pytest.mark.parametrize(
@@ -235,8 +235,8 @@ def test_a_path_that_flies_off_is_cut_and_one_that_stands_is_drawn():
     ],
 )
 def test_the_headline_follows_the_gains(gains, headline):
-    made = {name: Gain(value=v, low=low, high=high) for name, (v, low, high) in gains.items()}
-    assert report.verdict(make_evaluation(gain=made))[1] == headline
+    gain = {name: Gain(value=v, low=low, high=high) for name, (v, low, high) in gains.items()}
+    assert report.verdict(make_evaluation(gain=gain))[1] == headline
 
 
 def test_without_clouds_and_contact_their_parts_are_left_out():
@@ -261,16 +261,16 @@ def test_episodes_that_were_trained_on_are_said():
 
 def test_what_is_not_known_or_replayed_is_said():
     evaluation = make_evaluation(seen_episodes=None, contact_from="predicted, fingertips recorded")
-    text = said(report.page(evaluation, TRACKS))
+    text = visible_text(report.page(evaluation, TRACKS))
     assert "not known: the run's split is not beside the checkpoint" in text
     assert "each fingertip's replayed from the recording" in text
 
 
 def test_hostile_names_stay_text():
-    bad = "</script><script>alert(1)</script>"
-    episode = EpisodeScores(id=bad, moved_m=0.1, adds_auc={NAMES[0]: 0.9}, final_position_error_m={NAMES[0]: 0.1})
-    text = report.page(make_evaluation(dataset=bad, by_episode=[episode]), [replace(make_track(), id=bad)])
-    assert bad not in text
+    hostile = "</script><script>alert(1)</script>"
+    episode = EpisodeScores(id=hostile, moved_m=0.1, adds_auc={NAMES[0]: 0.9}, final_position_error_m={NAMES[0]: 0.1})
+    text = report.page(make_evaluation(dataset=hostile, by_episode=[episode]), [replace(make_track(), id=hostile)])
+    assert hostile not in text
 
 
 def test_the_summary_is_a_row_each():

@@ -44,7 +44,7 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-def made(name="e", rows=60, source="sim", **arrays):
+def make_episode(name="e", rows=60, source="sim", **arrays):
     rng = np.random.default_rng(3)
     meta = {k: arrays.pop(k) for k in ("joint_names", "fingertip_names", "task", "scene") if k in arrays}
     if not arrays:
@@ -72,9 +72,9 @@ def dataset(tmp_path):
 
 
 def test_a_page_has_every_part_and_asks_for_nothing(dataset):
-    text = inspection.page(survey(dataset(made("a"), made("b", rows=90))))
-    found = Tags(text)
-    assert found.open == []
+    text = inspection.page(survey(dataset(make_episode("a"), make_episode("b", rows=90))))
+    tags = Tags(text)
+    assert tags.open == []
     for heading in (
         "Channels",
         "Contact",
@@ -87,13 +87,13 @@ def test_a_page_has_every_part_and_asks_for_nothing(dataset):
     ):
         assert f">{heading}</h" in text, heading
     assert not re.search(r"(src|href)=\"(?!data:)", text)
-    assert found.classes.count("space") == 2
-    assert found.classes.count("histo") == 7 - 4 + 2 + 2 + 6  # a quaternion that stands is said in words
+    assert tags.classes.count("space") == 2
+    assert tags.classes.count("histo") == 7 - 4 + 2 + 2 + 6  # a quaternion that stands is said in words
 
 
 def test_names_are_text(dataset):
     names = {"joint_names": (EVIL, "b"), "fingertip_names": (EVIL, "t"), "task": EVIL, "scene": EVIL}
-    data = dataset(made(EVIL, **names))
+    data = dataset(make_episode(EVIL, **names))
     for text in (
         inspection.page(survey(data)),
         inspection.page(survey(data, ids=[EVIL]), EVIL),
@@ -121,28 +121,28 @@ def test_names_are_text(dataset):
     ],
 )
 def test_what_an_episode_lacks_is_said(dataset, arrays, absent):
-    text = inspection.page(survey(dataset(made(**arrays))))
+    text = inspection.page(survey(dataset(make_episode(**arrays))))
     assert f"This episode has {absent}" in text
     assert Tags(text).open == []
 
 
 def test_one_row_is_drawn(dataset):
-    one = made(rows=1)
-    text = inspection.page(survey(dataset(one)))
+    episode = make_episode(rows=1)
+    text = inspection.page(survey(dataset(episode)))
     assert "1 row.<" in text.replace("</dd>", "<")
     assert "nan" not in text.lower().replace("nano", "")
 
 
 def test_a_long_episode_of_many_joints_stays_small(dataset):
     rng, rows = np.random.default_rng(0), 12_000
-    one = made(
+    episode = make_episode(
         rows=rows,
         joint_position=rng.normal(size=(rows, 80)),
         action=rng.normal(size=(rows, 80)),
         fingertip_force=rng.normal(size=(rows, 10, 3)),
         fingertip_contact=rng.random((rows, 10)) > 0.5,
     )
-    text = inspection.page(survey(dataset(one)))
+    text = inspection.page(survey(dataset(episode)))
     assert len(text) < 2e6
     assert "40 more are not drawn" in text
     assert "16 more elements are not drawn" in text
@@ -150,21 +150,21 @@ def test_a_long_episode_of_many_joints_stays_small(dataset):
 
 def test_units_come_from_a_built_in_scene(dataset):
     names = ("wrist_x", "index1")
-    text = inspection.page(survey(dataset(made(scene="xhand_tabletop", joint_names=names))))
+    text = inspection.page(survey(dataset(make_episode(scene="xhand_tabletop", joint_names=names))))
     assert readable_unit("joint/s", "index1", inspection.units_of(["xhand_tabletop"])) == "rad/s"
     assert '<p>wrist_x</p><div class="chart"' in text
     assert re.search(r'<p>wrist_x</p><div class="chart"[^>]*><span class="yl">m<', text)
     assert re.search(r'<p>index1</p><div class="chart"[^>]*><span class="yl">rad<', text)
-    assert "rad or m" in inspection.page(survey(dataset(made(), name="other")))
+    assert "rad or m" in inspection.page(survey(dataset(make_episode(), name="other")))
 
 
 def test_two_datasets_on_one_page(dataset):
-    found = compare(dataset(made("a"), name="one"), dataset(made("b", source="real"), name="two"))
-    text = comparison.page(found)
+    pair = compare(dataset(make_episode("a"), name="one"), dataset(make_episode("b", source="real"), name="two"))
+    text = comparison.page(pair)
     assert Tags(text).open == []
     assert "one <small>beside</small> two" in text
     assert "Too few episodes to tell a difference from luck (1 beside 1)" in text
-    assert text.count("<tr") >= len(found.comparison.rows)
+    assert text.count("<tr") >= len(pair.comparison.rows)
 
 
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):

@@ -49,15 +49,15 @@ def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
         "parameters": {"frictionloss_Nm": {"value": 0.0875, **ends}},
     }
     (end,) = ends.values()
-    beyond = {"at least": "more", "at most": "less"}[word]
+    equally_good = {"at least": "more", "at most": "less"}[word]
     report = make_report(effects=[effect])
     text = " ".join(reports.summary(report).split())
-    assert f"frictionloss_Nm {word} {end} N m (0.0875 taken; {beyond} explains as well); share" in text
+    assert f"frictionloss_Nm {word} {end} N m (0.0875 taken; {equally_good} explains as well); share" in text
     assert f"frictionloss {word} {end} N m" in words.cause_sentence(report)
-    assert f"is known from one side: with any {beyond} the simulation" in words.unknowns_sentence(report)
-    stopped = make_report(effects=[effect | {"at_bound": True}])
-    assert "one side" not in words.unknowns_sentence(stopped)
-    assert "stopped at its bound" in words.unknowns_sentence(stopped)
+    assert f"is known from one side: with any {equally_good} the simulation" in words.unknowns_sentence(report)
+    bound_report = make_report(effects=[effect | {"at_bound": True}])
+    assert "one side" not in words.unknowns_sentence(bound_report)
+    assert "stopped at its bound" in words.unknowns_sentence(bound_report)
 
 
 def test_summary_of_many_long_effects_stays_short(make_report):
@@ -74,7 +74,7 @@ def test_summary_of_many_long_effects_stays_short(make_report):
 
 def test_the_longest_summary_fits_a_terminal(make_report):
     """Everything that can be said at once, each of it long."""
-    long = "word " * 120
+    long_text = "word " * 120
     effect = {
         "name": "tactile_bias",
         "element": "index_tip",
@@ -83,16 +83,16 @@ def test_the_longest_summary_fits_a_terminal(make_report):
         "at_bound": True,
         "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
     }
-    dead = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": NO_RESPONSE} for k in range(30)]
-    data = make_report().data.model_dump() | {"notes": [long], "channels": ["joint_position"], "floor": "assumed"}
+    unresponsive = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": NO_RESPONSE} for k in range(30)]
+    data = make_report().data.model_dump() | {"notes": [long_text], "channels": ["joint_position"], "floor": "assumed"}
     for count in (1, 2, 3, 9):
         report = make_report(
             "partly_explained",
             effects=[effect] * count,
-            unknown={"words": long},
+            unknown={"words": long_text},
             data=data,
-            ranking=[*make_report().model_dump()["ranking"], *dead],
-            next_motion={"name": long, "file": "motion.parquet", "separates": ["a", "b"]},
+            ranking=[*make_report().model_dump()["ranking"], *unresponsive],
+            next_motion={"name": long_text, "file": "motion.parquet", "separates": ["a", "b"]},
         )
         lines = reports.summary(report).splitlines()
         assert len(lines) <= 25
@@ -125,31 +125,33 @@ def test_out_of_budget_names_nothing_and_says_what_is_first_so_far(make_report):
         "None is named: the search was not finished; first so far is joint dry friction at index2."
     )
     assert words.closure_sentence(report).startswith("On held-out episodes the mismatch is 3.12 times the floor")
-    nothing = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
-    assert words.cause_sentence(nothing) == "None is named: the search was not finished."
-    assert words.where_sentence(nothing) == "Not examined: the budget was spent before."
-    assert words.closure_sentence(nothing) == "Not measured."
-    assert "change     Nothing yet: diagnose again with a larger --budget." in reports.summary(nothing)
+    empty_report = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
+    assert words.cause_sentence(empty_report) == "None is named: the search was not finished."
+    assert words.where_sentence(empty_report) == "Not examined: the budget was spent before."
+    assert words.closure_sentence(empty_report) == "Not measured."
+    assert "change     Nothing yet: diagnose again with a larger --budget." in reports.summary(empty_report)
 
 
 def test_where_no_candidate_passes_none_is_said_to_close_anything(make_report):
     report = make_report("unknown_effect")
-    same = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})
+    unchanged_gap = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})
     assert words.closure_sentence(report).startswith("The best candidate would close")
-    assert words.closure_sentence(report.model_copy(update={"gap": same})) == (
-        f"No candidate passes the held-out test: the mismatch stays at {digits(same.before)} times the floor."
+    assert words.closure_sentence(report.model_copy(update={"gap": unchanged_gap})) == (
+        f"No candidate passes the held-out test: the mismatch stays at {digits(unchanged_gap.before)} times the floor."
     )
 
 
 def test_few_episodes_that_hold_most_of_what_remains_are_named(make_report):
     report = make_report("partly_explained")
-    few = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
-    told = words.closure_sentence(report.model_copy(update={"gap": few}))
-    assert told.endswith("Episodes e2 and e12 hold most of what remains; 56 % of the gap of the others closes.")
-    many = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e1", "e2", "e3", "e4")})})
-    assert "4 episodes (e1, e2, e3 and others) hold most of what remains" in words.closure_sentence(many)
-    one = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e2",)})})
-    assert "Episode e2 holds most of what remains" in words.closure_sentence(one)
+    outlier_gap = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
+    sentence = words.closure_sentence(report.model_copy(update={"gap": outlier_gap}))
+    assert sentence.endswith("Episodes e2 and e12 hold most of what remains; 56 % of the gap of the others closes.")
+    many_outliers = report.model_copy(
+        update={"gap": outlier_gap.model_copy(update={"outlying": ("e1", "e2", "e3", "e4")})}
+    )
+    assert "4 episodes (e1, e2, e3 and others) hold most of what remains" in words.closure_sentence(many_outliers)
+    one_outlier = report.model_copy(update={"gap": outlier_gap.model_copy(update={"outlying": ("e2",)})})
+    assert "Episode e2 holds most of what remains" in words.closure_sentence(one_outlier)
 
 
 def test_a_column_of_the_pose_is_said_as_what_it_is():
@@ -165,17 +167,17 @@ def test_no_gap_claims_no_repair(make_report):
 
 def test_an_assumed_floor_and_a_bound_are_said(make_report):
     report = make_report()
-    bound = report.effects[0].model_copy(update={"at_bound": True})
+    bound_effect = report.effects[0].model_copy(update={"at_bound": True})
     data = report.data.model_copy(update={"floor": "assumed"})
-    text = words.unknowns_sentence(report.model_copy(update={"effects": (bound,), "data": data}))
+    text = words.unknowns_sentence(report.model_copy(update={"effects": (bound_effect,), "data": data}))
     assert "stopped at its bound" in text
     assert "floor is assumed" in text
 
 
 def test_what_may_be_the_cause_instead_is_said(make_report):
     report = make_report()
-    one = report.effects[0].model_copy(update={"rivals": ("pose_scale", "support_height")})
-    text = words.unknowns_sentence(report.model_copy(update={"effects": (one,)}))
+    effect = report.effects[0].model_copy(update={"rivals": ("pose_scale", "support_height")})
+    text = words.unknowns_sentence(report.model_copy(update={"effects": (effect,)}))
     assert "may be pose scale or support height instead" in text
     assert "instead" not in words.unknowns_sentence(report)
 
@@ -245,5 +247,5 @@ def test_percent_never_rounds_up_to_all(share, text):
     ],
 )
 def test_a_symptom_says_its_regime_only_where_it_has_one(regime, text):
-    one = Symptom(channel="joint_position", element="index2", phase="onset", regime=regime, ratio=3.0, p=0.01)
-    assert words.symptom_place(one) == text
+    effect = Symptom(channel="joint_position", element="index2", phase="onset", regime=regime, ratio=3.0, p=0.01)
+    assert words.symptom_place(effect) == text
