@@ -24,7 +24,7 @@ MANY_ZEROS = 0.1
 
 
 @dataclass(frozen=True)
-class Histogram:
+class HistogramFigure:
     """The distribution of one element: its bars, empty when it has one value or none, and its range in words."""
 
     title: str
@@ -38,7 +38,7 @@ class ChannelHistograms:
 
     channel: str
     meaning: str
-    histograms: tuple[Histogram, ...]
+    histograms: tuple[HistogramFigure, ...]
     undrawn_count: int
 
 
@@ -59,19 +59,19 @@ def distributions(elements: Iterable[ChannelDistribution], units: Mapping[str, s
     return render("distributions", channels=channels)
 
 
-def _histogram(element: ChannelDistribution, units: Mapping[str, str]) -> Histogram:
+def _histogram(element: ChannelDistribution, units: Mapping[str, str]) -> HistogramFigure:
     """Return one histogram, with its range and what the bars leave out in words."""
     unit = readable_unit(element.element.unit, element.element.name, units)
     title, values = element.element.name or element.channel, element.found
     if values is None:
-        return Histogram(title, Markup(""), "no valid value")
+        return HistogramFigure(title, Markup(""), "no valid value")
     if values.high - values.low <= EQUAL_SHARE * max(abs(values.low), abs(values.high)):
         precision = "" if values.low == values.high else ", to one part in a million"
-        return Histogram(title, Markup(""), f"always {digits(values.low)} {unit}".strip() + precision)
+        return HistogramFigure(title, Markup(""), f"always {digits(values.low)} {unit}".strip() + precision)
     caption = f"{digits(values.low)} to {digits(values.high)} {unit}".strip()
     if values.zero_share >= MANY_ZEROS:
         caption += f"; exactly 0 in {percent(values.zero_share)}, not drawn"
-    return Histogram(title, _bars(values, unit, title), caption)
+    return HistogramFigure(title, _bars(values, unit, title), caption)
 
 
 def _bars(values: Distribution, unit: str, title: str) -> Markup:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
@@ -25,6 +26,32 @@ TONES = {
     "too_little_data": "none",
     "out_of_budget": "none",
 }
+
+
+#: Width at which an interval can still be seen on the bar [per cent of the bar].
+LEAST_INTERVAL_PERCENT = 0.6
+
+
+@dataclass(frozen=True)
+class ClosedShareBar:
+    """The share of the gap that closes, as text and as a bar; its interval, where it is known, as (left, width).
+
+    Lengths are in per cent of the bar.
+    """
+
+    text: str
+    fill: float
+    interval: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A question with its answer: a few large words, which may be empty, a bar or None, and a sentence."""
+
+    question: str
+    lead: str
+    bar: ClosedShareBar | None
+    sentence: str
 
 
 def write_report(
@@ -59,7 +86,6 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
         report=report,
         meaning=words.explain(report.verdict),
         answers=_answers(report),
-        closed_bar=_closed_bar(report),
         changes=advice.changes(report),
         no_attribute=advice.NO_ATTRIBUTE,
         next_step=advice.next_step(report),
@@ -84,28 +110,28 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
     )
 
 
-def _answers(report: Report) -> list[tuple[str, str, str]]:
-    """Return question, a few large words and a sentence for where, which, how far and what is not known."""
+def _answers(report: Report) -> list[Answer]:
+    """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
     closure = " ".join(filter(None, (words.closure_sentence(report), words.edit_sentence(report))))
     unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
     return [
-        ("Where is the gap?", words.where_headline(report), words.where_sentence(report)),
-        ("Which effect makes it?", words.cause_headline(report), words.cause_sentence(report)),
-        ("How far does it close?", "", closure),
-        ("What is not known?", "", unknowns),
+        Answer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
+        Answer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),
+        Answer("How far does it close?", "", _closed_share_bar(report), closure),
+        Answer("What is not known?", "", None, unknowns),
     ]
 
 
-def _closed_bar(report: Report) -> dict[str, str | float | None] | None:
-    """Return the share closed, as text and in per cent of a bar, with its interval; None when not measured."""
+def _closed_share_bar(report: Report) -> ClosedShareBar | None:
+    """Return the share closed with its interval; None when it was not measured."""
     gap = report.gap
     if gap is None or gap.closed is None or not words.repair_was_tried(report):
         return None
-    bar: dict[str, str | float | None] = {"text": percent(gap.closed), "fill": _bar_percent(gap.closed), "low": None}
+    interval = None
     if gap.low is not None and gap.high is not None:
         low, high = _bar_percent(gap.low), _bar_percent(gap.high)
-        bar |= {"low": low, "width": max(high - low, 0.6)}
-    return bar
+        interval = (low, max(high - low, LEAST_INTERVAL_PERCENT))
+    return ClosedShareBar(percent(gap.closed), _bar_percent(gap.closed), interval)
 
 
 def _figures(report: Report, evidence: Evidence) -> dict[str, Markup]:

@@ -87,14 +87,15 @@ def paths(
 
 
 def _cube(position: Array, least_half_m: float) -> tuple[Array, float]:
-    """Return centre and half side [m] of the cube that holds the positions (N, 3)."""
-    low, high = position.min(axis=0), position.max(axis=0)
+    """Return centre and half side [m] of the cube that holds the finite ones of the positions (N, 3)."""
+    finite = position[np.isfinite(position).all(axis=1)]
+    low, high = finite.min(axis=0), finite.max(axis=0)
     return (low + high) / 2, max(least_half_m, CUBE_MARGIN * float((high - low).max()))
 
 
 def _rows_in_view(points: Array) -> int:
-    """Return how many rows of a path pass before it lies outside of the drawing, from any side; one at least."""
-    outside_rows = np.flatnonzero(np.linalg.norm(points, axis=1) > 2 * VIEW_HALF_X)
+    """Return how many rows pass before a path is not finite or outside of the drawing from any side; one at least."""
+    outside_rows = np.flatnonzero(~(np.linalg.norm(points, axis=1) <= 2 * VIEW_HALF_X))
     return max(int(outside_rows[0]), 1) if len(outside_rows) else len(points)
 
 

@@ -214,9 +214,10 @@ def test_each_step_of_the_horizon_tells_all_forecasters():
     ]
 
 
-def test_a_path_that_flies_off_is_cut_and_one_that_stands_is_drawn():
+def test_paths_that_fly_off_stand_or_are_not_finite_are_drawn():
     flying_track, standing_track = make_track(), make_track()
     flying_track.poses["stays"][5:, 0] = 1e6
+    flying_track.poses["contact_diffusion"][9:] = np.nan
     standing_track.truth[:] = standing_track.truth[0]
     standing_track.poses["contact_diffusion"][:] = standing_track.truth[0]
     for track in (flying_track, standing_track):
