@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 REPORT_CAMERA = "report"
 #: Free space around a fitted picture, and how often its centre is corrected for perspective.
 MARGIN, CENTRING_ROUNDS = 1.12, 4
+#: Geom groups that MuJoCo's viewers show by default: those below this number.
+SHOWN_GROUPS = 3
 #: The eight corners of a box, (8, 3).
 SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 

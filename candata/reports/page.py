@@ -91,6 +91,8 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
         next_step=advice.next_step(report),
         repair=words.after_name(report),
         figures=_figures(report, evidence),
+        significant_p=heat.SIGNIFICANT_P,
+        alike_cosine=heat.ALIKE_COSINE,
         panel_key=_panel_key(report, evidence),
         filmstrip=filmstrip(model, evidence.example, words.after_name(report)) if evidence.example else "",
         example=evidence.example,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.datasets.elements import joint_labels
 from candata.errors import UsageError, Where
+from candata.reports.camera import SHOWN_GROUPS
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
 from candata.schema.episode import Episode
@@ -18,8 +19,6 @@ from candata.schema.episode import Episode
 Array = NDArray[np.float64]
 #: Rows posed at a time: what bounds the memory of a long episode.
 ROWS = 2048
-#: Geom groups that MuJoCo's viewers show by default: 0 to 2.
-SHOWN_GROUPS = 3
 
 
 @dataclass(frozen=True)

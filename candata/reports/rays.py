@@ -6,13 +6,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.reports.camera import FreeCamera, Pinhole, pinhole
+from candata.reports.camera import SHOWN_GROUPS, FreeCamera, Pinhole, pinhole
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
 
-#: Geom groups that MuJoCo's viewers show by default: 0 to 2.
-SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+#: Whether a ray sees the geoms of a group, by group.
+SEEN_GROUPS = (np.arange(mujoco.mjNGROUP) < SHOWN_GROUPS).astype(np.uint8)
 #: Colours of the drawing: sky, and the two tiles of a plane (they shade a plane that has its own colour).
 SKY, TILES = (0.93, 0.94, 0.95), np.array([[0.86, 0.87, 0.88], [0.80, 0.81, 0.83]])
 #: Direction towards the sun (unit length) and the light that reaches a place in its shadow.
@@ -83,7 +83,7 @@ def _cast(
     """Return the first geom hit by each ray (-1: none), its distance [m] and its normal (N, 3)."""
     geom, distance = np.empty(len(rays), np.int32), np.empty(len(rays))
     normal = np.zeros(rays.size)
-    mujoco.mj_multiRay(model, data, start, rays.ravel(), SHOWN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6)
+    mujoco.mj_multiRay(model, data, start, rays.ravel(), SEEN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6)
     return geom, distance, normal.reshape(-1, 3)
 
 

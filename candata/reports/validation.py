@@ -124,11 +124,12 @@ def _method(deep: bool, rules: Sequence[str] | None) -> str:
 
 def _answer(level: Level, groups: Sequence[Group], episode_count: int) -> tuple[str, str, int, str]:
     """Return name, colour, number of groups and sentence of a level."""
+    heading = PLURALS[level].capitalize()
+    if not groups:
+        return heading, "muted", 0, "None."
     episodes = {name for group in groups for name in group.episodes}
-    sentence = CONSEQUENCES[level]
-    if episodes:
-        sentence = f"{sentence} {len(episodes)} of {episode_count} episodes."
-    return PLURALS[level].capitalize(), TONES[level] if groups else "muted", len(groups), sentence
+    count = f" {len(episodes)} of {episode_count} episodes." if episodes else ""
+    return heading, TONES[level], len(groups), CONSEQUENCES[level] + count
 
 
 def _group(group: Group, episode_count: int) -> FindingGroup:
