@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 from candata.effects import effect, effect_names
 from candata.errors import UnknownNameError
+from candata.gap.verdict import FEWEST
 from candata.reports import words
-from candata.reports.numbers import digits, reading, unit_of
+from candata.reports.numbers import digits, format_estimate, unit_of
 from candata.schema.report import Estimate, NamedEffect, Report
 
 #: What to do, and how MJCF says it, by effect. `{x}` is the value with its interval, `{raw}` the SI number, `{joint}`,
@@ -81,108 +82,113 @@ PHRASES: dict[str, tuple[str, str]] = {
     "tactile_dead_band": ("Allow for the dead band of {tip}: forces below {x} read zero", ""),
     "tactile_lag": ("Allow for the lag of {tip}: forces follow with a time constant of {x}", ""),
 }
-#: Said of an effect that MJCF has no attribute for.
+#: What is said of an effect that MJCF has no attribute for.
 NO_ATTRIBUTE = "MJCF has no attribute for it: candata generate-sim --effects effects.yaml adds it"
-#: The record's words for a candidate that its probes could not bring to show.
-SILENT = "moves nothing in these motions"
-#: Such words where the page says more.
-REASONS = {"best left out": "tested: the recordings fit best without it", SILENT: f"not tested: it {SILENT}"}
+#: The record's words for a candidate whose probes changed nothing in the readings.
+NO_RESPONSE = "moves nothing in these motions"
+#: Reason of the record to the fuller one of the page.
+REASONS = {"best left out": "tested: the recordings fit best without it", NO_RESPONSE: f"not tested: it {NO_RESPONSE}"}
 #: Longest vector that is spelled out.
 MOST_NUMBERS = 6
 
 
 @dataclass(frozen=True)
-class Change:
-    """One change: a sentence without its full stop, and how MJCF says it (empty where it cannot)."""
+class SimulatorChange:
+    """A change of the simulator: a sentence without its full stop, and how MJCF says it (empty when it cannot)."""
 
-    what: str
+    instruction: str
     mjcf: str
 
     def __str__(self) -> str:
         """Return both as one sentence."""
-        return f"{self.what}; in MJCF: {self.mjcf}." if self.mjcf else f"{self.what}; {NO_ATTRIBUTE}."
+        return f"{self.instruction}; in MJCF: {self.mjcf}." if self.mjcf else f"{self.instruction}; {NO_ATTRIBUTE}."
 
 
-def changes(report: Report) -> list[Change]:
+def changes(report: Report) -> list[SimulatorChange]:
     """Return what to change for each named effect, in the order of the record."""
-    return [change(effect) for effect in report.effects]
+    return [change(effect_found) for effect_found in report.effects]
 
 
-def change(named: NamedEffect) -> Change:
+def change(effect_found: NamedEffect) -> SimulatorChange:
     """Return what to change for one named effect."""
-    values = [_value(named, parameter, estimate) for parameter, estimate in named.parameters.items()]
-    shown, raw = words.listed([v for v, _ in values]), " ".join(r for _, r in values)
-    every = "every jaw" if any(estimate.unit for estimate in named.parameters.values()) else "every driven joint"
+    values = [_value(effect_found, parameter, estimate) for parameter, estimate in effect_found.parameters.items()]
+    text, si_numbers = words.enumeration([v for v, _ in values]), " ".join(r for _, r in values)
+    element = effect_found.element
+    all_joints = "every jaw" if any(e.unit for e in effect_found.parameters.values()) else "every driven joint"
     places = {
-        "joint": f"joint {named.element}" if named.element else every,
-        "servo": f"the servo of {named.element}" if named.element else "every servo",
-        "tip": f"fingertip {named.element}" if named.element else "every fingertip",
-        "surface": f"{named.element}" if named.element else "object, fingertips and support",
+        "joint": f"joint {element}" if element else all_joints,
+        "servo": f"the servo of {element}" if element else "every servo",
+        "tip": f"fingertip {element}" if element else "every fingertip",
+        "surface": f"{element}" if element else "object, fingertips and support",
     }
-    if named.name not in PHRASES:
-        return Change(f"Add {words.title(named.name, named.element)}: {_about(named.name)}{shown}", "")
-    what, mjcf = PHRASES[named.name]
-    return Change(what.format(x=shown, **places), mjcf.format(raw=raw))
+    if effect_found.name not in PHRASES:
+        title = words.effect_title(effect_found.name, element)
+        return SimulatorChange(f"Add {title}: {_description(effect_found.name)}{text}", "")
+    instruction, mjcf = PHRASES[effect_found.name]
+    return SimulatorChange(instruction.format(x=text, **places), mjcf.format(raw=si_numbers))
 
 
 def next_step(report: Report) -> str:
-    """Return the sentence that says what to do with the simulator when nothing is named; empty else."""
-    missing = max(0, 8 - report.data.episodes.total)
+    """Return what to do with the simulator when no effect is named; empty when one is."""
+    missing_count = max(0, FEWEST - report.data.episodes.total)
     return {
         "no_gap": "Nothing: keep the simulator as it is.",
         "ambiguous": "Nothing yet: changing either of the tied effects would fit these recordings and may be wrong for "
         "others. Record the next motion first.",
         "unknown_effect": "No parameter of the library: fitting one would hide the cause.",
-        "too_little_data": f"Nothing yet: record {missing or 'more'} more episodes and diagnose again."
-        if missing
-        else "Nothing yet: record more episodes and diagnose again.",
+        "too_little_data": f"Nothing yet: record {f'{missing_count} ' if missing_count else ''}more episodes and "
+        "diagnose again.",
         "out_of_budget": "Nothing yet: diagnose again with a larger --budget.",
     }.get(report.verdict, "")
 
 
-def untested(report: Report) -> list[tuple[str, str]]:
-    """Return what could not be tested and why, as (what, why); what is named was tested beside the others."""
-    rows = []
-    grouped: dict[str, list[str]] = {}
-    named = {effect.name for effect in report.effects}
-    for one in report.ranking:
-        if one.reason and one.name not in named:
-            grouped.setdefault(one.reason, []).append(words.plain(one.name))
-    rows += [(words.listed(names), REASONS.get(reason, reason)) for reason, names in grouped.items()]
-    if not report.ranking:
-        return rows
-    blind: dict[str, list[str]] = {}
-    for name in sorted(set(effect_names()) - {one.name.split(" ")[0] for one in report.ranking}):
-        moves = effect(name).moves
-        lacking = moves and not set(moves) & set(report.data.channels)
-        why = f"{words.listed([words.plain(c) for c in moves], 'or')} was not recorded" if lacking else ""
-        blind.setdefault(why or "not a candidate here: the scene has nothing for it to act on", []).append(name)
-    return rows + [(words.listed([words.plain(n) for n in names]), why) for why, names in blind.items()]
+def untested_effects(report: Report) -> list[tuple[str, str]]:
+    """Return the effects that could not be tested, and why, as (effects, reason).
+
+    A named effect is left out: it was tested beside the others.
+    """
+    names_by_reason: dict[str, list[str]] = {}
+    named_effects = {effect_found.name for effect_found in report.effects}
+    for candidate in report.ranking:
+        if candidate.reason and candidate.name not in named_effects:
+            reason = REASONS.get(candidate.reason, candidate.reason)
+            names_by_reason.setdefault(reason, []).append(candidate.name)
+    unranked_names = set(effect_names()) - {candidate.name.split(" ")[0] for candidate in report.ranking}
+    for name in sorted(unranked_names) if report.ranking else ():
+        channels = effect(name).moves
+        reason = "not a candidate here: the scene has nothing for it to act on"
+        if channels and not set(channels) & set(report.data.channels):
+            reason = f"{words.enumeration([words.readable_name(c) for c in channels], 'or')} was not recorded"
+        names_by_reason.setdefault(reason, []).append(name)
+    return [
+        (words.enumeration(list(map(words.readable_name, names))), reason) for reason, names in names_by_reason.items()
+    ]
 
 
 def missing_channels(report: Report) -> list[str]:
     """Return the channels that were not compared because they were not recorded."""
-    wanted = ("joint_position", "object_pose", "fingertip_force")
-    return [c for c in wanted if report.data.channels and c not in report.data.channels]
+    compared_channels = ("joint_position", "object_pose", "fingertip_force")
+    return [c for c in compared_channels if report.data.channels and c not in report.data.channels]
 
 
-def _value(named: NamedEffect, parameter: str, estimate: Estimate) -> tuple[str, str]:
+def _value(effect_found: NamedEffect, parameter: str, estimate: Estimate) -> tuple[str, str]:
     """Return a parameter for people, with its interval, and as the SI number that a file takes."""
     if isinstance(estimate.value, str):
         return estimate.value, estimate.value
-    unit = unit_of(named.name, parameter, estimate)
+    unit = unit_of(effect_found.name, parameter, estimate)
     if isinstance(estimate.value, tuple):
         if len(estimate.value) > MOST_NUMBERS:
             return f"the {len(estimate.value)} values of effects.yaml", "the values of effects.yaml"
-        return str(reading(Estimate(value=estimate.value), unit)), " ".join(digits(v) for v in estimate.value)
-    read = reading(estimate, unit)
-    as_well = f"; {read.as_well} explains as well" if read.as_well else ""
-    interval = f" ({read.interval}{as_well})" if read.interval else ""
-    return f"{read.value} {read.unit}".strip() + interval, digits(float(estimate.value)).replace(",", "")
+        value = format_estimate(Estimate(value=estimate.value), unit)
+        return str(value), " ".join(digits(v) for v in estimate.value)
+    text = format_estimate(estimate, unit)
+    equally_good = f"; {text.equally_good} explains as well" if text.equally_good else ""
+    interval = f" ({text.interval}{equally_good})" if text.interval else ""
+    return f"{text.value} {text.unit}".strip() + interval, digits(float(estimate.value)).replace(",", "")
 
 
-def _about(name: str) -> str:
-    """Return an effect's own line; empty for one that this version does not have."""
+def _description(name: str) -> str:
+    """Return an effect's own line; empty for an effect that this version does not have."""
     try:
         return f"{effect(name).about}, "
     except UnknownNameError:

@@ -1,4 +1,4 @@
-"""Where a picture is taken from: a camera of the model's, or one fitted to what moves."""
+"""Cameras of pictures: one of the model's, or one fitted to what moves."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ Array = NDArray[np.float64]
 REPORT_CAMERA = "report"
 #: Free space around a fitted picture, and how often its centre is corrected for perspective.
 MARGIN, CENTRING_ROUNDS = 1.12, 4
+#: Geom groups that MuJoCo's viewers show by default: those below this number.
+SHOWN_GROUPS = 3
 #: The eight corners of a box, (8, 3).
 SIGNS = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
 
 
 @dataclass(frozen=True)
-class View:
+class FreeCamera:
     """A free camera: it looks at `lookat` from `distance_m`; angles as MuJoCo's free camera has them."""
 
     lookat: tuple[float, float, float]
@@ -29,7 +31,7 @@ class View:
     elevation_deg: float = -22.0
 
     @property
-    def forward(self) -> Array:
+    def direction(self) -> Array:
         """Unit vector along which the camera looks, `(3,) float64`."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         return np.array(
@@ -42,7 +44,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Eye:
+class Pinhole:
     """A pinhole: position (3,) [m], axes (3, 3) with columns right, up, back; vertical field [rad]."""
 
     position: Array
@@ -50,15 +52,17 @@ class Eye:
     fovy_rad: float
 
 
-def choose(model: mujoco.MjModel, qpos: Array, camera: str | View | None, aspect: float) -> str | View:
-    """Return the camera to use: the one asked for, the model's `report`, or a fitted one.
+def choose_camera(
+    model: mujoco.MjModel, qpos: Array, camera: str | FreeCamera | None, aspect: float
+) -> str | FreeCamera:
+    """Return the camera to use: `camera` when it is given, the model's `report`, or a fitted one.
 
     Parameters
     ----------
     model : mujoco.MjModel
     qpos : (K, nq) float64
-        Positions that shall be in the picture.
-    camera : str, View or None
+        Positions that the picture must hold.
+    camera : str, FreeCamera or None
         Name of a model camera, a free camera, or None to choose.
     aspect : float
         Width over height of the picture.
@@ -67,59 +71,60 @@ def choose(model: mujoco.MjModel, qpos: Array, camera: str | View | None, aspect
         return camera
     if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, REPORT_CAMERA) >= 0:
         return REPORT_CAMERA
-    return fit(model, qpos, aspect)
+    return fit_camera(model, qpos, aspect)
 
 
-def fit(model: mujoco.MjModel, qpos: Array, aspect: float) -> View:
+def fit_camera(model: mujoco.MjModel, qpos: Array, aspect: float) -> FreeCamera:
     """Return the free camera that just holds all that moves over `qpos` (K, nq), centred."""
     points = _points(model, qpos)
     centre = (points.min(axis=0) + points.max(axis=0)) / 2
-    right, up, back = _axes(View((0.0, 0.0, 0.0), 1.0).forward).T
+    right_axis, up_axis, back_axis = _axes(FreeCamera((0.0, 0.0, 0.0), 1.0).direction).T
     tan_y = math.tan(math.radians(model.vis.global_.fovy) / 2)
 
-    def needed(seen: Array) -> float:
-        across = np.maximum(np.abs(seen @ right) / (tan_y * aspect), np.abs(seen @ up) / tan_y)
-        return max(MARGIN * float(np.max(across + seen @ back)), 1e-3)
+    def distance_to_hold(offsets: Array) -> float:
+        depths = np.maximum(np.abs(offsets @ right_axis) / (tan_y * aspect), np.abs(offsets @ up_axis) / tan_y)
+        return max(MARGIN * float(np.max(depths + offsets @ back_axis)), 1e-3)
 
     for _ in range(CENTRING_ROUNDS):
-        seen = points - centre
-        depth = np.maximum(needed(seen) - seen @ back, 1e-6)
-        for axis in (right, up):
-            slope = (seen @ axis) / depth
-            centre = centre + axis * needed(seen) * (slope.min() + slope.max()) / 2
+        offsets = points - centre
+        distance = distance_to_hold(offsets)
+        depth = np.maximum(distance - offsets @ back_axis, 1e-6)
+        for axis in (right_axis, up_axis):
+            slope = (offsets @ axis) / depth
+            centre = centre + axis * distance * (slope.min() + slope.max()) / 2
     lookat = (float(centre[0]), float(centre[1]), float(centre[2]))
-    return View(lookat, needed(points - centre))
+    return FreeCamera(lookat, distance_to_hold(points - centre))
 
 
-def eye(model: mujoco.MjModel, data: mujoco.MjData, camera: str | View) -> Eye:
+def pinhole(model: mujoco.MjModel, data: mujoco.MjData, camera: str | FreeCamera) -> Pinhole:
     """Return the pinhole of a camera in the state `data` (after `mj_forward`)."""
-    if isinstance(camera, View):
-        position = np.array(camera.lookat) - camera.distance_m * camera.forward
-        return Eye(position, _axes(camera.forward), math.radians(model.vis.global_.fovy))
+    if isinstance(camera, FreeCamera):
+        position = np.array(camera.lookat) - camera.distance_m * camera.direction
+        return Pinhole(position, _axes(camera.direction), math.radians(model.vis.global_.fovy))
     number = model.camera(camera).id
     axes = data.cam_xmat[number].reshape(3, 3).copy()
-    return Eye(data.cam_xpos[number].copy(), axes, math.radians(float(model.cam_fovy[number])))
+    return Pinhole(data.cam_xpos[number].copy(), axes, math.radians(float(model.cam_fovy[number])))
 
 
-def _axes(forward: Array) -> Array:
-    """Return the columns right, up, back of a level camera that looks along `forward`."""
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(right, forward), -forward], axis=1)
+def _axes(direction: Array) -> Array:
+    """Return the columns right, up, back of a level camera that looks along `direction`."""
+    right_axis = np.cross(direction, [0.0, 0.0, 1.0])
+    right_axis /= np.linalg.norm(right_axis)
+    return np.stack([right_axis, np.cross(right_axis, direction), -direction], axis=1)
 
 
 def _points(model: mujoco.MjModel, qpos: Array) -> Array:
     """Return the box corners (N, 3) [m] of the geoms that move, or of all bounded ones when none does."""
-    bounded = model.geom_rbound > 0
-    moving = bounded & (model.body_weldid[model.geom_bodyid] != 0)
-    shown = np.flatnonzero(moving if moving.any() else bounded)
-    if len(shown) == 0:
+    is_bounded = model.geom_rbound > 0
+    is_moving = is_bounded & (model.body_weldid[model.geom_bodyid] != 0)
+    geoms = np.flatnonzero(is_moving if is_moving.any() else is_bounded)
+    if len(geoms) == 0:
         return np.array([[-0.5, -0.5, -0.5], [0.5, 0.5, 0.5]])
-    corners = model.geom_aabb[shown, None, :3] + SIGNS * model.geom_aabb[shown, None, 3:]
-    data, found = mujoco.MjData(model), []
+    corners = model.geom_aabb[geoms, None, :3] + SIGNS * model.geom_aabb[geoms, None, 3:]
+    data, points = mujoco.MjData(model), []
     for pose in qpos:
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
-        turn = data.geom_xmat[shown].reshape(-1, 3, 3)
-        found.append(data.geom_xpos[shown, None] + np.einsum("gij,gcj->gci", turn, corners))
-    return np.concatenate(found).reshape(-1, 3)
+        turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+        points.append(data.geom_xpos[geoms, None] + np.einsum("gij,gcj->gci", turn, corners))
+    return np.concatenate(points).reshape(-1, 3)

@@ -1,142 +1,179 @@
-"""The figures of the page: ranking, before and after, every episode, courses of the example."""
+"""The figures of a diagnosis: ranking, before and after, every episode, courses of the example."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from html import escape
+from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from candata.gap.evidence import EpisodeLosses, Range, Trace
 from candata.reports import words
-from candata.reports.chart import Axis, band, chart, dots, line, linear, listing, logarithmic, plane, rule, span
+from candata.reports.chart import (
+    Axis,
+    band,
+    chart,
+    dots,
+    floats,
+    join_markup,
+    line,
+    linear_axis,
+    log_axis,
+    mark,
+    plane,
+    span,
+    upright_rule,
+)
+from candata.reports.document import render
 from candata.reports.numbers import digits, percent
 from candata.schema.report import Estimate, Gap, Ranked, Report
 
 #: Candidates drawn in the ranking.
 MOST_RANKED = 12
-#: Of an effect that was tried on several elements, this many are drawn.
+#: Elements drawn of an effect that was tried on several.
 MOST_VARIANTS = 2
 #: Points drawn of a trace; more cannot be seen at the size shown.
 MOST_POINTS = 400
+#: Episodes from which on dots are smaller.
+CROWDED_FROM = 60
+#: Steps between the ticks of an axis that counts episodes.
+COUNT_STEPS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10**6)
 
 
-def ranking(report: Report) -> str:
+@dataclass(frozen=True)
+class CandidateRow:
+    """A candidate of the ranking: its gain as a drawing, its support, and its share when it is named."""
+
+    name: str
+    is_named: bool
+    gain: Markup
+    support: float
+    share: str
+
+
+def candidates(report: Report) -> Markup:
     """Return the best candidates with held-out gain, 90 % interval, support and share; named ones stand out."""
     shares = {(effect.name, effect.element): effect.share for effect in report.effects}
-    shown = shown_candidates(report)
-    ends = [v for c in shown for v in (c.held_out_gain, c.gain_low, c.gain_high) if v is not None]
-    x, y = linear(ends, 3, around=(0.0,)), Axis(0, 1, ())
-    rows = []
-    for one in shown:
-        key = (one.name, one.element)
-        kind = "named" if key in shares else ""
-        tip = f"gain {digits(one.held_out_gain)}" + (f"; {words.plain(one.reason)}" if one.reason else "")
-        marks = rule(x, 0.0, True, "zero")
-        if one.gain_low is not None and one.gain_high is not None:
-            marks += span(x, y, (one.gain_low, one.gain_high), 0.5, kind)
-        marks += dots(x, y, [one.held_out_gain], [0.5], kind or "quiet", lambda _, tip=tip: tip)  # type: ignore[misc]
-        share = percent(shares[key]) if key in shares else ""
-        rows.append(
-            f'<tr class="{kind}"><th scope="row">{escape(words.title(one.name, one.element))}</th>'
-            f'<td class="gain">{plane(marks)}</td><td class="n">{one.support:.2f}</td><td class="n">{share}</td></tr>'
-        )
-    ticks = "".join(f'<span class="xt" style="left:{100 * x.share(v):.1f}%">{t}</span>' for v, t in x.ticks)
-    head = '<td></td><th scope="col">held-out gain</th><th class="n">support</th><th class="n">share</th>'
-    return (
-        f'<table class="rank"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody>'
-        f'<tfoot><tr><td></td><td class="gain ticks">{ticks}</td><td></td><td></td></tr></tfoot></table>'
+    best_candidates = drawn_candidates(report)
+    ends = [v for c in best_candidates for v in (c.held_out_gain, c.gain_low, c.gain_high) if v is not None]
+    x = linear_axis(ends, 3, include=(0.0,))
+    rows = [
+        _candidate_row(candidate, shares.get((candidate.name, candidate.element)), x) for candidate in best_candidates
+    ]
+    ticks = [(f"{100 * x.share(value):.1f}", text) for value, text in x.ticks]
+    undrawn_count = sum(not candidate.reason for candidate in report.ranking) - len(best_candidates)
+    return render("candidates", rows=rows, ticks=ticks, undrawn_count=undrawn_count)
+
+
+def _candidate_row(candidate: Ranked, share: float | None, x: Axis) -> CandidateRow:
+    """Return one candidate; `share` is None for one that is not named."""
+    css_class, y = "" if share is None else "named", Axis(0, 1)
+    reason = f"; {words.readable_name(candidate.reason)}" if candidate.reason else ""
+    tooltip = f"gain {digits(candidate.held_out_gain)}{reason}"
+    marks = [upright_rule(x, 0.0, "zero")]
+    if candidate.gain_low is not None and candidate.gain_high is not None:
+        marks.append(span(x, y, (candidate.gain_low, candidate.gain_high), 0.5, css_class))
+    marks.append(dots(x, y, [candidate.held_out_gain], [0.5], css_class or "quiet", lambda _: tooltip))
+    return CandidateRow(
+        name=words.effect_title(candidate.name, candidate.element),
+        is_named=share is not None,
+        gain=plane(join_markup(marks)),
+        support=candidate.support,
+        share="" if share is None else percent(share),
     )
 
 
-def shown_candidates(report: Report) -> list[Ranked]:
+def drawn_candidates(report: Report) -> list[Ranked]:
     """Return the best candidates that were tested, each effect on few of its elements, and those that are named."""
-    named = {(effect.name, effect.element) for effect in report.effects}
-    tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named]
-    met = Counter[str]()
-    first: list[Ranked] = []
-    for one in tested:
-        met[one.name] += 1
-        if met[one.name] <= MOST_VARIANTS and len(first) < MOST_RANKED:
-            first.append(one)
-    return [c for c in tested if c in first or (c.name, c.element) in named]
+    named_keys = {(effect.name, effect.element) for effect in report.effects}
+    candidates_tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named_keys]
+    variants = Counter[str]()
+    best_ranked: list[Ranked] = []
+    for candidate in candidates_tested:
+        variants[candidate.name] += 1
+        if variants[candidate.name] <= MOST_VARIANTS and len(best_ranked) < MOST_RANKED:
+            best_ranked.append(candidate)
+    return [c for c in candidates_tested if c in best_ranked or (c.name, c.element) in named_keys]
 
 
-def how_far(gap: Gap, after: str | None) -> str:
-    """Return the mean mismatch before, after (None: nothing was tried) and of the floor as bars, in floors."""
-    bars = [("nominal", gap.before, "before")]
-    if after is not None:
-        bars.append((after, gap.after, "after"))
-    bars.append(("floor", gap.floor, "floor"))
+def mismatch_bars(gap: Gap, repair: str | None) -> Markup:
+    """Return the mean mismatch before, after and of the floor as bars, in floors.
+
+    `repair` names the simulation after the fit; None when no effect was tried.
+    """
+    bars = [("nominal", gap.before, "before"), ("floor", gap.floor, "floor")]
+    if repair is not None:
+        bars.insert(1, (repair, gap.after, "after"))
     top = max(value for _, value, _ in bars)
-    rows = "".join(
-        f'<tr><th scope="row">{escape(name)}</th><td><i class="{kind}" style="width:{100 * value / top:.1f}%"></i></td>'
-        f'<td class="n">{digits(value)}</td></tr>'
-        for name, value, kind in bars
-    )
-    return f'<table class="bars"><tbody>{rows}</tbody></table>'
+    return render("mismatch_bars", bars=[(name, css, 100 * value / top, value) for name, value, css in bars])
 
 
-def losses(values: EpisodeLosses, name_after: str = "repaired", repaired: bool = True) -> str:
-    """Return each held-out episode's mismatch before and after beside the floor's band, worst last."""
+def losses(values: EpisodeLosses, repair: str | None = "repaired") -> Markup:
+    """Return each held-out episode's mismatch before and after beside the floor's band, worst last.
+
+    `repair` names the simulation after the fit; None when no effect was tried.
+    """
     order = np.argsort(values.before, kind="stable")
-    place = [float(k) for k in range(1, len(order) + 1)]
-    before, after, low, high = (
-        listing(np.asarray(v)[order]) for v in (values.before, values.after, values.floor_low, values.floor_high)
+    places = [float(k) for k in range(1, len(order) + 1)]
+    nominal, repaired_losses, low, high = (
+        floats(np.asarray(v)[order]) for v in (values.before, values.after, values.floor_low, values.floor_high)
     )
-    shown = [*before, *low, *high, *(after if repaired else [])]
-    x, y = Axis(0.4, len(order) + 0.6, _counting(len(order))), logarithmic(shown, "×")
+    x = Axis(0.4, len(order) + 0.6, _count_ticks(len(order)))
+    y = log_axis([*nominal, *low, *high, *(repaired_losses if repair else [])], "×")
 
-    def tip(kind: str, found: list[float], k: int) -> str:
-        return f"{values.ids[order[k]]}, {kind}: {words.times(found[k])}"
+    def tooltip(name: str, mismatches: list[float], k: int) -> str:
+        return f"{values.ids[order[k]]}, {name}: {words.times_floor(mismatches[k])}"
 
-    many = " many" if len(order) > 60 else ""
-    marks = band(x, y, low, high)
-    marks += dots(x, y, place, before, "before" + many, lambda k: tip("nominal", before, k))
-    if repaired:
-        marks += dots(x, y, place, after, "after" + many, lambda k: tip(name_after, after, k))
-    return chart(
-        x, y, marks, "mismatch of each held-out episode", 230, "held-out episode, by mismatch before",
-        "mismatch over its floor",
-    )  # fmt: skip
+    size_class = " many" if len(order) > CROWDED_FROM else ""
+    marks = [band(x, y, low, high)]
+    marks.append(dots(x, y, places, nominal, f"before{size_class}", lambda k: tooltip("nominal", nominal, k)))
+    if repair:
+        marks.append(
+            dots(x, y, places, repaired_losses, f"after{size_class}", lambda k: tooltip(repair, repaired_losses, k))
+        )
+    label, x_title = "mismatch of each held-out episode", "held-out episode, by mismatch before"
+    return chart(x, y, join_markup(marks), label, 230, x_title, "mismatch over its floor")
 
 
-def trace(time_s: np.ndarray, one: Trace) -> str:
+def trace(time_s: np.ndarray, course: Trace) -> Markup:
     """Return recorded, nominal and repaired values of one element over time."""
     step = max(1, math.ceil(len(time_s) / MOST_POINTS))
-    drawn = [("recorded", one.real), ("before", one.before)] + ([] if one.after is None else [("after", one.after)])
-    time = listing(np.asarray(time_s)[::step])
-    values = {kind: listing(np.asarray(part)[::step]) for kind, part in drawn}
-    x, y = linear(time, 6, " s"), linear([v for part in values.values() for v in part], 4)
-    marks = "".join(line(x, y, time, part, kind) for kind, part in values.items())
-    return chart(x, y, marks, f"{one.channel} {one.element} over time", 120)
+    parts = {"recorded": course.real, "before": course.before}
+    parts |= {} if course.after is None else {"after": course.after}
+    times = floats(np.asarray(time_s)[::step])
+    values = {css_class: floats(np.asarray(part)[::step]) for css_class, part in parts.items()}
+    x, y = linear_axis(times, 6, " s"), linear_axis([v for part in values.values() for v in part], 4)
+    marks = join_markup(line(x, y, times, part, css_class) for css_class, part in values.items())
+    return chart(x, y, marks, f"{course.channel} {course.element} over time", 120)
 
 
-def parameter(estimate: Estimate, where: Range | None) -> str:
-    """Return where the value and its interval lie in the range that was searched; empty for choices and vectors.
+def parameter_range(estimate: Estimate, search_range: Range | None) -> Markup:
+    """Return the value and its interval in the range that was searched; empty for choices and vectors.
 
     An interval of which one end is not known goes to the end of that range.
     """
-    if where is None or not isinstance(estimate.value, float | int) or where.high <= where.low:
-        return ""
-    log = where.low > 0 and where.high / where.low > 10
-    x, y = Axis(where.low, where.high, (), log=log), Axis(0, 1, ())
-    marks = '<path class="grid" d="M0 500H1000M0 250V750M1000 250V750"/>'
-    if where.identity is not None:
-        marks += f'<path class="grid" d="M{round(1000 * x.share(max(where.identity, where.low)))} 250V750"/>'
+    is_number = isinstance(estimate.value, float | int)
+    if search_range is None or not is_number or search_range.high <= search_range.low:
+        return Markup("")
+    log = search_range.low > 0 and search_range.high / search_range.low > 10
+    x, y = Axis(search_range.low, search_range.high, log=log), Axis(0, 1)
+    marks = [mark("grid", "M0 500H1000M0 250V750M1000 250V750")]
+    if search_range.identity is not None:
+        marks.append(mark("grid", f"M{x.x_place(max(search_range.identity, search_range.low))} 250V750"))
     if estimate.bounded is not None:
         low, high = (
-            float(end) if isinstance(end, float | int) else bound
-            for end, bound in ((estimate.low, where.low), (estimate.high, where.high))
+            float(end) if isinstance(end, float | int) else range_end
+            for end, range_end in ((estimate.low, search_range.low), (estimate.high, search_range.high))
         )
-        marks += span(x, y, (low, high), 0.5, "named")
-    marks += dots(x, y, [float(estimate.value)], [0.5], "named")
-    return f'<span class="range">{plane(marks)}</span>'
+        marks.append(span(x, y, (low, high), 0.5, "named"))
+    marks.append(dots(x, y, [float(estimate.value)], [0.5], "named"))  # type: ignore[arg-type]
+    return Markup('<span class="range">{}</span>').format(plane(join_markup(marks)))
 
 
-def _counting(count: int) -> tuple[tuple[float, str], ...]:
+def _count_ticks(count: int) -> tuple[tuple[float, str], ...]:
     """Return ticks at whole numbers of episodes."""
-    step = max(1, math.ceil(count / 8))
-    step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 10**6) if s >= step)
+    least_step = max(1, math.ceil(count / 8))
+    step = next(s for s in COUNT_STEPS if s >= least_step)
     return tuple((float(k), str(k)) for k in range(step, count + 1, step))

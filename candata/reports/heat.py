@@ -1,14 +1,16 @@
-"""Two matrices as tables of coloured cells: where the gap shows, and which candidates are alike."""
+"""Matrices as tables of coloured cells: where the gap shows, which candidates are alike, what was taken for what."""
 
 from __future__ import annotations
 
 import math
-from html import escape
+from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 
 from candata.gap.evidence import Collinearity, HeatMap
 from candata.reports import words
+from candata.reports.document import render
 from candata.reports.numbers import digits
 
 #: Family-wise p at or below which a cell of the heat map shows its number.
@@ -18,46 +20,69 @@ LEVELS, LEAST_TOP = 9, 5.0
 #: Ratios that the key of the heat map may name.
 KEY_RATIOS = (1, 2, 5, 10, 20, 50, 100, 1000, 10000)
 #: Cosine from which on two candidates count as hard to tell apart (reference study: backlash and delay, .65).
-ALIKE = 0.65
+ALIKE_COSINE = 0.65
 
 
-def heat_map(heat: HeatMap, clickable: frozenset[str]) -> str:
+@dataclass(frozen=True)
+class HeatCell:
+    """A cell: its class, its number, and the text that shows when it is pointed at."""
+
+    css_class: str
+    text: str = ""
+    tooltip: str = ""
+    is_bold: bool = False
+
+
+@dataclass(frozen=True)
+class HeatRow:
+    """A row of cells; `group` is the channel's name when its first element begins here."""
+
+    label: str
+    name: str
+    cells: tuple[HeatCell, ...]
+    group: str = ""
+    is_clickable: bool = False
+
+
+def heat_map(heat: HeatMap, clickable: frozenset[str]) -> Markup:
     """Return channel element by phase: mismatch over its floor, log colour, hatched where there is no data.
 
     Rows whose label is in `clickable` bear a button that shows the element's episodes.
     """
     ratio, p = np.asarray(heat.ratio, float), np.asarray(heat.p, float)
     top = max(float(np.nanmax(ratio, initial=1.0)) if np.isfinite(ratio).any() else 1.0, LEAST_TOP)
-    head = "".join(f'<th scope="col">{escape(words.plain(phase))}</th>' for phase in heat.phases)
-    rows, last = [], ""
+    rows, previous_channel = [], ""
     for k, label in enumerate(heat.rows):
         channel, _, element = label.partition(" ")
-        if channel != last and element:
-            rows.append(
-                f'<tr class="group"><th scope="rowgroup" colspan="{len(heat.phases) + 1}">'
-                f"{escape(words.plain(channel))}</th></tr>"
-            )
-        last = channel
-        cells = "".join(_cell(ratio[k, j], p[k, j], top, phase) for j, phase in enumerate(heat.phases))
-        rows.append(_row(label, cells, label in clickable))
-    return (
-        f'<div class="scroll" tabindex="0"><table class="heat"><thead><tr><td></td>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>{_key(top)}"
-    )
+        readable_channel = words.readable_name(channel)
+        cells = tuple(_ratio_cell(ratio[k, j], p[k, j], top, phase) for j, phase in enumerate(heat.phases))
+        group = readable_channel if channel != previous_channel and element else ""
+        rows.append(HeatRow(label, element or readable_channel, cells, group, label in clickable))
+        previous_channel = channel
+    return render("heat_map", phases=heat.phases, rows=rows, key=_key(top))
 
 
-def collinearity(found: Collinearity) -> str:
+def collinearity(matrix: Collinearity) -> Markup:
     """Return the cosines between what the candidates change, the numbers of the columns being the rows'."""
-    count = len(found.labels)
-    head = "".join(f'<th scope="col">{k + 1}</th>' for k in range(count))
+    count = len(matrix.labels)
+    rows = [
+        HeatRow(label, words.readable_name(label), tuple(_cosine_cell(matrix, k, j) for j in range(count)))
+        for k, label in enumerate(matrix.labels)
+    ]
+    return render("collinearity", rows=rows)
+
+
+def confusion(counts: dict[str, dict[str, int]]) -> Markup:
+    """Return what was said first for each hidden cause: counts, coloured by their share of the cause's cases."""
+    causes = list(counts)
+    answers = {answer for row in counts.values() for answer in row}
+    columns = [cause for cause in causes if cause in answers] + sorted(answers - set(causes))
     rows = []
-    for k, label in enumerate(found.labels):
-        cells = "".join(_cosine(float(found.matrix[k, j])) if j < k else _own(j == k) for j in range(count))
-        rows.append(f'<tr><th scope="row"><b>{k + 1}</b> {escape(words.plain(label))}</th>{cells}</tr>')
-    return (
-        f'<div class="scroll" tabindex="0"><table class="heat alike"><thead><tr><td></td>{head}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
+    for cause, row in counts.items():
+        total = max(sum(row.values()), 1)
+        cells = tuple(_count_cell(cause, answer, row.get(answer, 0), total) for answer in columns)
+        rows.append(HeatRow(cause, cause, cells))
+    return render("confusion", columns=columns, rows=rows)
 
 
 def level(ratio: float, top: float) -> int:
@@ -66,42 +91,36 @@ def level(ratio: float, top: float) -> int:
     return min(round((LEVELS - 1) * share), LEVELS - 1)
 
 
-def _row(label: str, cells: str, clickable: bool) -> str:
-    """Return one row; its name is a button where the element's episodes are on the page."""
-    name = escape(label.partition(" ")[2] or words.plain(label))
-    if not clickable:
-        return f'<tr><th scope="row">{name}</th>{cells}</tr>'
-    return (
-        f'<tr class="pick" data-shows="{escape(label)}"><th scope="row">'
-        f'<button type="button" aria-pressed="false">{name}</button></th>{cells}</tr>'
-    )
-
-
-def _cell(ratio: float, p: float, top: float, phase: str) -> str:
-    """Return one cell: its number where it is significant, all of it when pointed at."""
+def _ratio_cell(ratio: float, p: float, top: float, phase: str) -> HeatCell:
+    """Return one cell of the heat map: its number where it is significant, all of it when pointed at."""
     if not np.isfinite(ratio):
-        return f'<td class="hole" title="{escape(phase)}: no data"></td>'
-    tested = words.chance(float(p)) if np.isfinite(p) else "not tested"
-    shown = digits(float(f"{ratio:.2g}")) if np.isfinite(p) and p <= SIGNIFICANT_P else ""
-    tip = f"{phase}: {words.times(float(ratio))}, {tested}"
-    return f'<td class="h{level(float(ratio), top)}" title="{escape(tip)}">{shown}</td>'
+        return HeatCell("hole", tooltip=f"{phase}: no data")
+    p_words = words.p_text(float(p)) if np.isfinite(p) else "not tested"
+    number = digits(float(f"{ratio:.2g}")) if np.isfinite(p) and p <= SIGNIFICANT_P else ""
+    return HeatCell(f"h{level(float(ratio), top)}", number, f"{phase}: {words.times_floor(float(ratio))}, {p_words}")
 
 
-def _key(top: float) -> str:
-    """Return the key of the colours."""
-    marks = [r for r in KEY_RATIOS if r <= top]
-    marks += [math.floor(top)] if top > 1.3 * marks[-1] else []
-    cells = "".join(f'<span class="h{level(r, top)}">{r:,}×</span>' for r in marks)
-    return f'<p class="scale"><i class="hole"></i>no data {cells}</p>'
+def _key(top: float) -> list[tuple[int, int]]:
+    """Return the ratios that the key names, each with its colour."""
+    ratios = [ratio for ratio in KEY_RATIOS if ratio <= top]
+    ratios += [math.floor(top)] if top > 1.3 * ratios[-1] else []
+    return [(ratio, level(ratio, top)) for ratio in ratios]
 
 
-def _cosine(value: float) -> str:
-    """Return one cosine; pairs that are hard to tell apart stand out."""
-    colour = min(round((LEVELS - 1) * abs(value)), LEVELS - 1)
-    text = f"{value:.2f}".replace("0.", ".", 1).replace("-", "\N{MINUS SIGN}")
-    return f'<td class="h{colour}">' + (f"<b>{text}</b>" if abs(value) >= ALIKE else text) + "</td>"
+def _cosine_cell(matrix: Collinearity, row: int, column: int) -> HeatCell:
+    """Return one cosine below the diagonal; pairs that are hard to tell apart stand out."""
+    if column >= row:
+        return HeatCell("diagonal" if column == row else "")
+    cosine = float(matrix.matrix[row, column])
+    text = f"{cosine:.2f}".replace("0.", ".", 1).replace("-", "\N{MINUS SIGN}")
+    colour = min(round((LEVELS - 1) * abs(cosine)), LEVELS - 1)
+    return HeatCell(f"h{colour}", text, is_bold=abs(cosine) >= ALIKE_COSINE)
 
 
-def _own(same: bool) -> str:
-    """Return a cell of the diagonal or above it."""
-    return '<td class="own"></td>' if same else "<td></td>"
+def _count_cell(cause: str, answer: str, count: int, total: int) -> HeatCell:
+    """Return how many cases of a cause got an answer; a colour between 1 and 4 tells their share."""
+    if not count:
+        return HeatCell("")
+    return HeatCell(
+        f"s{math.ceil(4 * count / total)}", str(count), f"hidden {cause}, said {answer}: {count} of {total}"
+    )

@@ -1,4 +1,4 @@
-"""Units as pages print them: a joint's from its scene where that is built in, else both that it can be."""
+"""Units as pages print them: a joint's unit from its scene when that is built in, else both units that it can have."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from candata.scenes import load_scene
 from candata.scenes.assemble import LIBRARY
 from candata.scenes.roles import roles
 
-#: Word for a joint's position where nobody says whether it turns or slides.
-EITHER = "rad or m"
+#: Unit of a joint's position when nothing says whether it turns or slides.
+UNKNOWN_JOINT_UNIT = "rad or m"
 #: Derivatives and efforts of a joint whose position is in `rad` or `m`.
 _EFFORT = {"rad": "N m", "m": "N"}
 
@@ -21,11 +21,11 @@ def joint_units(scene: str | None) -> Mapping[str, str]:
     """Return joint or actuator name to `rad` or `m`; empty for a scene that is not built in."""
     if scene not in names(LIBRARY):
         return {}
-    found = roles(load_scene(scene)).joints
-    return {joint.name: joint.unit for joint in found} | {j.actuator: j.unit for j in found if j.actuator}
+    joints = roles(load_scene(scene)).joints
+    return {joint.name: joint.unit for joint in joints} | {j.actuator: j.unit for j in joints if j.actuator}
 
 
-def readable(unit: str, element: str, units: Mapping[str, str]) -> str:
+def readable_unit(unit: str, element: str, units: Mapping[str, str]) -> str:
     """Return a unit in which `joint` and `command` are replaced by what the element's joint takes.
 
     Parameters
@@ -37,12 +37,12 @@ def readable(unit: str, element: str, units: Mapping[str, str]) -> str:
     units : mapping of str to str
         Of `joint_units`.
     """
-    known = units.get(element)
+    joint_unit = units.get(element)
     if unit == "joint effort":
-        return _EFFORT[known] if known else "N m or N"
+        return _EFFORT[joint_unit] if joint_unit else "N m or N"
     if unit == "command":
-        return known or EITHER
+        return joint_unit or UNKNOWN_JOINT_UNIT
     if unit.startswith("joint"):
-        rest = unit.removeprefix("joint")
-        return f"{known}{rest}" if known else f"rad{rest} or m{rest}"
+        suffix = unit.removeprefix("joint")
+        return f"{joint_unit}{suffix}" if joint_unit else f"rad{suffix} or m{suffix}"
     return "" if unit == "1" else unit

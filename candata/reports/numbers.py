@@ -25,15 +25,15 @@ SUFFIX_UNITS = (
 )
 #: SI unit to the unit shown for small values, and the factor to it.
 SMALL_UNITS = {"s": ("ms", 1e3), "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3)}
-#: What explains as well as a value of which only this end is known.
-AS_WELL: dict[Bounded | None, str] = {"low": "more", "high": "less"}
+#: What explains the recordings as well as a value of which only this end is known.
+EQUALLY_GOOD: dict[Bounded | None, str] = {"low": "more", "high": "less"}
 #: Below this SI value the small unit reads better.
 SMALL_BELOW = {"s": 1.0, "m": 0.5, "rad": 0.5, "kg": 0.5}
 
 
 @dataclass(frozen=True)
-class Reading:
-    """A parameter in words.
+class FormattedEstimate:
+    """An estimated parameter as text.
 
     Attributes
     ----------
@@ -42,19 +42,20 @@ class Reading:
         `11.9 to 13.1`, or `at least 11.9` where only that end is known; empty when there is none.
     unit : str
         Empty for 1.
-    as_well : str
-        What explains as well as the value, `more` or `less`; empty where both ends are known.
+    equally_good : str
+        What explains as well as the value, `more` or `less`; empty when both ends are known.
     """
 
     value: str
     interval: str
     unit: str
-    as_well: str = ""
+    equally_good: str = ""
 
     def __str__(self) -> str:
         """Return `12.5 ms (90 % interval 11.9 to 13.1)`, or `at least 11.9 ms (12.5 taken; more explains as well)`."""
-        if self.as_well:
-            return f"{self.interval} {self.unit}".strip() + f" ({self.value} taken; {self.as_well} explains as well)"
+        if self.equally_good:
+            interval = f"{self.interval} {self.unit}".strip()
+            return f"{interval} ({self.value} taken; {self.equally_good} explains as well)"
         text = f"{self.value} {self.unit}".strip()
         return f"{text} (90 % interval {self.interval})" if self.interval else text
 
@@ -64,10 +65,10 @@ def unit_of(effect: str, parameter: str, estimate: Estimate | None = None) -> st
     if estimate is not None and estimate.unit:
         return estimate.unit
     try:
-        known = plugins.load("candata.effects", "EFFECT", effect).parameters
+        parameters = plugins.load("candata.effects", "EFFECT", effect).parameters
     except UnknownNameError:
-        known = ()
-    for candidate in known:
+        parameters = ()
+    for candidate in parameters:
         if candidate.name == parameter:
             return str(candidate.unit)
     if parameter == "ppm":
@@ -75,23 +76,24 @@ def unit_of(effect: str, parameter: str, estimate: Estimate | None = None) -> st
     return next((unit for ending, unit in SUFFIX_UNITS if parameter.endswith(ending)), "1")
 
 
-def reading(estimate: Estimate, unit: str) -> Reading:
+def format_estimate(estimate: Estimate, unit: str) -> FormattedEstimate:
     """Return the estimate in its most readable unit, vectors in brackets."""
     values = _numbers(estimate.value)
     if values is None:
-        return Reading(str(estimate.value), "", "")
-    shown, factor = _readable(unit, values)
-    ends = [_numbers(bound) for bound in (estimate.low, estimate.high)]
+        return FormattedEstimate(str(estimate.value), "", "")
+    readable_unit, factor = _readable_unit(unit, values)
+    ends = [_numbers(end) for end in (estimate.low, estimate.high)]
     interval = ""
     if ends[0] is not None and ends[1] is not None:
         pairs = zip(ends[0], ends[1], strict=True)
-        interval = _joined(f"{digits(factor * low)} to {digits(factor * high)}" for low, high in pairs)
+        interval = _in_brackets(f"{digits(factor * low)} to {digits(factor * high)}" for low, high in pairs)
     elif ends[0] is not None:
-        interval = f"at least {_joined(digits(factor * v) for v in ends[0])}"
+        interval = f"at least {_in_brackets(digits(factor * v) for v in ends[0])}"
     elif ends[1] is not None:
-        interval = f"at most {_joined(digits(factor * v) for v in ends[1])}"
-    value, as_well = _joined(digits(factor * v) for v in values), AS_WELL.get(estimate.bounded, "")
-    return Reading(value, interval, "" if shown == "1" else shown, as_well)
+        interval = f"at most {_in_brackets(digits(factor * v) for v in ends[1])}"
+    value = _in_brackets(digits(factor * v) for v in values)
+    equally_good = EQUALLY_GOOD.get(estimate.bounded, "")
+    return FormattedEstimate(value, interval, "" if readable_unit == "1" else readable_unit, equally_good)
 
 
 def digits(value: float) -> str:
@@ -122,15 +124,15 @@ def _numbers(value: Value | Bound) -> tuple[float, ...] | None:
     return tuple(float(v) for v in value) if isinstance(value, tuple) else (float(value),)
 
 
-def _readable(unit: str, values: tuple[float, ...]) -> tuple[str, float]:
+def _readable_unit(unit: str, values: tuple[float, ...]) -> tuple[str, float]:
     """Return the unit to show and the factor from SI to it."""
-    largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
-    if unit in SMALL_UNITS and 0 < largest < SMALL_BELOW[unit]:
+    largest_value = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
+    if unit in SMALL_UNITS and 0 < largest_value < SMALL_BELOW[unit]:
         return SMALL_UNITS[unit]
     return unit, 1.0
 
 
-def _joined(parts: Iterable[str]) -> str:
-    """Return one part as it is, several in brackets."""
-    listed = list(parts)
-    return listed[0] if len(listed) == 1 else f"[{', '.join(listed)}]"
+def _in_brackets(parts: Iterable[str]) -> str:
+    """Return a single part as it is, several in brackets."""
+    texts = list(parts)
+    return texts[0] if len(texts) == 1 else f"[{', '.join(texts)}]"

@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
     model.vis.global_.offwidth, model.vis.global_.offheight = width, height
     model.vis.quality.offsamples = 0  # smoothing is by the 2 x 2 mean below, background included
     model.vis.headlight.ambient[:] = np.maximum(model.vis.headlight.ambient, AMBIENT)
-    bare = mujoco.mjtTexture.mjTEXTURE_SKYBOX not in model.tex_type
+    has_no_sky = mujoco.mjtTexture.mjTEXTURE_SKYBOX not in model.tex_type
     data, renderer = mujoco.MjData(model), mujoco.Renderer(model, height, width)
     frames = []
     for pose in np.load(folder / POSES):
@@ -36,7 +36,7 @@ def main(folder: Path) -> None:
         mujoco.mj_forward(model, data)
         renderer.update_scene(data, camera=_camera(request["camera"]))
         picture = renderer.render().copy()
-        if bare:
+        if has_no_sky:
             renderer.enable_segmentation_rendering()
             picture[renderer.render()[..., 0] < 0] = SKY
             renderer.disable_segmentation_rendering()
@@ -44,17 +44,17 @@ def main(folder: Path) -> None:
     np.save(folder / FRAMES, np.stack(frames).astype(np.uint8))
 
 
-def _camera(wanted: str | dict):
+def _camera(request: str | dict):
     """Return the camera's name, or a free camera with the fields given."""
-    if isinstance(wanted, str):
-        return wanted
+    if isinstance(request, str):
+        return request
     import mujoco
 
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = wanted["lookat"]
-    camera.distance = wanted["distance_m"]
-    camera.azimuth, camera.elevation = wanted["azimuth_deg"], wanted["elevation_deg"]
+    camera.lookat[:] = request["lookat"]
+    camera.distance = request["distance_m"]
+    camera.azimuth, camera.elevation = request["azimuth_deg"], request["elevation_deg"]
     return camera
 
 

@@ -28,7 +28,7 @@ def encode(image: Image) -> bytes:
     """
     height, width, channels = image.shape
     header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    rows = _filtered(image.reshape(height, width * channels), channels)
+    rows = _filter_rows(image.reshape(height, width * channels), channels)
     body = _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
     return b"\x89PNG\r\n\x1a\n" + body + _chunk(b"IEND", b"")
 
@@ -43,22 +43,26 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
     return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
 
 
-def _filtered(rows: Image, step: int) -> Image:
-    """Return `(H, 1 + W * step) uint8`: the filter's number, then the filtered row."""
+def _filter_rows(rows: Image, step: int) -> Image:
+    """Return `(H, 1 + W * step) uint8`: the filter's number, then the filtered row.
+
+    As in the specification, `a` is the byte before a byte `x`, `b` the one above it, `c` the one above `a`.
+    """
     x = rows.astype(np.int16)
-    left = np.pad(x, ((0, 0), (step, 0)))[:, : x.shape[1]]
-    up = np.pad(x, ((1, 0), (0, 0)))[:-1]
-    corner = np.pad(up, ((0, 0), (step, 0)))[:, : x.shape[1]]
-    tried = np.stack([x, x - left, x - up, x - _paeth(left, up, corner)]).astype(np.uint8)
-    cost = np.abs(tried.view(np.int8).astype(np.int64)).sum(axis=2)
-    best = cost.argmin(axis=0)
-    number = np.array([0, 1, 2, 4], np.uint8)[best]
-    return np.concatenate([number[:, None], tried[best, np.arange(len(x))]], axis=1)
+    a = np.pad(x, ((0, 0), (step, 0)))[:, : x.shape[1]]
+    b = np.pad(x, ((1, 0), (0, 0)))[:-1]
+    c = np.pad(b, ((0, 0), (step, 0)))[:, : x.shape[1]]
+    candidates = np.stack([x, x - a, x - b, x - _paeth(a, b, c)]).astype(np.uint8)
+    cost = np.abs(candidates.view(np.int8).astype(np.int64)).sum(axis=2)
+    choice = cost.argmin(axis=0)
+    filter_type = np.array([0, 1, 2, 4], np.uint8)[choice]
+    return np.concatenate([filter_type[:, None], candidates[choice, np.arange(len(x))]], axis=1)
 
 
-def _paeth(left: NDArray[np.int16], up: NDArray[np.int16], corner: NDArray[np.int16]) -> NDArray[np.int16]:
-    """Return the neighbour nearest to `left + up - corner`, left before up before corner."""
-    guess = left + up - corner
-    far_left, far_up, far_corner = abs(guess - left), abs(guess - up), abs(guess - corner)
-    other = np.where(far_up <= far_corner, up, corner)
-    return np.where((far_left <= far_up) & (far_left <= far_corner), left, other)
+def _paeth(a: NDArray[np.int16], b: NDArray[np.int16], c: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Return the neighbour nearest to `a + b - c`; of equally near ones `a` before `b` before `c`."""
+    prediction = a + b - c
+    distance_a, distance_b, distance_c = abs(prediction - a), abs(prediction - b), abs(prediction - c)
+    return np.where(
+        (distance_a <= distance_b) & (distance_a <= distance_c), a, np.where(distance_b <= distance_c, b, c)
+    )

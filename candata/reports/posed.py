@@ -1,4 +1,4 @@
-"""A scene posed by an episode: where its bodies and fingertips are in each row, by forward kinematics alone."""
+"""Poses of a scene's bodies and fingertips in each row of an episode, by forward kinematics alone."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.datasets.elements import joint_labels
 from candata.errors import UsageError, Where
+from candata.reports.camera import SHOWN_GROUPS
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
 from candata.schema.episode import Episode
@@ -18,12 +19,10 @@ from candata.schema.episode import Episode
 Array = NDArray[np.float64]
 #: Rows posed at a time: what bounds the memory of a long episode.
 ROWS = 2048
-#: Geom groups that MuJoCo's viewers show by default: 0 to 2.
-SHOWN_GROUPS = 3
 
 
 @dataclass(frozen=True)
-class Posed:
+class PosedRows:
     """Some rows of an episode.
 
     Attributes
@@ -44,7 +43,7 @@ class Posed:
 
 
 @dataclass(frozen=True)
-class Poser:
+class ScenePoser:
     """Which entry of the model's positions comes from which column of the episode.
 
     Attributes
@@ -56,7 +55,7 @@ class Poser:
         Column of `joint_position` and address in qpos.
     with_object : bool
         Whether the object's pose is in the episode.
-    missing : tuple of str
+    missing_joints : tuple of str
         Joints of the scene that the episode lacks; they stay where the model has them.
     """
 
@@ -64,9 +63,9 @@ class Poser:
     bodies: tuple[int, ...]
     joints: tuple[tuple[int, int], ...]
     with_object: bool
-    missing: tuple[str, ...]
+    missing_joints: tuple[str, ...]
 
-    def chunks(self, episode: Episode) -> Iterator[Posed]:
+    def chunks(self, episode: Episode) -> Iterator[PosedRows]:
         """Yield the posed rows of an episode, a few thousand at a time."""
         valid = np.ones(len(episode), bool)
         for channel in ("joint_position",) * bool(self.joints) + ("object_pose",) * self.with_object:
@@ -75,7 +74,7 @@ class Poser:
         for start in range(0, len(rows), ROWS):
             yield self._pose(episode, rows[start : start + ROWS])
 
-    def _pose(self, episode: Episode, rows: NDArray[np.int64]) -> Posed:
+    def _pose(self, episode: Episode, rows: NDArray[np.int64]) -> PosedRows:
         """Return some rows, posed."""
         model, bodies = self.scene.model, list(self.bodies)
         data, qpos = mujoco.MjData(model), self._qpos(episode, rows)
@@ -88,7 +87,7 @@ class Poser:
             position[k], quaternion[k] = data.xpos[bodies], data.xquat[bodies]
             for i in range(count):
                 tip[k, i], frame[k, i] = self._tip(data, i)
-        return Posed(rows, position, quaternion, tip, frame)
+        return PosedRows(rows, position, quaternion, tip, frame)
 
     def _qpos(self, episode: Episode, rows: NDArray[np.int64]) -> Array:
         """Return the model's positions in some rows."""
@@ -105,12 +104,12 @@ class Poser:
         body = int(self.scene.fingertip_bodies[index])
         geom = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, file.fingertips[index])
         is_body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, file.fingertips[index]) >= 0
-        at = data.xpos[body] if is_body or geom < 0 else data.geom_xpos[geom]
+        position = data.xpos[body] if is_body or geom < 0 else data.geom_xpos[geom]
         axes = data.site(file.fingertip_frames[index]).xmat if file.fingertip_frames else data.xmat[body]
-        return at.copy(), np.array(axes).reshape(3, 3)
+        return position.copy(), np.array(axes).reshape(3, 3)
 
 
-def poser(scene: Scene, episode: Episode) -> Poser:
+def poser(scene: Scene, episode: Episode) -> ScenePoser:
     """Return how the episode poses the scene: joints by name, by place where it states no names.
 
     Raises
@@ -127,13 +126,17 @@ def poser(scene: Scene, episode: Episode) -> Poser:
     joints = tuple((i, address[name]) for i, name in enumerate(columns) if name in address)
     if columns and address and not joints:
         raise UsageError(
-            "the episode's joints are not those of the scene", expected=", ".join(address), found=", ".join(columns),
-            where=Where(episode=episode.meta.id), fix="give the scene of this hand: --scene NAME or scene.yaml",
-        )  # fmt: skip
+            "the episode's joints are not those of the scene",
+            expected=", ".join(address),
+            found=", ".join(columns),
+            where=Where(episode=episode.meta.id),
+            fix="give the scene of this hand: --scene NAME or scene.yaml",
+        )
     with_object = scene.object_id is not None and "object_pose" in episode
-    hidden = set() if with_object or scene.object_id is None else subtree(scene.model, scene.object_id)
-    shown = tuple(sorted({int(scene.model.geom_bodyid[g]) for g in shown_geoms(scene.model)} - hidden))
-    return Poser(scene, shown, joints, with_object, tuple(name for name in address if name not in columns))
+    hidden_bodies = set() if with_object or scene.object_id is None else subtree(scene.model, scene.object_id)
+    bodies = sorted({int(scene.model.geom_bodyid[g]) for g in shown_geoms(scene.model)} - hidden_bodies)
+    missing_joints = tuple(name for name in address if name not in columns)
+    return ScenePoser(scene, tuple(bodies), joints, with_object, missing_joints)
 
 
 def shown_geoms(model: mujoco.MjModel) -> list[int]:

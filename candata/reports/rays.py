@@ -6,64 +6,64 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.reports.camera import Eye, View, eye
+from candata.reports.camera import SHOWN_GROUPS, FreeCamera, Pinhole, pinhole
 from candata.reports.png import Image
 
 Array = NDArray[np.float64]
 
-#: Geom groups that MuJoCo's viewers show by default: 0 to 2.
-SHOWN_GROUPS = np.array([1, 1, 1, 0, 0, 0], np.uint8)
+#: Whether a ray sees the geoms of a group, by group.
+SEEN_GROUPS = (np.arange(mujoco.mjNGROUP) < SHOWN_GROUPS).astype(np.uint8)
 #: Colours of the drawing: sky, and the two tiles of a plane (they shade a plane that has its own colour).
 SKY, TILES = (0.93, 0.94, 0.95), np.array([[0.86, 0.87, 0.88], [0.80, 0.81, 0.83]])
-#: Direction towards the sun (unit length) and what reaches a place in its shadow.
+#: Direction towards the sun (unit length) and the light that reaches a place in its shadow.
 SUN, SHADE = np.array([0.32, -0.48, 0.817]), 0.55
 #: Difference between neighbours (of 1) from which a pixel is drawn with four rays.
 EDGE = 0.03
 
 
-def draw(model: mujoco.MjModel, qpos: Array, camera: str | View, width: int, height: int) -> list[Image]:
+def draw(model: mujoco.MjModel, qpos: Array, camera: str | FreeCamera, width: int, height: int) -> list[Image]:
     """Return one picture (height, width, 3) uint8 of each row of `qpos` (K, nq)."""
     data, frames = mujoco.MjData(model), []
     for pose in qpos:
         data.qpos[:] = pose
         mujoco.mj_forward(model, data)
-        frames.append(_frame(model, data, eye(model, data, camera), width, height))
+        frames.append(_frame(model, data, pinhole(model, data, camera), width, height))
     return frames
 
 
-def _frame(model: mujoco.MjModel, data: mujoco.MjData, pinhole: Eye, width: int, height: int) -> Image:
+def _frame(model: mujoco.MjModel, data: mujoco.MjData, camera: Pinhole, width: int, height: int) -> Image:
     """Return the picture of one state: a ray a pixel, four where the picture has an edge."""
     x, y = (side.ravel() for side in np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5))
 
-    def look(dx: float, dy: float, shown: NDArray[np.intp]) -> Array:
-        rays = _directions(pinhole, x[shown] + dx, y[shown] + dy, width, height)
-        return _colours(model, data, pinhole.position, rays)
+    def colours_at(dx: float, dy: float, pixels: NDArray[np.intp]) -> Array:
+        rays = _directions(camera, x[pixels] + dx, y[pixels] + dy, width, height)
+        return _colours(model, data, camera.position, rays)
 
-    colour = look(0.0, 0.0, np.arange(width * height))
+    colour = colours_at(0.0, 0.0, np.arange(width * height))
     edges = np.flatnonzero(_is_edge(colour.reshape(height, width, 3)))
     if len(edges):
-        corners = [look(dx, dy, edges) for dx in (-0.25, 0.25) for dy in (-0.25, 0.25)]
+        corners = [colours_at(dx, dy, edges) for dx in (-0.25, 0.25) for dy in (-0.25, 0.25)]
         colour[edges] = np.mean(corners, axis=0)
     return np.round(255 * colour.clip(0, 1)).astype(np.uint8).reshape(height, width, 3)
 
 
 def _is_edge(colour: Array) -> NDArray[np.bool_]:
     """Return where a pixel of (H, W, 3) differs visibly from one beside, above or below it, `(H, W)`."""
-    down = np.abs(np.diff(colour, axis=0)).max(axis=2) > EDGE
-    across = np.abs(np.diff(colour, axis=1)).max(axis=2) > EDGE
-    found = np.zeros(colour.shape[:2], bool)
-    found[1:] |= down
-    found[:-1] |= down
-    found[:, 1:] |= across
-    found[:, :-1] |= across
-    return found
+    row_edges = np.abs(np.diff(colour, axis=0)).max(axis=2) > EDGE
+    column_edges = np.abs(np.diff(colour, axis=1)).max(axis=2) > EDGE
+    is_edge = np.zeros(colour.shape[:2], bool)
+    is_edge[1:] |= row_edges
+    is_edge[:-1] |= row_edges
+    is_edge[:, 1:] |= column_edges
+    is_edge[:, :-1] |= column_edges
+    return is_edge
 
 
-def _directions(pinhole: Eye, x: Array, y: Array, width: int, height: int) -> Array:
+def _directions(camera: Pinhole, x: Array, y: Array, width: int, height: int) -> Array:
     """Return unit rays (N, 3) through the places `x`, `y` (pixels from the upper left corner)."""
-    reach = np.tan(pinhole.fovy_rad / 2)
-    right, up = (2 * x / width - 1) * reach * width / height, (1 - 2 * y / height) * reach
-    rays = np.stack([right, up, np.full(len(x), -1.0)], axis=-1) @ pinhole.axes.T
+    half_height = np.tan(camera.fovy_rad / 2)
+    image_x, image_y = (2 * x / width - 1) * half_height * width / height, (1 - 2 * y / height) * half_height
+    rays = np.stack([image_x, image_y, np.full(len(x), -1.0)], axis=-1) @ camera.axes.T
     return rays / np.linalg.norm(rays, axis=1, keepdims=True)
 
 
@@ -73,7 +73,7 @@ def _colours(model: mujoco.MjModel, data: mujoco.MjData, start: Array, rays: Arr
     colour = np.tile(np.array(SKY), (len(rays), 1))
     hit = geom >= 0
     points = start + rays[hit] * distance[hit, None]
-    colour[hit] = _shaded(model, data, geom[hit], points, normal[hit])
+    colour[hit] = _lit_colours(model, data, geom[hit], points, normal[hit])
     return colour
 
 
@@ -83,31 +83,33 @@ def _cast(
     """Return the first geom hit by each ray (-1: none), its distance [m] and its normal (N, 3)."""
     geom, distance = np.empty(len(rays), np.int32), np.empty(len(rays))
     normal = np.zeros(rays.size)
-    mujoco.mj_multiRay(model, data, start, rays.ravel(), SHOWN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6)
+    mujoco.mj_multiRay(model, data, start, rays.ravel(), SEEN_GROUPS, True, -1, geom, distance, normal, len(rays), 1e6)
     return geom, distance, normal.reshape(-1, 3)
 
 
-def _shaded(model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array, normal: Array) -> Array:
+def _lit_colours(
+    model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array, normal: Array
+) -> Array:
     """Return the colours (N, 3) of the points hit: their geom's, lit by the sun or in shadow."""
-    far = 20 * max(float(model.stat.extent), 0.1)
-    sun = points.mean(axis=0) + far * SUN if len(points) else SUN
-    way = points - sun
-    length = np.linalg.norm(way, axis=1)
-    _, reached, _ = _cast(model, data, sun, way / length[:, None])
-    lit = reached > length * (1 - 1e-4)
-    facing = np.clip(normal @ SUN, 0, 1)
-    light = SHADE + (1 - SHADE) * np.where(lit, facing, 0.0) + 0.1 * normal[:, 2]
+    sun_distance = 20 * max(float(model.stat.extent), 0.1)
+    sun = points.mean(axis=0) + sun_distance * SUN if len(points) else SUN
+    offsets = points - sun
+    length = np.linalg.norm(offsets, axis=1)
+    _, hit_distance, _ = _cast(model, data, sun, offsets / length[:, None])
+    in_sun = hit_distance > length * (1 - 1e-4)
+    incidence = np.clip(normal @ SUN, 0, 1)
+    light = SHADE + (1 - SHADE) * np.where(in_sun, incidence, 0.0) + 0.1 * normal[:, 2]
     return _base_colour(model, data, geom, points) * light[:, None]
 
 
 def _base_colour(model: mujoco.MjModel, data: mujoco.MjData, geom: NDArray[np.int32], points: Array) -> Array:
-    """Return each point's own colour (N, 3): the material's or geom's, tiles on a plane."""
+    """Return the unlit colour of each point (N, 3): the material's or geom's, tiles on a plane."""
     material = model.geom_matid[geom]
     rgba = np.where((material >= 0)[:, None], model.mat_rgba[material] if model.nmat else 0, model.geom_rgba[geom])
     colour = np.array(rgba[:, :3], float)
     plane = model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE
     tile = max(float(model.stat.extent), 0.1) / 8
     cells = np.floor(points[plane, :2] / tile).astype(int).sum(axis=1) % 2
-    plain = np.all(np.abs(colour[plane] - 0.5) < 1e-3, axis=1)
-    colour[plane] = np.where(plain[:, None], TILES[cells], colour[plane] * TILES[cells] / TILES.max())
+    has_default_colour = np.all(np.abs(colour[plane] - 0.5) < 1e-3, axis=1)
+    colour[plane] = np.where(has_default_colour[:, None], TILES[cells], colour[plane] * TILES[cells] / TILES.max())
     return colour

@@ -25,12 +25,12 @@ Array = NDArray[np.float64]
 LIBRARIES = ("egl", "osmesa")
 #: Longest time a child may take [s]; a software rasteriser needs well below a second a frame.
 TIMEOUT_S = 60.0
-#: What a page says beside pictures made without GL.
+#: Note on a page with pictures made without GL.
 DRAWN_NOTE = "No GL library found: this is a drawn projection."
 
 
 @dataclass(frozen=True)
-class Film:
+class RenderedFrames:
     """Pictures (height, width, 3) uint8, and the GL library that made them (None: drawn)."""
 
     frames: tuple[Image, ...]
@@ -45,7 +45,7 @@ class Film:
 def render_poses(
     model: mujoco.MjModel,
     qpos: Array,
-    camera: str | cameras.View | None = None,
+    camera: str | cameras.FreeCamera | None = None,
     width: int = 320,
     height: int = 240,
 ) -> list[Image]:
@@ -56,30 +56,30 @@ def render_poses(
     model : mujoco.MjModel
     qpos : (K, nq) float64
         Positions of the model.
-    camera : str, View or None
+    camera : str, FreeCamera or None
         Name of a model camera, a free camera, or None: the model's camera `report` when it has one,
         else a free camera fitted to what moves over `qpos`.
     width, height : int
         Size of a picture in pixels.
     """
-    return list(film(model, qpos, camera, width, height).frames)
+    return list(render_frames(model, qpos, camera, width, height).frames)
 
 
-def film(
+def render_frames(
     model: mujoco.MjModel,
     qpos: Array,
-    camera: str | cameras.View | None = None,
+    camera: str | cameras.FreeCamera | None = None,
     width: int = 320,
     height: int = 240,
-) -> Film:
-    """Return the pictures of `render_poses` and how they were made; never fails for want of GL."""
+) -> RenderedFrames:
+    """Return the pictures of `render_poses` and the GL library that made them; without one they are drawn."""
     qpos = np.atleast_2d(np.asarray(qpos, float))
-    view = cameras.choose(model, qpos, camera, width / height)
+    view = cameras.choose_camera(model, qpos, camera, width / height)
     for library in _libraries():
         frames = _with_library(library, model, qpos, view, width, height)
         if frames is not None:
-            return Film(frames, library)
-    return Film(tuple(rays.draw(model, qpos, view, width, height)), None)
+            return RenderedFrames(frames, library)
+    return RenderedFrames(tuple(rays.draw(model, qpos, view, width, height)), None)
 
 
 def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int = 960, height: int = 720) -> bool:
@@ -97,22 +97,22 @@ def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int
     """
     if qpos is None:
         qpos = model.key_qpos[0] if model.nkey else model.qpos0
-    made = film(model, qpos, None, width, height)
-    Path(path).write_bytes(png.encode(made.frames[0]))
-    return made.library is not None
+    picture = render_frames(model, qpos, None, width, height)
+    Path(path).write_bytes(png.encode(picture.frames[0]))
+    return picture.library is not None
 
 
 def _libraries() -> tuple[str, ...]:
     """Return the GL libraries to try: the user's first (MUJOCO_GL; the command line keeps it as CANDATA_GL) or none."""
-    wanted = os.environ.get("CANDATA_GL", os.environ.get("MUJOCO_GL", "")).strip().lower()
-    if wanted in ("disable", "disabled", "off", "false", "0"):
+    preference = os.environ.get("CANDATA_GL", os.environ.get("MUJOCO_GL", "")).strip().lower()
+    if preference in ("disable", "disabled", "off", "false", "0"):
         return ()
-    asked = (wanted,) if wanted and wanted not in LIBRARIES else ()
-    return asked + tuple(sorted(LIBRARIES, key=lambda name: name != wanted))
+    other_library = (preference,) if preference and preference not in LIBRARIES else ()
+    return other_library + tuple(sorted(LIBRARIES, key=lambda name: name != preference))
 
 
 def _with_library(
-    library: str, model: mujoco.MjModel, qpos: Array, view: str | cameras.View, width: int, height: int
+    library: str, model: mujoco.MjModel, qpos: Array, view: str | cameras.FreeCamera, width: int, height: int
 ) -> tuple[Image, ...] | None:
     """Return the pictures made by one GL library in a child process, or None when it fails."""
     with tempfile.TemporaryDirectory(prefix="candata-render-") as name:
@@ -131,7 +131,7 @@ def _run_child(library: str, folder: Path) -> bool:
     root = str(Path(__file__).resolve().parents[2])
     paths = os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             [sys.executable, "-m", offscreen.__name__, str(folder)],
             env={**os.environ, "MUJOCO_GL": library, "PYOPENGL_PLATFORM": library, "PYTHONPATH": paths},
             stdin=subprocess.DEVNULL,
@@ -142,9 +142,9 @@ def _run_child(library: str, folder: Path) -> bool:
         )
     except (OSError, subprocess.SubprocessError):
         return False
-    return done.returncode == 0
+    return process.returncode == 0
 
 
-def _as_json(view: str | cameras.View) -> str | dict[str, object]:
+def _as_json(view: str | cameras.FreeCamera) -> str | dict[str, object]:
     """Return the camera as the child reads it."""
     return view if isinstance(view, str) else dataclasses.asdict(view)

@@ -14,23 +14,23 @@ PLANE_HALF_M, PLANE_THIN_M = 0.5, 0.0005
 def shape(rr: Any, model: mujoco.MjModel, geom: int) -> Any | None:
     """Return one geom as an archetype of the module `rr` (rerun); None for kinds that it cannot show."""
     kind, size = mujoco.mjtGeom(model.geom_type[geom]), np.array(model.geom_size[geom])
-    where = {"quaternions": [xyzw(model.geom_quat[geom])], "colors": [_colour(model, geom)], "fill_mode": "solid"}
-    at = [np.array(model.geom_pos[geom])]
+    style = {"quaternions": [xyzw(model.geom_quat[geom])], "colors": [_colour(model, geom)], "fill_mode": "solid"}
+    centres = [np.array(model.geom_pos[geom])]
     if kind == mujoco.mjtGeom.mjGEOM_MESH:
         return _mesh(rr, model, geom)
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
-        half = [s or PLANE_HALF_M for s in size[:2]]
-        return rr.Boxes3D(half_sizes=[[*np.minimum(half, PLANE_HALF_M), PLANE_THIN_M]], centers=at, **where)
+        half_sizes = [s or PLANE_HALF_M for s in size[:2]]
+        return rr.Boxes3D(half_sizes=[[*np.minimum(half_sizes, PLANE_HALF_M), PLANE_THIN_M]], centers=centres, **style)
     if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return rr.Boxes3D(half_sizes=[size], centers=at, **where)
+        return rr.Boxes3D(half_sizes=[size], centers=centres, **style)
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return rr.Ellipsoids3D(half_sizes=[np.repeat(size[0], 3)], centers=at, **where)
+        return rr.Ellipsoids3D(half_sizes=[np.repeat(size[0], 3)], centers=centres, **style)
     if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        return rr.Ellipsoids3D(half_sizes=[size], centers=at, **where)
+        return rr.Ellipsoids3D(half_sizes=[size], centers=centres, **style)
     if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], centers=at, **where)
+        return rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], centers=centres, **style)
     if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return _capsule(rr, model, geom, where)
+        return _capsule(rr, model, geom, style)
     return None
 
 
@@ -39,13 +39,13 @@ def xyzw(quaternion: Any) -> Any:
     return np.asarray(quaternion)[..., [1, 2, 3, 0]]
 
 
-def _capsule(rr: Any, model: mujoco.MjModel, geom: int, where: dict[str, Any]) -> Any:
+def _capsule(rr: Any, model: mujoco.MjModel, geom: int, style: dict[str, Any]) -> Any:
     """Return a capsule, which Rerun starts at one end and MuJoCo centres."""
-    radius, half = model.geom_size[geom][:2]
+    radius, half_length = model.geom_size[geom][:2]
     turn = np.zeros(9)
     mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
-    start = model.geom_pos[geom] - half * turn.reshape(3, 3)[:, 2]
-    return rr.Capsules3D(lengths=[2 * half], radii=[radius], translations=[start], **where)
+    start = model.geom_pos[geom] - half_length * turn.reshape(3, 3)[:, 2]
+    return rr.Capsules3D(lengths=[2 * half_length], radii=[radius], translations=[start], **style)
 
 
 def _mesh(rr: Any, model: mujoco.MjModel, geom: int) -> Any:

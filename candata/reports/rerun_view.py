@@ -16,7 +16,7 @@ from candata.datasets.elements import fingertip_labels, joint_labels
 from candata.datasets.summary import touches
 from candata.errors import MissingExtraError, SetupError
 from candata.plugins import names
-from candata.reports.posed import Posed, Poser, poser, shown_geoms
+from candata.reports.posed import PosedRows, ScenePoser, poser, shown_geoms
 from candata.reports.rerun_shapes import shape, xyzw
 from candata.reports.traces import command_joints, masked
 from candata.reports.writing import replacing
@@ -59,14 +59,14 @@ def view(dataset: Dataset, id: str, scene: str | None = None, out: Path | None =
     """
     rr = _rerun()
     episode = dataset.episode(id)
-    posing = _poser(episode, scene)
+    scene_poser = _poser(episode, scene)
     if out is None:
         _need_display()
     recording = rr.RecordingStream("candata", recording_id=f"{dataset.digest[:12]}-{id}")
     if out is None:
         rr.spawn(recording=recording, default_blueprint=_blueprint(episode))
-        return tuple(_fill(rr, recording, dataset, episode, posing))
-    return _write(rr, recording, dataset, episode, posing, out)
+        return tuple(_fill(rr, recording, dataset, episode, scene_poser))
+    return _write(rr, recording, dataset, episode, scene_poser, out)
 
 
 def _rerun() -> Any:
@@ -78,8 +78,8 @@ def _rerun() -> Any:
     return rerun
 
 
-def _poser(episode: Episode, scene: str | None) -> Poser | None:
-    """Return how the episode poses its scene; None where no scene is given and its own is not built in."""
+def _poser(episode: Episode, scene: str | None) -> ScenePoser | None:
+    """Return what poses the scene by the episode; None where no scene is given and its own is not built in."""
     name = scene or (episode.meta.scene if episode.meta.scene in names(LIBRARY) else None)
     return None if name is None else poser(load_scene(name), episode)
 
@@ -93,13 +93,13 @@ def _need_display() -> None:
 
 
 def _write(
-    rr: Any, recording: Any, dataset: Dataset, episode: Episode, posing: Poser | None, out: Path
+    rr: Any, recording: Any, dataset: Dataset, episode: Episode, scene_poser: ScenePoser | None, out: Path
 ) -> tuple[str, ...]:
     """Write the recording whole or not at all."""
     with replacing(out, "recording") as draft:
         draft.touch()
         recording.save(draft, default_blueprint=_blueprint(episode))
-        notes = tuple(_fill(rr, recording, dataset, episode, posing))
+        notes = tuple(_fill(rr, recording, dataset, episode, scene_poser))
         recording.flush()
         recording.disconnect()
     return notes
@@ -110,31 +110,31 @@ def _blueprint(episode: Episode) -> Any:
     import rerun.blueprint as rrb
 
     kinds = [("joints", "joint_position"), ("forces", "fingertip_force"), ("contact", "fingertip_contact")]
-    shown = [rrb.TimeSeriesView(origin=f"traces/{kind}", name=kind) for kind, channel in kinds if channel in episode]
+    charts = [rrb.TimeSeriesView(origin=f"traces/{kind}", name=kind) for kind, channel in kinds if channel in episode]
     space = rrb.Spatial3DView(origin="world", name=episode.meta.id)
-    return rrb.Blueprint(rrb.Horizontal(space, rrb.Vertical(*shown), column_shares=[3, 2]) if shown else space)
+    return rrb.Blueprint(rrb.Horizontal(space, rrb.Vertical(*charts), column_shares=[3, 2]) if charts else space)
 
 
-def _fill(rr: Any, to: Any, dataset: Dataset, episode: Episode, posing: Poser | None) -> Iterator[str]:
+def _fill(rr: Any, recording: Any, dataset: Dataset, episode: Episode, scene_poser: ScenePoser | None) -> Iterator[str]:
     """Log everything; yield what to know of it."""
-    to.send_recording_name(episode.meta.id)
-    to.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _object(rr, to, dataset, episode, drawn=posing is not None and posing.with_object)
-    if posing is None:
+    recording.send_recording_name(episode.meta.id)
+    recording.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    _object(rr, recording, dataset, episode, in_scene=scene_poser is not None and scene_poser.with_object)
+    if scene_poser is None:
         yield "no scene: the hand, contact marks and force arrows are left out (give --scene)"
     else:
-        _bodies(rr, to, posing)
-        for chunk in posing.chunks(episode):
-            _moving(rr, to, posing, chunk, episode)
-        if posing.missing:
-            yield f"joints not in the episode, left where the model has them: {', '.join(posing.missing)}"
-    _joints(rr, to, episode)
-    _forces(rr, to, episode)
-    _contact(rr, to, episode)
+        _bodies(rr, recording, scene_poser)
+        for chunk in scene_poser.chunks(episode):
+            _motion(rr, recording, scene_poser, chunk, episode)
+        if scene_poser.missing_joints:
+            yield f"joints not in the episode, left where the model has them: {', '.join(scene_poser.missing_joints)}"
+    _joints(rr, recording, episode)
+    _forces(rr, recording, episode)
+    _contact(rr, recording, episode)
     for channel in ("object_pose", "joint_position"):
-        lost = 0 if channel not in episode else int((~episode.valid(channel)).sum())
-        if lost:
-            yield f"{channel} is not valid in {lost} of {len(episode)} rows: the view holds the last valid one"
+        invalid_count = 0 if channel not in episode else int((~episode.valid(channel)).sum())
+        if invalid_count:
+            yield f"{channel} is not valid in {invalid_count} of {len(episode)} rows: the view holds the last valid one"
 
 
 def _times(rr: Any, episode: Episode, rows: NDArray[np.int64] | slice = slice(None)) -> list[Any]:
@@ -142,7 +142,7 @@ def _times(rr: Any, episode: Episode, rows: NDArray[np.int64] | slice = slice(No
     return [rr.TimeColumn(TIMELINE, duration=episode.time_s[rows])]
 
 
-def _object(rr: Any, to: Any, dataset: Dataset, episode: Episode, drawn: bool) -> None:
+def _object(rr: Any, recording: Any, dataset: Dataset, episode: Episode, in_scene: bool) -> None:
     """Log the object's frame, its path, and its point cloud; its mesh comes with the scene."""
     if "object_pose" not in episode:
         return
@@ -150,25 +150,27 @@ def _object(rr: Any, to: Any, dataset: Dataset, episode: Episode, drawn: bool) -
     pose = np.asarray(episode["object_pose"][rows], float)
     if not len(rows):
         return
-    turned = rr.Transform3D.columns(translation=pose[:, :3], quaternion=xyzw(pose[:, 3:]))
-    to.send_columns("world/object", indexes=_times(rr, episode, rows), columns=turned)
+    transforms = rr.Transform3D.columns(translation=pose[:, :3], quaternion=xyzw(pose[:, 3:]))
+    recording.send_columns("world/object", indexes=_times(rr, episode, rows), columns=transforms)
     axes = rr.Arrows3D(vectors=AXIS_M * np.eye(3), colors=[RED, GREEN, BLUE])
-    to.log("world/object/axes", axes, static=True)
+    recording.log("world/object/axes", axes, static=True)
     if len(rows) > 1:
-        to.log("world/path", rr.LineStrips3D([pose[:, :3]], colors=[GREY]), static=True)
+        recording.log("world/path", rr.LineStrips3D([pose[:, :3]], colors=[GREY]), static=True)
     if episode.meta.point_cloud is not None:
         points = get_cloud(dataset.path, episode.meta.point_cloud)
-        colour = GREY if drawn else AMBER
-        to.log("world/object/cloud", rr.Points3D(points, radii=[POINT_M], colors=[colour]), static=True)
+        colour = GREY if in_scene else AMBER
+        recording.log("world/object/cloud", rr.Points3D(points, radii=[POINT_M], colors=[colour]), static=True)
 
 
-def _bodies(rr: Any, to: Any, posing: Poser) -> None:
+def _bodies(rr: Any, recording: Any, scene_poser: ScenePoser) -> None:
     """Log the shapes of every shown body in its own frame."""
-    for geom in shown_geoms(posing.scene.model):
-        body = int(posing.scene.model.geom_bodyid[geom])
-        drawn = shape(rr, posing.scene.model, geom) if body in posing.bodies else None
-        if drawn is not None:
-            to.log(rr.new_entity_path([*_path(posing.scene, body), f"geom {geom}"]), drawn, static=True)
+    for geom in shown_geoms(scene_poser.scene.model):
+        body = int(scene_poser.scene.model.geom_bodyid[geom])
+        geom_shape = shape(rr, scene_poser.scene.model, geom) if body in scene_poser.bodies else None
+        if geom_shape is not None:
+            recording.log(
+                rr.new_entity_path([*_path(scene_poser.scene, body), f"geom {geom}"]), geom_shape, static=True
+            )
 
 
 def _path(scene: Scene, body: int) -> list[str]:
@@ -176,26 +178,29 @@ def _path(scene: Scene, body: int) -> list[str]:
     return ["world", "scene", scene.model.body(body).name or f"body {body}"]
 
 
-def _moving(rr: Any, to: Any, posing: Poser, chunk: Posed, episode: Episode) -> None:
+def _motion(rr: Any, recording: Any, scene_poser: ScenePoser, chunk: PosedRows, episode: Episode) -> None:
     """Log where bodies, contacts and forces are in some rows."""
     times = _times(rr, episode, chunk.rows)
-    for i, body in enumerate(posing.bodies):
-        turned = rr.Transform3D.columns(translation=chunk.position[:, i], quaternion=xyzw(chunk.quaternion[:, i]))
-        to.send_columns(rr.new_entity_path(_path(posing.scene, body)), indexes=times, columns=turned)
+    for i, body in enumerate(scene_poser.bodies):
+        transforms = rr.Transform3D.columns(translation=chunk.position[:, i], quaternion=xyzw(chunk.quaternion[:, i]))
+        recording.send_columns(rr.new_entity_path(_path(scene_poser.scene, body)), indexes=times, columns=transforms)
     touch = touches(episode)
     force = masked(episode, "fingertip_force")[chunk.rows] if "fingertip_force" in episode else None
     count = max((episode[c].shape[1] for c in ("fingertip_force", "fingertip_contact") if c in episode), default=0)
     for i, name in enumerate(fingertip_labels(episode.meta, count)[: chunk.tip.shape[1]]):
         if name in touch:
-            held = touch[name][chunk.rows]
-            marks = rr.Points3D.columns(positions=chunk.tip[held, i]).partition(held.astype(int))
-            to.log(rr.new_entity_path(["world", "contact", name]), _mark(rr), static=True)
-            to.send_columns(rr.new_entity_path(["world", "contact", name]), indexes=times, columns=marks)
+            in_contact = touch[name][chunk.rows]
+            positions = chunk.tip[in_contact, i]
+            marks = rr.Points3D.columns(positions=positions).partition(in_contact.astype(int))
+            recording.log(rr.new_entity_path(["world", "contact", name]), _mark(rr), static=True)
+            recording.send_columns(rr.new_entity_path(["world", "contact", name]), indexes=times, columns=marks)
         if force is not None:
-            known = np.isfinite(force[:, i]).all(axis=1)
-            vectors = ARROW_M_PER_N * np.einsum("kab,kb->ka", chunk.frame[known, i], force[known, i])
-            arrows = rr.Arrows3D.columns(vectors=vectors, origins=chunk.tip[known, i]).partition(known.astype(int))
-            to.send_columns(rr.new_entity_path(["world", "force", name]), indexes=times, columns=arrows)
+            is_known = np.isfinite(force[:, i]).all(axis=1)
+            vectors = ARROW_M_PER_N * np.einsum("kab,kb->ka", chunk.frame[is_known, i], force[is_known, i])
+            arrows = rr.Arrows3D.columns(vectors=vectors, origins=chunk.tip[is_known, i]).partition(
+                is_known.astype(int)
+            )
+            recording.send_columns(rr.new_entity_path(["world", "force", name]), indexes=times, columns=arrows)
 
 
 def _mark(rr: Any) -> Any:
@@ -203,7 +208,7 @@ def _mark(rr: Any) -> Any:
     return rr.Points3D.from_fields(radii=[MARK_M], colors=[AMBER])
 
 
-def _joints(rr: Any, to: Any, episode: Episode) -> None:
+def _joints(rr: Any, recording: Any, episode: Episode) -> None:
     """Log the position of each joint, beside it the command that bears its name."""
     if "joint_position" not in episode:
         return
@@ -214,28 +219,28 @@ def _joints(rr: Any, to: Any, episode: Episode) -> None:
     for i, name in enumerate(joints):
         lines = {"position": position[:, i]}
         lines |= {"command": action[:, drivers.index(name)]} if name in drivers else {}
-        _trace(rr, to, episode, ["traces", "joints", name], lines)
+        _trace(rr, recording, episode, ["traces", "joints", name], lines)
 
 
-def _forces(rr: Any, to: Any, episode: Episode) -> None:
+def _forces(rr: Any, recording: Any, episode: Episode) -> None:
     """Log the components of each fingertip's force."""
     if "fingertip_force" in episode:
         force = masked(episode, "fingertip_force")
         for i, name in enumerate(fingertip_labels(episode.meta, force.shape[1])):
             lines = {axis: force[:, i, k] for k, axis in enumerate("xyz")}
-            _trace(rr, to, episode, ["traces", "forces", name], lines)
+            _trace(rr, recording, episode, ["traces", "forces", name], lines)
 
 
-def _contact(rr: Any, to: Any, episode: Episode) -> None:
+def _contact(rr: Any, recording: Any, episode: Episode) -> None:
     """Log who touches."""
     for name, flags in touches(episode).items():
         label = name or "any fingertip"
-        _trace(rr, to, episode, ["traces", "contact", label], {label: flags.astype(float)})
+        _trace(rr, recording, episode, ["traces", "contact", label], {label: flags.astype(float)})
 
 
-def _trace(rr: Any, to: Any, episode: Episode, path: list[str], lines: dict[str, Array]) -> None:
+def _trace(rr: Any, recording: Any, episode: Episode, path: list[str], lines: dict[str, Array]) -> None:
     """Log a few lines over time as one entity."""
-    where, values = rr.new_entity_path(path), np.stack(list(lines.values()), axis=1)
-    to.log(where, rr.SeriesLines(names=[f"{path[-1]} {name}" for name in lines]), static=True)
+    entity, values = rr.new_entity_path(path), np.stack(list(lines.values()), axis=1)
+    recording.log(entity, rr.SeriesLines(names=[f"{path[-1]} {name}" for name in lines]), static=True)
     columns = rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
-    to.send_columns(where, indexes=_times(rr, episode), columns=columns)
+    recording.send_columns(entity, indexes=_times(rr, episode), columns=columns)

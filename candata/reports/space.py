@@ -1,138 +1,204 @@
-"""The path of an object in space with its orientation: an SVG that stands without a script and turns with one."""
+"""Paths of an object in space: an SVG that stands without a script and turns with one."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from candata.datasets.summary import ANY, touches
-from candata.reports.chart import linear
+from candata.reports.chart import join_markup, linear_axis
 from candata.reports.envelope import turning_rows
+from candata.reports.numbers import digits
 from candata.reports.traces import masked
 from candata.rotation import rotate
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Where the drawing is seen from, until it is turned.
+#: Direction that the drawing is seen from, until it is turned.
 AZIMUTH_DEG, ELEVATION_DEG = -55.0, 24.0
 #: Half the side of the cube that holds the path, in units of the drawing; half the drawing's width and height.
-HALF, REACH_X, REACH_Y = 500, 920, 820
+CUBE_HALF, VIEW_HALF_X, VIEW_HALF_Y = 500, 920, 820
 #: Stretches of the path whose extremes are drawn, orientations drawn, and the length of their axes.
 STRETCHES, TRIADS, AXIS_LENGTH = 90, 9, 90
+#: Points of a path that show their time when pointed at.
+POINTS_WITH_TIME = 24
 #: The least half side of the cube [m]: noise at rest shall not fill the figure.
 LEAST_HALF_M = 0.01
+#: The least half side of the cube around the paths of a closed loop [m].
+LEAST_LOOP_HALF_M = 0.03
+#: Room around a path, as a share of its longest side.
+CUBE_MARGIN = 0.55
 
 
-def path(episode: Episode) -> str:
+def path(episode: Episode) -> Markup:
     """Return the object's path with its axes at a few instants; empty where no pose is valid."""
     if "object_pose" not in episode:
-        return ""
+        return Markup("")
     pose = masked(episode, "object_pose")
-    known = np.flatnonzero(~np.isnan(pose).any(axis=1))
-    if not len(known):
-        return ""
-    low, high = pose[known, :3].min(axis=0), pose[known, :3].max(axis=0)
-    centre, half_m = (low + high) / 2, max(LEAST_HALF_M, 0.55 * float((high - low).max()))
-    points = HALF * (pose[:, :3] - centre) / half_m
+    valid_rows = np.flatnonzero(~np.isnan(pose).any(axis=1))
+    if not len(valid_rows):
+        return Markup("")
+    centre, half_m = _cube(pose[valid_rows, :3], LEAST_HALF_M)
+    points = CUBE_HALF * (pose[:, :3] - centre) / half_m
     touch = touches(episode).get(ANY, np.zeros(len(episode), bool))
     rows = turning_rows(points, STRETCHES)
     marks = [
         *_frame(centre, half_m),
-        *_ways(points, rows, touch),
-        *_triads(points, pose[:, 3:], known),
-        _curve("start", [[points[known[0]]]]),
-        _curve("end", [[points[known[-1]]]]),
+        *_path_by_contact(points, rows, touch),
+        *_triads(points, pose[:, 3:], valid_rows),
+        _curve("start", [[points[valid_rows[0]]]]),
+        _curve("end", [[points[valid_rows[-1]]]]),
     ]
-    view = f"{-REACH_X} {-REACH_Y} {2 * REACH_X} {2 * REACH_Y}"
-    return (
-        f'<svg class="space" viewBox="{view}" role="img" aria-label="path of the object in space" '
-        f'data-azimuth="{AZIMUTH_DEG:g}" data-elevation="{ELEVATION_DEG:g}">{"".join(marks)}</svg>'
+    return _drawing(marks, "path of the object in space")
+
+
+def paths(
+    positions: Mapping[str, Array], time_s: Array, css_classes: Mapping[str, str], held_names: Sequence[str]
+) -> Markup:
+    """Return the paths of several forecasters in one cube, the last of them on top.
+
+    Parameters
+    ----------
+    positions : mapping of str to (T, 3) float64 [m]
+        By the name that shows when a path is pointed at.
+    time_s : (T,) float64 [s]
+    css_classes : mapping of str to str
+        Class of each path.
+    held_names : sequence of str
+        Names of the paths that the cube holds; the others may leave it.
+    """
+    centre, half_m = _cube(np.concatenate([positions[name] for name in held_names]), LEAST_LOOP_HALF_M)
+    marks = list(_frame(centre, half_m))
+    for name, position in positions.items():
+        points = CUBE_HALF * (position - centre) / half_m
+        points = points[: _rows_in_view(points)]
+        rows = turning_rows(points, STRETCHES)
+        marks.append(_curve(f"loop {css_classes[name]}", [points[rows]], name))
+        for k in np.unique(np.linspace(0, len(points) - 1, POINTS_WITH_TIME).round().astype(int)).tolist():
+            place = ", ".join(digits(100 * value) for value in position[k])
+            marks.append(_curve("point", [[points[k]]], f"{name}, {time_s[k]:.2f} s: {place} cm"))
+    start = CUBE_HALF * (positions[held_names[0]][0] - centre) / half_m
+    marks.append(_curve("start", [[start]], "the loop begins here"))
+    return _drawing(marks, "paths of the object in space")
+
+
+def _cube(position: Array, least_half_m: float) -> tuple[Array, float]:
+    """Return centre and half side [m] of the cube that holds the finite ones of the positions (N, 3)."""
+    finite = position[np.isfinite(position).all(axis=1)]
+    low, high = finite.min(axis=0), finite.max(axis=0)
+    return (low + high) / 2, max(least_half_m, CUBE_MARGIN * float((high - low).max()))
+
+
+def _rows_in_view(points: Array) -> int:
+    """Return how many rows pass before a path is not finite or outside of the drawing from any side; one at least."""
+    outside_rows = np.flatnonzero(~(np.linalg.norm(points, axis=1) <= 2 * VIEW_HALF_X))
+    return max(int(outside_rows[0]), 1) if len(outside_rows) else len(points)
+
+
+def _drawing(marks: Iterable[Markup], label: str) -> Markup:
+    """Return the drawing around some marks."""
+    return Markup(
+        '<svg class="space" viewBox="{} {} {} {}" role="img" aria-label="{}" data-azimuth="{:g}" data-elevation="{:g}">'
+        "{}</svg>"
+    ).format(
+        -VIEW_HALF_X,
+        -VIEW_HALF_Y,
+        2 * VIEW_HALF_X,
+        2 * VIEW_HALF_Y,
+        label,
+        AZIMUTH_DEG,
+        ELEVATION_DEG,
+        join_markup(marks),
     )
 
 
-def _frame(centre: Array, half_m: float) -> Iterable[str]:
+def _frame(centre: Array, half_m: float) -> Iterable[Markup]:
     """Return the floor's grid, an upright edge, and the numbers along the three axes in cm."""
-    axes = [linear([100 * (c - half_m), 100 * (c + half_m)], 4) for c in centre]
+    h = CUBE_HALF
+    axes = [linear_axis([100 * (c - half_m), 100 * (c + half_m)], 6) for c in centre]
     ticks = [
-        [(HALF * (v / 100 - c) / half_m, t) for v, t in axis.ticks if abs(v / 100 - c) <= half_m]
+        [(h * (v / 100 - c) / half_m, t) for v, t in axis.ticks if abs(v / 100 - c) <= half_m]
         for axis, c in zip(axes, centre, strict=True)
     ]
-    floor = [[(at, -HALF, -HALF), (at, HALF, -HALF)] for at, _ in ticks[0]]
-    floor += [[(-HALF, at, -HALF), (HALF, at, -HALF)] for at, _ in ticks[1]]
-    floor += [[(-HALF, -HALF, -HALF), (-HALF, -HALF, HALF)]]
-    floor += [[(-HALF, -HALF, at), (-HALF + 30, -HALF, at)] for at, _ in ticks[2]]
-    edge = [[(-HALF, -HALF, -HALF), (HALF, -HALF, -HALF), (HALF, HALF, -HALF), (-HALF, HALF, -HALF),
-             (-HALF, -HALF, -HALF)]]  # fmt: skip
-    yield _curve("floor", floor)
-    yield _curve("floor", edge)
-    for places, spot in zip(ticks, (_along_x, _along_y, _along_z), strict=True):
-        yield from (_text(spot(at, 55), text) for at, text in places)
-    for name, spot in zip("xyz", (_along_x, _along_y, _along_z), strict=True):
-        yield _text(spot(0.0, 185), f"{name} [cm]", "title")
+    grid = [[(place, -h, -h), (place, h, -h)] for place, _ in ticks[0]]
+    grid += [[(-h, place, -h), (h, place, -h)] for place, _ in ticks[1]]
+    grid += [[(-h, -h, -h), (-h, -h, h)]]
+    grid += [[(-h, -h, place), (-h + 30, -h, place)] for place, _ in ticks[2]]
+    yield _curve("floor", grid)
+    yield _curve("floor", [[(-h, -h, -h), (h, -h, -h), (h, h, -h), (-h, h, -h), (-h, -h, -h)]])
+    for tick_places, text_place in zip(ticks, (_x_text_place, _y_text_place, _z_text_place), strict=True):
+        yield from (_text(text_place(place, 55), text) for place, text in tick_places)
+    for name, text_place in zip("xyz", (_x_text_place, _y_text_place, _z_text_place), strict=True):
+        yield _text(text_place(0.0, 185), f"{name} [cm]", "title")
 
 
-def _along_x(at: float, away: float) -> tuple[float, float, float]:
+def _x_text_place(place: float, distance: float) -> tuple[float, float, float]:
     """Return the place of a text beside the front edge."""
-    return at, -HALF - away, -HALF
+    return place, -CUBE_HALF - distance, -CUBE_HALF
 
 
-def _along_y(at: float, away: float) -> tuple[float, float, float]:
+def _y_text_place(place: float, distance: float) -> tuple[float, float, float]:
     """Return the place of a text beside the right edge."""
-    return HALF + away, at, -HALF
+    return CUBE_HALF + distance, place, -CUBE_HALF
 
 
-def _along_z(at: float, away: float) -> tuple[float, float, float]:
+def _z_text_place(place: float, distance: float) -> tuple[float, float, float]:
     """Return the place of a text beside the upright edge."""
-    return -HALF - away, -HALF, at
+    return -CUBE_HALF - distance, -CUBE_HALF, place
 
 
-def _ways(points: Array, rows: NDArray[np.int64], touch: NDArray[np.bool_]) -> Iterable[str]:
+def _path_by_contact(points: Array, rows: NDArray[np.int64], touch: NDArray[np.bool_]) -> Iterable[Markup]:
     """Return the path without and with contact: two curves of many strokes."""
     strokes: dict[bool, list[list[Array]]] = {False: [], True: []}
-    last: tuple[bool, int] | None = None
+    stroke_end: tuple[bool, int] | None = None
     for a, b in zip(rows[:-1].tolist(), rows[1:].tolist(), strict=True):
         if np.isnan(points[[a, b]]).any():
-            last = None
+            stroke_end = None
             continue
-        flag = bool(touch[a])
-        if last == (flag, a):
-            strokes[flag][-1].append(points[b])
+        in_contact = bool(touch[a])
+        if stroke_end == (in_contact, a):
+            strokes[in_contact][-1].append(points[b])
         else:
-            strokes[flag].append([points[a], points[b]])
-        last = (flag, b)
-    yield from (_curve("way contact" if flag else "way", strokes[flag]) for flag in (False, True) if strokes[flag])
+            strokes[in_contact].append([points[a], points[b]])
+        stroke_end = (in_contact, b)
+    css_classes = {False: "way", True: "way contact"}
+    yield from (_curve(css_classes[flag], strokes[flag]) for flag in (False, True) if strokes[flag])
 
 
-def _triads(points: Array, quaternions: Array, known: NDArray[np.int64]) -> Iterable[str]:
+def _triads(points: Array, quaternions: Array, valid_rows: NDArray[np.int64]) -> Iterable[Markup]:
     """Return the object's axes at rows spread evenly over the valid ones."""
-    rows = np.unique(known[np.linspace(0, len(known) - 1, TRIADS).round().astype(int)])
+    rows = np.unique(valid_rows[np.linspace(0, len(valid_rows) - 1, TRIADS).round().astype(int)])
     for k, axis in enumerate("xyz"):
         arrows = rotate(quaternions[rows], np.tile(AXIS_LENGTH * np.eye(3)[k], (len(rows), 1)))
         pairs = zip(points[rows], points[rows] + arrows, strict=True)
         yield _curve(f"axis-{axis}", [[start, end] for start, end in pairs])
 
 
-def _curve(kind: str, strokes: Sequence[Sequence[Sequence[float] | Array]]) -> str:
+def _curve(css_class: str, strokes: Sequence[Sequence[Sequence[float] | Array] | Array], tooltip: str = "") -> Markup:
     """Return strokes as a path that knows its points in space, so that it can be turned."""
-    whole = [[[round(float(v)) for v in point] for point in stroke] for stroke in strokes]
-    space = ";".join(",".join(" ".join(map(str, point)) for point in stroke) for stroke in whole)
-    flat = "".join("M" + "L".join("{} {}".format(*_seen(p)) for p in stroke) for stroke in whole)
-    return f'<path class="{kind}" data-p="{space}" d="{flat}{"h0" if len(whole[0]) == 1 else ""}"/>'
+    points = [[[round(float(v)) for v in point] for point in stroke] for stroke in strokes]
+    in_space = ";".join(",".join(" ".join(map(str, point)) for point in stroke) for stroke in points)
+    steps = "".join("M" + "L".join("{} {}".format(*_projected_point(p)) for p in stroke) for stroke in points)
+    title = Markup("<title>{}</title>").format(tooltip) if tooltip else ""
+    return Markup('<path class="{}" data-p="{}" d="{}{}">{}</path>').format(
+        css_class, in_space, steps, "h0" if len(points[0]) == 1 else "", title
+    )
 
 
-def _text(place: tuple[float, float, float], text: str, kind: str = "") -> str:
+def _text(place: tuple[float, float, float], text: str, css_class: str = "") -> Markup:
     """Return a text at a place in space."""
-    x, y = _seen(place)
-    space = " ".join(str(round(v)) for v in place)
-    return f'<text class="{kind}" data-p="{space}" x="{x}" y="{y}" dy="9">{text}</text>'
+    x, y = _projected_point(place)
+    in_space = " ".join(str(round(v)) for v in place)
+    return Markup('<text class="{}" data-p="{}" x="{}" y="{}" dy="9">{}</text>').format(css_class, in_space, x, y, text)
 
 
-def _seen(point: Sequence[float]) -> tuple[int, int]:
+def _projected_point(point: Sequence[float]) -> tuple[int, int]:
     """Return where a point of the cube lies in the drawing: a parallel projection."""
     azimuth, elevation = math.radians(AZIMUTH_DEG), math.radians(ELEVATION_DEG)
     across = -math.sin(azimuth) * point[0] + math.cos(azimuth) * point[1]
-    away = math.cos(azimuth) * point[0] + math.sin(azimuth) * point[1]
-    return round(across), round(math.sin(elevation) * away - math.cos(elevation) * point[2])
+    depth = math.cos(azimuth) * point[0] + math.sin(azimuth) * point[1]
+    return round(across), round(math.sin(elevation) * depth - math.cos(elevation) * point[2])

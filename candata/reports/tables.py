@@ -1,201 +1,166 @@
-"""The tables of the page, as HTML."""
+"""The rows of the tables on the page of a diagnosis."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from html import escape
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import get_args
+
+from markupsafe import Markup
 
 from candata.gap.evidence import Range
 from candata.reports import advice, figures, words
-from candata.reports.numbers import digits, percent, reading, unit_of
+from candata.reports.numbers import digits, format_estimate, percent, unit_of
 from candata.schema.record import Record
-from candata.schema.report import Estimate, Report, Verdict
+from candata.schema.report import Estimate, NextMotion, Report, Unknown, Verdict
 
-NBSP = "\N{NO-BREAK SPACE}"
-#: Attributes of the row of the verdict reached, and of a cell that holds a number.
-NOW, NUMERIC = ' class="now"', ' class="n"'
+#: Fields of a report that the page shows in parts of their own.
+SHOWN_FIELDS = frozenset(
+    [
+        "verdict",
+        "effects",
+        "ambiguous_class",
+        "unknown",
+        "ranking",
+        "gap",
+        "where",
+        "next_motion",
+        "data",
+        "measures",
+        "provenance",
+    ]
+)
+#: The floor's origin in words.
+FLOORS = {
+    "measured": "measured from repeated episodes",
+    "declared": "declared in the scene",
+    "assumed": "assumed from quiet stretches",
+}
 
 
-def effects(report: Report, ranges: Mapping[tuple[str, str | None, str], Range]) -> str:
-    """Return the named effects: value, 90 % interval, the range searched with bounds marked, share and support."""
-    if not report.effects:
-        return ""
-    body = []
+@dataclass(frozen=True)
+class NamedEffectRow:
+    """One parameter of a named effect: its estimate, and the range in which it was searched, as text and drawn."""
+
+    effect: str
+    parameter: str
+    value: str
+    interval: str
+    range_text: str
+    at_bound: bool
+    range_drawing: Markup
+    share: float
+    support: float
+
+
+def effect_rows(report: Report, ranges: Mapping[tuple[str, str | None, str], Range]) -> list[NamedEffectRow]:
+    """Return a row for each parameter of each named effect."""
+    rows = []
     for effect in report.effects:
         for name, estimate in effect.parameters.items():
             unit = unit_of(effect.name, name, estimate)
-            read, where = reading(estimate, unit), ranges.get((effect.name, effect.element, name))
-            bound = ' <span class="tag">at bound</span>' if effect.at_bound else ""
-            cells = (
-                (words.title(effect.name, effect.element), "u"),
-                (f"{name} [{read.unit}]" if read.unit else name, "u"),
-                (read.value, "n"),
-                (read.interval or "not given", "n"),
-                (percent(effect.share), "n"),
-                (digits(effect.support), "n"),
+            text, search_range = format_estimate(estimate, unit), ranges.get((effect.name, effect.element, name))
+            rows.append(
+                NamedEffectRow(
+                    effect=words.effect_title(effect.name, effect.element),
+                    parameter=f"{name} [{text.unit}]" if text.unit else name,
+                    value=text.value,
+                    interval=text.interval or "not given",
+                    range_text=_range_text(search_range, unit) if search_range else "",
+                    at_bound=effect.at_bound,
+                    range_drawing=figures.parameter_range(estimate, search_range),
+                    share=effect.share,
+                    support=effect.support,
+                )
             )
-            plain = [f'<td class="{kind}">{escape(text)}</td>' for text, kind in cells]
-            searched = f"<td>{_searched(where, unit)}{bound}{figures.parameter(estimate, where)}</td>"
-            body.append(f"<tr>{''.join((*plain[:4], searched, *plain[4:]))}</tr>")
-    head = ("effect", "parameter", "value", "90 % interval", "range searched", "share of closed gap", "support")
-    top = "".join(f"<th{NUMERIC if i in (2, 3, 5, 6) else ''}>{escape(text)}</th>" for i, text in enumerate(head))
-    note = (
-        '<p class="note">A mark inside a range, where there is one, is the value without the effect.</p>'
-        if ranges
-        else ""
-    )
-    return (
-        "<h2>Named effects</h2>"
-        f'<div class="scroll" tabindex="0"><table><thead><tr>{top}</tr></thead>'
-        f"<tbody>{''.join(body)}</tbody></table></div>{note}"
-    )
-
-
-def _searched(where: Range | None, unit: str) -> str:
-    """Return `0 to 0.3 N m`; empty without a range."""
-    if where is None:
-        return ""
-    ends = Estimate(value=(where.low, where.high), low=(where.low, where.high), high=(where.low, where.high))
-    read = reading(ends, unit)
-    return escape(f"{' to '.join(read.value.strip('[]').split(', '))} {read.unit}".strip())
-
-
-def unknown(report: Report) -> str:
-    """Return what no effect explains: where it acts, its size, what it depends on; empty for nothing."""
-    rest = report.unknown
-    if rest is None:
-        return ""
-    size = f"{digits(rest.size)} {rest.unit or ''}".strip() if rest.size is not None else ""
-    acts = " ".join(filter(None, (rest.acts_on, rest.element)))
-    rows = [
-        ("in words", rest.words),
-        ("acts on", acts),
-        ("size", size),
-        ("depends on", ", ".join(rest.depends_on)),
-        *([("closable by a fitted force", percent(rest.closable))] if rest.closable is not None else []),
-        *_further(rest, {"words", "acts_on", "element", "size", "unit", "depends_on", "closable"}),
-    ]
-    return f"<h2>What stays unexplained</h2>{pairs(rows)}"
-
-
-def next_motion(report: Report) -> str:
-    """Return what to record next: the motion, its file, what it separates; empty when nothing is proposed."""
-    motion = report.next_motion
-    if motion is None:
-        return ""
-    rows = [
-        ("motion", words.plain(motion.name)),
-        ("command file", motion.file or ""),
-        ("separates", words.listed([words.plain(name) for name in motion.separates], "from")),
-        ("how", "play it on the real hand, append the recording to the dataset, and diagnose again"),
-        *_further(motion, {"name", "file", "separates"}),
-    ]
-    return f"<h2>What to record next</h2>{pairs(rows)}"
-
-
-def further(report: Report) -> str:
-    """Return what newer versions of the record hold beyond what this page knows; empty for nothing."""
-    known = {"verdict", "effects", "ambiguous_class", "unknown", "ranking", "gap", "where", "next_motion", "data"}
-    rows = _further(report, known | {"measures", "provenance"})
-    return f"<h2>Further</h2>{pairs(rows)}" if rows else ""
-
-
-def untested(report: Report) -> str:
-    """Return what could not be tested and why: channels, effects that nothing shows, effects that cannot act."""
-    rows = [(words.plain(c), "not recorded, so it was not compared") for c in advice.missing_channels(report)]
-    rows += [(words.capital(what), why) for what, why in advice.untested(report)]
-    if not rows:
-        return ""
-    body = "".join(f"<tr><td>{escape(what)}</td><td>{escape(why)}</td></tr>" for what, why in rows)
-    return (
-        '<h2>What could not be tested, and what was best left out</h2><table class="wrap">'
-        "<thead><tr><th>what</th><th>why</th></tr></thead>"
-        f"<tbody>{body}</tbody></table>"
-    )
-
-
-def _further(record: Record, known: set[str]) -> list[tuple[str, str]]:
-    """Return the fields of a record that are not known here, nested ones with their own names."""
-    rows = []
-    for name in type(record).model_fields:
-        value = getattr(record, name)
-        if name in known or value in (None, (), "", {}):
-            continue
-        inner = value.model_dump(mode="json") if isinstance(value, Record) else value
-        text = ", ".join(f"{words.plain(k)} {v}" for k, v in inner.items()) if isinstance(inner, dict) else str(inner)
-        rows.append((words.plain(name), text))
     return rows
 
 
-def measures(report: Report) -> str:
-    """Return the plain measures, one a row; empty when the record has none."""
-    if not report.measures:
-        return ""
-    columns = list(dict.fromkeys(key for row in report.measures.values() for key in row))
-    rows = [
-        (words.plain(name), *(digits(row[c]) if c in row else "" for c in columns))
+def _range_text(search_range: Range, unit: str) -> str:
+    """Return `0 to 0.3 N m`."""
+    text = format_estimate(Estimate(value=(search_range.low, search_range.high)), unit)
+    return f"{' to '.join(text.value.strip('[]').split(', '))} {text.unit}".strip()
+
+
+def unknown_rows(part: Unknown) -> list[tuple[str, str]]:
+    """Return what is known of the part that no effect explains: where it acts, its size, what it depends on."""
+    size = f"{digits(part.size)} {part.unit or ''}".strip() if part.size is not None else ""
+    return [
+        ("in words", part.words),
+        ("acts on", " ".join(filter(None, (part.acts_on, part.element)))),
+        ("size", size),
+        ("depends on", ", ".join(part.depends_on)),
+        ("closable by a fitted force", percent(part.closable) if part.closable is not None else ""),
+        *_other_fields(part, {"words", "acts_on", "element", "size", "unit", "depends_on", "closable"}),
+    ]
+
+
+def motion_rows(motion: NextMotion) -> list[tuple[str, str]]:
+    """Return what to record next: the motion, its file, what it separates."""
+    return [
+        ("motion", words.readable_name(motion.name)),
+        ("command file", motion.file or ""),
+        ("separates", words.enumeration([words.readable_name(name) for name in motion.separates], "from")),
+        ("how", "play it on the real hand, append the recording to the dataset, and diagnose again"),
+        *_other_fields(motion, {"name", "file", "separates"}),
+    ]
+
+
+def further_rows(report: Report) -> list[tuple[str, str]]:
+    """Return what newer versions of the record hold beyond what this page knows."""
+    return _other_fields(report, SHOWN_FIELDS)
+
+
+def untested_rows(report: Report) -> list[tuple[str, str]]:
+    """Return what could not be tested and why: channels, effects that nothing shows, effects that cannot act."""
+    rows = [(words.readable_name(c), "not recorded, so it was not compared") for c in advice.missing_channels(report)]
+    return rows + [(words.sentence_case(effects), reason) for effects, reason in advice.untested_effects(report)]
+
+
+def _other_fields(record: Record, shown_fields: frozenset[str] | set[str]) -> list[tuple[str, str]]:
+    """Return the fields of a record that are not shown elsewhere, nested ones with their own names."""
+    rows = []
+    for name in type(record).model_fields:
+        value = getattr(record, name)
+        if name in shown_fields or value in (None, (), "", {}):
+            continue
+        plain_value = value.model_dump(mode="json") if isinstance(value, Record) else value
+        text = str(plain_value)
+        if isinstance(plain_value, dict):
+            text = ", ".join(f"{words.readable_name(key)} {entry}" for key, entry in plain_value.items())
+        rows.append((words.readable_name(name), text))
+    return rows
+
+
+def measure_columns(report: Report) -> list[str]:
+    """Return the columns of the plain measures."""
+    return list(dict.fromkeys(key for row in report.measures.values() for key in row))
+
+
+def measure_rows(report: Report) -> list[tuple[str, ...]]:
+    """Return the plain measures, one a row."""
+    columns = measure_columns(report)
+    return [
+        (words.readable_name(name), *(digits(row[column]) if column in row else "" for column in columns))
         for name, row in report.measures.items()
     ]
-    numeric = range(1, len(columns) + 1)
-    return "<h2>In plain measures</h2>" + table(("", *map(words.plain, columns)), rows, numeric=numeric)
 
 
-def verdicts(report: Report) -> str:
-    """Return what the verdict words mean, with the one reached marked."""
-    body = "".join(
-        f"<tr{NOW if word == report.verdict else ''}><td>{word}</td><td>{escape(words.explain(word))}</td></tr>"
-        for word in get_args(Verdict)
-    )
-    body += "".join(f"<tr><td>{term}</td><td>{escape(text)}</td></tr>" for term, text in words.TERMS.items())
-    return f'<table class="wrap terms"><tbody>{body}</tbody></table>'
+def verdict_rows() -> list[tuple[str, str]]:
+    """Return each verdict word with its meaning."""
+    return [(word, words.explain(word)) for word in get_args(Verdict)]
 
 
-def data(report: Report) -> str:
+def data_rows(report: Report) -> list[tuple[str, str]]:
     """Return what the diagnosis saw and where it came from."""
-    used, count = report.data, report.data.episodes
+    source, count = report.data, report.data.episodes
     held_out = "each held out once" if count.held_out == count.total else f"of which {count.held_out} held out"
-    floor = {
-        "measured": "measured from repeated episodes",
-        "declared": "declared in the scene",
-        "assumed": "assumed from quiet stretches",
-    }
     rows = [
-        ("dataset", used.dataset),
-        (
-            "episodes",
-            f"{count.total}, {held_out} in {count.folds} folds",
-        ),
-        ("floor", floor.get(used.floor or "", "none")),
-        ("channels", ", ".join(used.channels)),
-        *(("note", note) for note in used.notes),
+        ("dataset", source.dataset),
+        ("episodes", f"{count.total}, {held_out} in {count.folds} folds"),
+        ("floor", FLOORS.get(source.floor or "", "none")),
+        ("channels", ", ".join(source.channels)),
+        *(("note", note) for note in source.notes),
         *report.provenance.items(),
     ]
-    return pairs([(words.plain(name), text) for name, text in rows])
-
-
-def table(
-    head: Sequence[str], rows: Iterable[Sequence[str]], numeric: Iterable[int] = (), whole: Iterable[int] = ()
-) -> str:
-    """Return an HTML table that scrolls sideways where it must.
-
-    Columns in `numeric` stand right, cells of columns in `whole` are not broken.
-    """
-    right, tied = set(numeric), set(whole)
-
-    def cell(tag: str, column: int, text: str) -> str:
-        shown = text.replace(" ", NBSP) if column in tied else text
-        return f"<{tag}{NUMERIC if column in right else ''}>{escape(shown)}</{tag}>"
-
-    def line(tag: str, row: Sequence[str]) -> str:
-        return f"<tr>{''.join(cell(tag, i, text) for i, text in enumerate(row))}</tr>"
-
-    body = "".join(line("td", row) for row in rows)
-    inner = f"<thead>{line('th', head)}</thead><tbody>{body}</tbody>"
-    return f'<div class="scroll" tabindex="0"><table>{inner}</table></div>'
-
-
-def pairs(rows: Iterable[tuple[str, str]]) -> str:
-    """Return names beside their texts; rows without a text are left out."""
-    body = "".join(f'<tr><th scope="row">{escape(k)}</th><td>{escape(v)}</td></tr>' for k, v in rows if v)
-    return f'<table class="wrap"><tbody>{body}</tbody></table>'
+    return [(words.readable_name(name), text) for name, text in rows]

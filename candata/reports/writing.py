@@ -26,9 +26,11 @@ def replacing(path: Path, what: str = "page") -> Iterator[Path]:
         os.replace(draft, path)
     except OSError as error:
         raise SetupError(
-            f"the {what} cannot be written", found=error.strerror or str(error), where=Where(path=str(path)),
+            f"the {what} cannot be written",
+            found=error.strerror or str(error),
+            where=Where(path=str(path)),
             fix="free space, or name another place",
-        ) from None  # fmt: skip
+        ) from None
     finally:
         with suppress(OSError):
             draft.unlink()

@@ -207,7 +207,7 @@ def test_help_reads_the_options_of_no_command_and_a_command_reads_its_own(capsys
 
 
 def test_help_loads_no_heavy_package():
-    heavy = ("numpy", "scipy", "mujoco", "pyarrow", "pydantic", "plotly", "zarr", "rich")
+    heavy = ("numpy", "scipy", "mujoco", "pyarrow", "pydantic", "jinja2", "zarr", "rich")
     code = (
         "import sys\nfrom candata_cli.main import main\n"
         "try: main(['--help'])\n"

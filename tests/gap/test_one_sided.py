@@ -148,9 +148,9 @@ def test_friction_that_sticks_is_known_to_be_no_less(said):
     text = " ".join(summary(found.report).split())
     assert "frictionloss_Nm at least 0." in text
     assert "more explains as well" in text
-    assert "at least" in words.which(found.report)
-    assert "known from one side: with any more" in words.not_known(found.report)
-    assert "at least" in advice.changes(found.report)[0].what
+    assert "at least" in words.cause_sentence(found.report)
+    assert "known from one side: with any more" in words.unknowns_sentence(found.report)
+    assert "at least" in advice.changes(found.report)[0].instruction
 
 
 def test_moderate_friction_has_two_ends(said):
@@ -165,7 +165,7 @@ def test_a_motor_that_does_not_lift_its_link_is_known_to_have_no_more(said):
     number = the_number(found)
     assert (number.bounded, number.low) == ("high", None)
     assert 0.08 < number.value < number.high < 0.11
-    assert "limit at most 0.1" in words.which(found.report)
+    assert "limit at most 0.1" in words.cause_sentence(found.report)
 
 
 def test_play_that_no_motion_crosses_is_known_to_be_no_less(said):

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import html
+import json
+import re
+import shutil
+import subprocess
 from dataclasses import replace
 
 import mujoco
@@ -54,12 +59,12 @@ def hand_model() -> mujoco.MjModel:
 def poses(model: mujoco.MjModel, time: np.ndarray, slip: float) -> np.ndarray:
     """Grasp and lift; `slip` is how far the object lags behind [m]."""
     q = np.tile(model.qpos0, (len(time), 1))
-    close = np.clip(time / 0.8, 0, 1) * (1 - np.clip((time - 2.6) / 0.5, 0, 1))
+    closure = np.clip(time / 0.8, 0, 1) * (1 - np.clip((time - 2.6) / 0.5, 0, 1))
     lift = 0.09 * np.clip((time - 1.0) / 0.8, 0, 1)
     q[:, 0] = lift
-    q[:, 1:11] = np.tile([0.1, 0.42], 5) * close[:, None]
-    held = np.clip((time - 1.0) / 0.8, 0, 1) * (0.09 - slip)
-    q[:, 13] = 0.07 + np.where(time < 2.75, held, np.maximum(held - 4.9 * (time - 2.75) ** 2, -0.005))
+    q[:, 1:11] = np.tile([0.1, 0.42], 5) * closure[:, None]
+    object_lift = np.clip((time - 1.0) / 0.8, 0, 1) * (0.09 - slip)
+    q[:, 13] = 0.07 + np.where(time < 2.75, object_lift, np.maximum(object_lift - 4.9 * (time - 2.75) ** 2, -0.005))
     turn = slip * 8 * np.clip((time - 1.2) / 1.2, 0, 1)
     q[:, 14], q[:, 15] = np.cos(turn / 2), np.sin(turn / 2)
     return q
@@ -70,16 +75,16 @@ def example(model: mujoco.MjModel) -> Example:
     rng = np.random.default_rng(3)
     time = np.arange(256) / 80
     shape = 0.9 * np.clip(time / 0.7, 0, 1) * (1 - np.clip((time - 2.5) / 0.35, 0, 1))
-    late = 0.9 * np.clip((time - 0.06) / 0.78, 0, 1) * (1 - np.clip((time - 2.72) / 0.55, 0, 1))
+    delayed_shape = 0.9 * np.clip((time - 0.06) / 0.78, 0, 1) * (1 - np.clip((time - 2.72) / 0.55, 0, 1))
     force = 2.2 * np.exp(-(((time - 1.8) / 0.75) ** 4))
     traces = [
         Trace(
             "joint_position",
             name,
             "rad",
-            scale * late + 0.004 * rng.standard_normal(256),
+            scale * delayed_shape + 0.004 * rng.standard_normal(256),
             scale * shape,
-            scale * late + 0.008 * np.sin(9 * time),
+            scale * delayed_shape + 0.008 * np.sin(9 * time),
         )
         for name, scale in (("index2", 1.0), ("index1", 0.7))
     ] + [
@@ -143,7 +148,7 @@ def elements(episodes: int = 24) -> Elements:
     rng = np.random.default_rng(2)
     ids = tuple(f"ep-{k:04d}" for k in range(episodes))
     time = np.arange(64) / 20
-    found = []
+    elements_list = []
     for label in heat().rows:
         channel, _, element = label.partition(" ")
         size = 6.0 if element == "index2" else 1.5
@@ -156,11 +161,11 @@ def elements(episodes: int = 24) -> Elements:
             for k in (0, episodes // 2, episodes - 1)
         )
         unit = "N" if channel == "fingertip_force" else "rad"
-        found.append(Element(channel, element, unit, before, null * 1.1, null, courses))
-    return Elements(ids, tuple(found))
+        elements_list.append(Element(channel, element, unit, before, null * 1.1, null, courses))
+    return Elements(ids, tuple(elements_list))
 
 
-def alike() -> Collinearity:
+def collinearity() -> Collinearity:
     """Damping and dry friction hard to tell apart, the others not."""
     labels = ("joint_dry_friction index2", "joint_damping index2", "backlash index2", "servo_gain index2")
     matrix = np.array([[1, 0.74, 0.62, -0.2], [0.74, 1, 0.3, 0.1], [0.62, 0.3, 1, 0.05], [-0.2, 0.1, 0.05, 1]])
@@ -170,24 +175,27 @@ def alike() -> Collinearity:
 def evidence(model: mujoco.MjModel) -> Evidence:
     """All parts."""
     ranges = {("joint_dry_friction", "index2", "frictionloss_Nm"): Range(0.0, 0.3, 0.0)}
-    return Evidence(heat(), example(model), losses(), elements(), alike(), ranges)
+    return Evidence(heat(), example(model), losses(), elements(), collinearity(), ranges)
 
 
-def unrepaired(found: Evidence) -> Evidence:
+def without_repair(full: Evidence) -> Evidence:
     """The same without a repair, as where nothing is named."""
-    shown, drawn = found.example, found.elements
-    assert shown is not None
-    assert drawn is not None
-    traces = tuple(replace(t, after=None) for t in shown.traces)
+    example_part, elements_part = full.example, full.elements
+    assert example_part is not None
+    assert elements_part is not None
+    traces = tuple(replace(t, after=None) for t in example_part.traces)
     of = tuple(
-        replace(e, after=None, courses=tuple(replace(c, after=None) for c in e.courses)) for e in drawn.of
-    )  # fmt: skip
+        replace(e, after=None, courses=tuple(replace(c, after=None) for c in e.courses)) for e in elements_part.of
+    )
     return replace(
-        found, example=replace(shown, traces=traces, qpos_after=None), elements=replace(drawn, of=of), ranges={}
-    )  # fmt: skip
+        full,
+        example=replace(example_part, traces=traces, qpos_after=None),
+        elements=replace(elements_part, of=of),
+        ranges={},
+    )
 
 
-RANKING = [
+RANKED_EFFECTS = [
     ("joint_dry_friction", "index2", 214.0, 196.0, 232.0),
     ("joint_damping", "index2", 133.0, 112.0, 151.0),
     ("backlash", "index2", 96.0, 71.0, 118.0),
@@ -215,7 +223,7 @@ effects:
 
 def report(verdict: str = "explained", **changes) -> Report:
     """A record of the given verdict that obeys the verdict rules."""
-    named = verdict in ("explained", "partly_explained")
+    has_effects = verdict in ("explained", "partly_explained")
     effect = {
         "name": "joint_dry_friction",
         "element": "index2",
@@ -223,7 +231,7 @@ def report(verdict: str = "explained", **changes) -> Report:
         "support": 0.93,
         "parameters": {"frictionloss_Nm": {"value": 0.0412, "low": 0.0373, "high": 0.0458}},
     }
-    unknown = {
+    unknown_part = {
         "acts_on": "object",
         "size": 0.4,
         "unit": "N",
@@ -241,9 +249,9 @@ def report(verdict: str = "explained", **changes) -> Report:
     }[verdict]
     fields = {
         "verdict": verdict,
-        "effects": [effect] if named else [],
+        "effects": [effect] if has_effects else [],
         "class": ["joint_damping", "joint_dry_friction"] if verdict == "ambiguous" else [],
-        "unknown": unknown if verdict in ("partly_explained", "unknown_effect", "out_of_budget") else None,
+        "unknown": unknown_part if verdict in ("partly_explained", "unknown_effect", "out_of_budget") else None,
         "ranking": []
         if verdict == "too_little_data"
         else [
@@ -255,7 +263,7 @@ def report(verdict: str = "explained", **changes) -> Report:
                 "gain_low": low,
                 "gain_high": high,
             }
-            for n, e, g, low, high in RANKING
+            for n, e, g, low, high in RANKED_EFFECTS
         ],
         "gap": gap,
         "where": []
@@ -318,7 +326,7 @@ def make_report():
 @pytest.fixture(scope="session")
 def make_unrepaired():
     """The function that takes the repair out of some evidence."""
-    return unrepaired
+    return without_repair
 
 
 @pytest.fixture(scope="session")
@@ -339,3 +347,51 @@ def small_pictures(monkeypatch):
     """A filmstrip of few pixels, for tests that do not look at it."""
     monkeypatch.setattr(filmstrip, "WIDTH", 48)
     monkeypatch.setattr(filmstrip, "HEIGHT", 40)
+
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--enable-logging=stderr")
+#: Runs a function in the page once it is loaded, and tells the frame around it what the function saw.
+DRIVER = """<script>
+addEventListener("load", () => {
+  const seen = (FUNCTION)();
+  parent.postMessage(JSON.stringify({ ...seen, width: innerWidth, needed: document.documentElement.scrollWidth }), "*");
+});
+</script></body>"""
+#: Holds the page at a width that the browser's own window refuses, and keeps what the driver wrote down.
+FRAME = """<!DOCTYPE html><link rel="icon" href="data:,"><output id="seen"></output><script>
+addEventListener("message", e => { document.getElementById("seen").textContent = e.data; });
+</script><iframe src="page.html" style="width:WIDTHpx;height:900px;border:0"></iframe>"""
+
+
+@pytest.fixture
+def browse(tmp_path):
+    """The function that opens a page at a width and returns what a function of the page saw; the console is silent."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip("no chromium here")
+
+    def run(text: str, function: str, width: int) -> dict:
+        folder = tmp_path / "browser"
+        folder.mkdir()
+        driver = DRIVER.replace("FUNCTION", function)
+        (folder / "page.html").write_text(text.replace("</body>", driver), "utf-8")
+        (folder / "frame.html").write_text(FRAME.replace("WIDTH", str(width)))
+        profile, address = f"--user-data-dir={folder / 'profile'}", (folder / "frame.html").as_uri()
+        command = (
+            browser,
+            *FLAGS,
+            "--window-size=1400,1000",
+            "--virtual-time-budget=5000",
+            profile,
+            "--dump-dom",
+            address,
+        )
+        process = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert re.findall(r".*:CONSOLE.*", process.stderr) == []
+        seen = json.loads(html.unescape(re.search(r'<output id="seen">(.*?)</output>', process.stdout, re.S).group(1)))
+        assert seen.pop("width") == width
+        assert seen.pop("needed") <= width, "nothing makes the page scroll sideways"
+        return seen
+
+    return run

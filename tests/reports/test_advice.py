@@ -9,7 +9,7 @@ from candata.reports import advice
 from candata.schema.report import Estimate, NamedEffect, Ranked
 
 
-def named(name: str, element: str | None = None, **values) -> NamedEffect:
+def named_effect(name: str, element: str | None = None, **values) -> NamedEffect:
     parameters = {
         k: Estimate(value=v) if not isinstance(v, list) else Estimate(value=v[0], low=v[1], high=v[2])
         for k, v in values.items()
@@ -18,38 +18,43 @@ def named(name: str, element: str | None = None, **values) -> NamedEffect:
 
 
 @pytest.mark.parametrize(
-    ("effect", "what", "mjcf"),
+    ("effect", "instruction", "mjcf"),
     [
         (
-            named("joint_dry_friction", "index2", frictionloss_Nm=[0.0412, 0.0373, 0.0458]),
+            named_effect("joint_dry_friction", "index2", frictionloss_Nm=[0.0412, 0.0373, 0.0458]),
             "Add joint dry friction of 0.0412 N m (0.0373 to 0.0458) to joint index2",
             "add 0.0412 to frictionloss of the <joint>",
         ),
         (
-            named("joint_dry_friction", "index2", frictionloss_Nm=[0.0875, 0.0819, None]),
+            named_effect("joint_dry_friction", "index2", frictionloss_Nm=[0.0875, 0.0819, None]),
             "Add joint dry friction of 0.0875 N m (at least 0.0819; more explains as well) to joint index2",
             "add 0.0875 to frictionloss of the <joint>",
         ),
         (
-            named("contact_compliance", timeconst_s=[0.0304, 0.0298, 0.0305]),
+            named_effect("contact_compliance", timeconst_s=[0.0304, 0.0298, 0.0305]),
             "Set the time constant of contacts at object, fingertips and support to 30.4 ms (29.8 to 30.5)",
             "0.0304 as the first number of solref of the <geom>s that touch, the second as it is",
         ),
-        (named("torque_limit", "ring1", limit_Nm=1.25), "Limit the torque of the servo of ring1 to 1.25 N m",
-         'forcerange="-1.25 1.25" of the actuator'),
-        (named("friction_cone", cone="elliptic"), "Use the elliptic friction cone", '<option cone="elliptic"/>'),
-        (named("object_com", offset_m=(0.01, 0.0, -0.002)),
-         "Move the object's centre of mass by [10, 0, -2] mm, in its own frame",
-         "add 0.01 0 -0.002 to pos of its <inertial>"),
-        (named("actuation_delay", delay_s=0.0125), "Delay the commands of every servo by 12.5 ms", ""),
+        (
+            named_effect("torque_limit", "ring1", limit_Nm=1.25),
+            "Limit the torque of the servo of ring1 to 1.25 N m",
+            'forcerange="-1.25 1.25" of the actuator',
+        ),
+        (named_effect("friction_cone", cone="elliptic"), "Use the elliptic friction cone", '<option cone="elliptic"/>'),
+        (
+            named_effect("object_com", offset_m=(0.01, 0.0, -0.002)),
+            "Move the object's centre of mass by [10, 0, -2] mm, in its own frame",
+            "add 0.01 0 -0.002 to pos of its <inertial>",
+        ),
+        (named_effect("actuation_delay", delay_s=0.0125), "Delay the commands of every servo by 12.5 ms", ""),
     ],
-)  # fmt: skip
-def test_a_change_in_words(effect, what, mjcf):
-    assert advice.change(effect) == advice.Change(what, mjcf)
+)
+def test_a_change_in_words(effect, instruction, mjcf):
+    assert advice.change(effect) == advice.SimulatorChange(instruction, mjcf)
 
 
 def test_what_mjcf_cannot_hold_is_added_by_the_effects_file():
-    text = str(advice.change(named("backlash", "index2", gap_rad=0.03)))
+    text = str(advice.change(named_effect("backlash", "index2", gap_rad=0.03)))
     assert text.startswith("Give the gears of joint index2 a play of 30 mrad; MJCF has no attribute for it: ")
     assert "candata generate-sim --effects effects.yaml" in text
 
@@ -60,22 +65,22 @@ def test_every_phrase_is_of_an_effect_and_every_effect_has_one():
 
 def test_an_effect_without_a_phrase_is_said_by_its_name(monkeypatch):
     monkeypatch.delitem(advice.PHRASES, "backlash")
-    text = advice.change(named("backlash", "index2", gap_rad=0.03)).what
+    text = advice.change(named_effect("backlash", "index2", gap_rad=0.03)).instruction
     assert text == "Add backlash at index2: gears have play, a dead zone of the command, 30 mrad"
-    assert "Add wind: 0.4 N" in advice.change(named("wind", force_N=0.4)).what
+    assert "Add wind: 0.4 N" in advice.change(named_effect("wind", force_N=0.4)).instruction
 
 
 def test_a_long_vector_stays_in_the_file():
-    change = advice.change(named("tactile_bias", bias_N=tuple([0.1] * 15)))
-    assert "the 15 values of effects.yaml" in change.what
+    change = advice.change(named_effect("tactile_bias", bias_N=tuple([0.1] * 15)))
+    assert "the 15 values of effects.yaml" in change.instruction
 
 
 def test_what_could_not_be_tested_and_why(make_report):
     report = make_report()
-    dead = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.SILENT)
+    unresponsive = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.NO_RESPONSE)
     blind = report.data.model_copy(update={"channels": ("joint_position", "object_pose")})
-    report = report.model_copy(update={"ranking": (*report.ranking, dead), "data": blind})
-    rows = {why: what for what, why in advice.untested(report)}
+    report = report.model_copy(update={"ranking": (*report.ranking, unresponsive), "data": blind})
+    rows = {reason: instruction for instruction, reason in advice.untested_effects(report)}
     assert rows["not tested: it moves nothing in these motions"] == "rolling friction"
     assert "tactile lag" in rows["fingertip force was not recorded"]
     assert "tactile gain" not in str(rows), "it was ranked"
@@ -85,12 +90,14 @@ def test_what_could_not_be_tested_and_why(make_report):
 def test_what_is_named_is_not_said_to_be_untested(make_report):
     """Beside the others it was tested, though alone it gained little."""
     report = make_report()
-    alone = Ranked(
+    candidate = Ranked(
         name=report.effects[0].name, support=0, held_out_gain=0, reason="gains little on the episodes looked at"
     )
-    for named, said in (((), True), (report.effects, False)):
-        some = report.model_copy(update={"ranking": (alone,), "effects": named})
-        assert ("gains little on the episodes looked at" in dict(map(reversed, advice.untested(some)))) is said
+    for effects, is_listed in (((), True), (report.effects, False)):
+        changed_report = report.model_copy(update={"ranking": (candidate,), "effects": effects})
+        assert (
+            "gains little on the episodes looked at" in dict(map(reversed, advice.untested_effects(changed_report)))
+        ) is is_listed
 
 
 def test_too_few_episodes_say_how_many_are_missing(make_report):

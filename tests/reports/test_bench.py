@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
-from candata.reports.bench import bench_page, bench_text, confusion_map, target_text, value_text, write_bench
+from candata.reports.bench import bench_page, bench_text, target_text, value_text, write_bench
+from candata.reports.heat import confusion
 from candata.schema.bench import BenchFile, Bin, Miss, Row
 
 ROWS = (
@@ -16,39 +19,61 @@ MISS = Miss(case="case-0003", kind="one", truth="a<b>", verdict="no_gap", named=
 
 
 @pytest.fixture
-def found() -> BenchFile:
-    plain = BenchFile(
-        scene="s", cases=50, done=50, rows=ROWS, misses=(MISS,),
+def bench() -> BenchFile:
+    method = BenchFile(
+        scene="s",
+        cases=50,
+        done=50,
+        rows=ROWS,
+        misses=(MISS,),
         confusion={"a<b>": {"no_gap": 1}, "other": {"other": 3}},
         calibration=(Bin(support=0.7, right=0.6, n=10), Bin(support=0.95, right=0.9, n=10)),
-    )  # fmt: skip
-    return plain.model_copy(update={"baselines": (plain, plain.model_copy(update={"method": "oracle"}))})
+    )
+    return method.model_copy(update={"baselines": (method, method.model_copy(update={"method": "oracle"}))})
 
 
-def test_the_text_says_measured_n_and_target_then_the_misses(found):
-    lines = bench_text(found).splitlines()
+def test_the_text_says_measured_n_and_target_then_the_misses(bench):
+    lines = bench_text(bench).splitlines()
     assert lines[0] == "s: 50 of 50 cases, 1 missed"
     assert lines[3].split() == ["one", "effect:", "first", "80.0", "%", "40", ">=", "95", "%", "MISSED"]
     assert lines[4].split()[-1] == "met"
-    missed = next(line for line in lines if line.startswith("case-0003"))
-    assert missed.split() == ["case-0003", "one", "a<b>", "no_gap", "-", "1.23", "not", "first"]
+    miss_line = next(line for line in lines if line.startswith("case-0003"))
+    assert miss_line.split() == ["case-0003", "one", "a<b>", "no_gap", "-", "1.23", "not", "first"]
     assert "oracle" in next(line for line in lines if line.startswith("measure ("))
 
 
-def test_the_page_is_self_contained_and_escapes_what_it_shows(found, tmp_path):
-    page = write_bench(found, tmp_path).read_text()
-    assert page == bench_page(found)
+def test_the_page_is_self_contained_and_escapes_what_it_shows(bench, tmp_path):
+    page = write_bench(bench, tmp_path).read_text()
+    assert page == bench_page(bench)
     assert "1 of 2 targets met" in page
     assert "a&lt;b&gt;" in page
     assert '<script src="' not in page
-    assert BenchFile.model_validate_json((tmp_path / "bench.json").read_text()) == found
+    assert BenchFile.model_validate_json((tmp_path / "bench.json").read_text()) == bench
 
 
-def test_a_confusion_map_puts_right_names_on_its_diagonal(found):
-    (cells,) = confusion_map({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})["data"]
-    assert cells["x"] == ["a", "b", "no_gap"]
-    assert cells["z"][0] == [0.75, 0.25, None]
-    assert cells["text"][1] == ["", "2", ""]
+def test_a_confusion_map_puts_right_names_on_its_diagonal():
+    table = confusion({"a": {"b": 1, "a": 3}, "b": {"b": 2}, "none": {"no_gap": 4}})
+    assert re.findall(r'<th scope="col">(\w+)</th>', table) == ["a", "b", "no_gap"]
+    rows = [re.findall(r"<td[^>]*>([^<]*)</td>", row) for row in re.findall(r'<th scope="row">.*?</tr>', table, re.S)]
+    assert rows == [["3", "1", ""], ["", "2", ""], ["", "", "4"]]
+    assert re.findall(r'class="(s\d)" title="hidden a, said (\w): (\d of \d)"', table) == [
+        ("s3", "a", "3 of 4"),
+        ("s1", "b", "1 of 4"),
+    ]
+
+
+def test_each_bin_of_the_calibration_shows_its_numbers(bench):
+    page = bench_page(bench)
+    assert "stated 0.70, right 0.60 of 10" in page
+    assert "stated 0.95, right 0.90 of 10" in page
+
+
+@pytest.mark.parametrize("width", [1280, 380])
+def test_the_page_fits(browse, bench, width):
+    names = [f"an_effect_with_quite_a_long_name_{k}" for k in range(30)]
+    large_bench = bench.model_copy(update={"confusion": {name: {name: 3, "no_gap": 1} for name in names}})
+    count = """() => ({ cells: document.querySelectorAll(".confusion tbody td").length })"""
+    assert browse(bench_page(large_bench), count, width) == {"cells": 30 * 31}
 
 
 def test_units_and_targets_in_words():

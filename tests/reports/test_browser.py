@@ -1,22 +1,21 @@
-"""The page in a browser: a click on the heat map shows the element's episodes, and the console stays silent."""
+"""Pages in a browser: what a click and a drag do, nothing overlaps or scrolls sideways, and the console is silent."""
 
 from __future__ import annotations
 
-import html
-import json
-import re
-import shutil
-import subprocess
-
+import numpy as np
 import pytest
 
-from candata import reports
+from candata.checks import check
+from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets.compare import compare
+from candata.datasets.survey import survey
+from candata.reports import comparison, inspection, page, validation
+from candata.schema.episode import Episode, EpisodeMeta
+from candata.schema.manifest import Lineage
 
-BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--enable-logging=stderr")
-#: Clicks what lies at the middle of a cell, as a mouse would, and writes down what can be seen before and after.
-DRIVER = """<script>
-addEventListener("load", () => {
+WIDTHS = pytest.mark.parametrize("width", [1280, 380])
+#: Clicks what lies at the middle of a cell, as a mouse would, and tells what can be seen before and after.
+CLICK = """() => {
   const seen = () => [...document.querySelectorAll(".panel")].filter(p => p.getBoundingClientRect().height > 0)
     .map(p => ({ element: p.dataset.element, dots: p.querySelectorAll(".dots.before path").length,
       courses: p.querySelectorAll(".course .line.recorded").length }));
@@ -25,34 +24,69 @@ addEventListener("load", () => {
   row.scrollIntoView({ block: "center" });
   const box = row.querySelector("td:last-child").getBoundingClientRect();
   document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2).click();
-  parent.postMessage(JSON.stringify({ before, after: seen(), pressed: row.querySelector("button").ariaPressed,
-    width: innerWidth, needed: document.documentElement.scrollWidth }), "*");
-});
-</script></body>"""
-#: Holds the page at a width that the browser's own window refuses, and keeps what the driver wrote down.
-FRAME = """<!DOCTYPE html><link rel="icon" href="data:,"><output id="seen"></output><script>
-addEventListener("message", e => { document.getElementById("seen").textContent = e.data; });
-</script><iframe src="report.html" style="width:{width}px;height:900px;border:0"></iframe>"""
+  return { before, after: seen(), pressed: row.querySelector("button").ariaPressed };
+}"""
+#: Turns the first path by a drag, and tells whether it turned, and whether charts overlap.
+DRAG = """() => {
+  const svg = document.querySelector("svg.space"), path = svg && svg.querySelector(".way, .loop");
+  const before = path && path.getAttribute("d");
+  const at = (name, x, y) => svg.dispatchEvent(new PointerEvent(name, { clientX: x, clientY: y, pointerId: 1 }));
+  if (svg) {
+    svg.setPointerCapture = () => {};
+    at("pointerdown", 50, 50); at("pointermove", 90, 60); at("pointerup", 90, 60);
+  }
+  const boxes = [...document.querySelectorAll(".chart")].map(c => c.getBoundingClientRect());
+  const apart = boxes.every((a, i) => boxes.slice(i + 1).every(b =>
+    a.right <= b.left + 1 || b.right <= a.left + 1 || a.bottom <= b.top + 1 || b.bottom <= a.top + 1));
+  return { turned: svg ? before !== path.getAttribute("d") : null, apart, charts: boxes.length };
+}"""
 
 
-@pytest.mark.skipif(BROWSER is None, reason="no chromium here")
-@pytest.mark.parametrize("width", [1280, 380])
+@WIDTHS
 def test_a_click_on_the_heat_map_shows_the_elements_episodes(
-    tmp_path, make_report, full_evidence, hand, no_gl, small_pictures, width
+    browse, make_report, full_evidence, hand, no_gl, small_pictures, width
 ):
-    path = reports.write_report(make_report(), full_evidence, hand, tmp_path, "effects: []\n")
-    path.write_text(path.read_text("utf-8").replace("</body>", DRIVER), "utf-8")
-    (tmp_path / "frame.html").write_text(FRAME.replace("{width}", str(width)))
-    profile = f"--user-data-dir={tmp_path / 'profile'}"
-    done = subprocess.run(
-        [BROWSER, *FLAGS, "--window-size=1400,1000", "--virtual-time-budget=5000", profile, "--dump-dom",
-         (tmp_path / "frame.html").as_uri()],
-        capture_output=True, text=True, timeout=60, check=False,
-    )  # fmt: skip
-    assert re.findall(r".*:CONSOLE.*", done.stderr) == []
-    seen = json.loads(html.unescape(re.search(r'<output id="seen">(.*?)</output>', done.stdout, re.S).group(1)))
-    assert seen["before"] == [{"element": "joint_position index2", "dots": 24, "courses": 3}]
-    assert seen["after"] == [{"element": "fingertip_force index_tip", "dots": 24, "courses": 3}]
-    assert seen["pressed"] == "true"
-    assert seen["width"] == width
-    assert seen["needed"] <= width, "nothing makes the page scroll sideways"
+    observed = browse(page.page(make_report(), full_evidence, hand, "effects: []\n"), CLICK, width)
+    assert observed["before"] == [{"element": "joint_position index2", "dots": 24, "courses": 3}]
+    assert observed["after"] == [{"element": "fingertip_force index_tip", "dots": 24, "courses": 3}]
+    assert observed["pressed"] == "true"
+
+
+def make_dataset(path, seed):
+    rng, rows, episodes = np.random.default_rng(seed), 80, []
+    names = tuple(f"a_joint_with_quite_a_long_name_{i}" for i in range(5))
+    for k in range(6):
+        walk = np.cumsum(rng.normal(size=(rows, 3)), axis=0) * 0.01
+        arrays = {
+            "time_ns": np.arange(rows) * 12_500_000,
+            "object_pose": np.c_[walk, np.tile([1, 0, 0, 0], (rows, 1))],
+            "joint_position": np.cumsum(rng.normal(size=(rows, 5)), axis=0),
+            "action": np.cumsum(rng.normal(size=(rows, 5)), axis=0),
+            "fingertip_force": rng.normal(size=(rows, 5, 3)),
+            "fingertip_contact": rng.random((rows, 5)) > 0.5,
+        }
+        meta = EpisodeMeta(id=f"e{k}", source="sim", rate_hz=80.0, joint_names=names, actuator_names=names)
+        episodes.append(Episode(meta, arrays))
+    append(create_dataset(path), episodes, Lineage(operation="test"))
+    return open_dataset(path)
+
+
+@WIDTHS
+def test_the_page_of_a_dataset_fits_and_its_path_turns(browse, tmp_path, width):
+    observed = browse(inspection.page(survey(make_dataset(tmp_path / "one", 1))), DRAG, width)
+    assert observed.pop("charts") > 5
+    assert observed == {"turned": True, "apart": True}
+
+
+@WIDTHS
+def test_the_page_of_two_datasets_fits(browse, tmp_path, width):
+    pair = compare(make_dataset(tmp_path / "one", 1), make_dataset(tmp_path / "two", 2))
+    observed = browse(comparison.page(pair), DRAG, width)
+    assert observed.pop("charts") > 5
+    assert observed == {"turned": None, "apart": True}
+
+
+@WIDTHS
+def test_the_page_of_a_validation_fits(browse, tmp_path, width):
+    dataset = make_dataset(tmp_path / "one", 1)
+    assert browse(validation.page(dataset, check(dataset)), DRAG, width)["charts"] == 0

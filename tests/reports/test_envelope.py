@@ -25,10 +25,10 @@ def test_no_line_crosses_a_gap():
     time = np.concatenate([np.arange(10), 100 + np.arange(10)]) * 0.01
     _, ys = envelope(time, np.ones(20))
     assert np.isnan(ys).sum() == 1
-    long = np.concatenate([np.arange(5000), 9000 + np.arange(5000)]) * 0.01
-    assert np.isnan(envelope(long, np.ones(10_000))[1]).any()
-    lost = np.where(np.arange(10_000) // 1000 == 5, np.nan, 1.0)
-    assert np.isnan(envelope(np.arange(10_000) * 0.01, lost)[1]).any()
+    long_time = np.concatenate([np.arange(5000), 9000 + np.arange(5000)]) * 0.01
+    assert np.isnan(envelope(long_time, np.ones(10_000))[1]).any()
+    gappy_values = np.where(np.arange(10_000) // 1000 == 5, np.nan, 1.0)
+    assert np.isnan(envelope(np.arange(10_000) * 0.01, gappy_values)[1]).any()
 
 
 def test_one_row_and_standing_time():

@@ -17,7 +17,7 @@ from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.report import Report
 
 FILES = ["effects.yaml", "report.html", "report.json"]
-REPAIRED = EffectsFile(
+REPAIRED_SIMULATOR = EffectsFile(
     scene="bench.yaml",
     effects=(
         EffectSetting(name="joint_dry_friction", element="index2", parameters={"frictionloss_Nm": 0.0412}),
@@ -29,7 +29,7 @@ REPAIRED = EffectsFile(
 
 @pytest.fixture
 def diagnosis(make_report, full_evidence, small_pictures, no_gl) -> Diagnosis:
-    return Diagnosis(make_report(), full_evidence, REPAIRED)
+    return Diagnosis(make_report(), full_evidence, REPAIRED_SIMULATOR)
 
 
 @pytest.fixture
@@ -56,8 +56,8 @@ def test_a_proposed_motion_stands_beside_them_and_goes_with_the_next_diagnosis(t
     motion = Motion("slow reversals", np.repeat(world.model.key_ctrl[:1], 4, axis=0), np.zeros(3))
     write_diagnosis(replace(diagnosis, motion=(motion,)), world, tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([*FILES, "motion.parquet"])
-    (found,) = read_motions(tmp_path / "motion.parquet", world).motions
-    assert (found.name, found.commands.shape) == ("slow reversals", (4, 15))
+    (motion_read,) = read_motions(tmp_path / "motion.parquet", world).motions
+    assert (motion_read.name, motion_read.commands.shape) == ("slow reversals", (4, 15))
     write_diagnosis(diagnosis, world, tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == FILES
 
@@ -73,7 +73,7 @@ def test_the_record_reads_back_as_it_was(tmp_path, diagnosis, scene):
 def test_the_effects_read_back_as_they_were(tmp_path, diagnosis, scene):
     write_diagnosis(diagnosis, scene, tmp_path)
     path = tmp_path / "effects.yaml"
-    assert EffectsFile.parse(yaml.safe_load(path.read_text()), path) == REPAIRED
+    assert EffectsFile.parse(yaml.safe_load(path.read_text()), path) == REPAIRED_SIMULATOR
 
 
 def test_no_effects_are_an_empty_list():
@@ -86,28 +86,31 @@ def test_the_page_holds_the_effects_as_they_are_in_the_file(tmp_path, diagnosis,
 
 
 def test_a_diagnosis_without_evidence_is_written_too(tmp_path, make_report, scene):
-    found = Diagnosis(make_report("too_little_data"), Evidence(), EffectsFile(scene="bench.yaml"))
-    write_diagnosis(found, scene, tmp_path)
+    empty_diagnosis = Diagnosis(make_report("too_little_data"), Evidence(), EffectsFile(scene="bench.yaml"))
+    write_diagnosis(empty_diagnosis, scene, tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == FILES
 
 
 def test_an_older_report_is_replaced(tmp_path, diagnosis, make_report, scene):
     write_diagnosis(diagnosis, scene, tmp_path)
-    newer = Diagnosis(make_report("no_gap"), Evidence(), EffectsFile(scene="bench.yaml"))
-    write_diagnosis(newer, scene, tmp_path)
+    newer_diagnosis = Diagnosis(make_report("no_gap"), Evidence(), EffectsFile(scene="bench.yaml"))
+    write_diagnosis(newer_diagnosis, scene, tmp_path)
     assert Report.model_validate_json((tmp_path / "report.json").read_text()).verdict == "no_gap"
     assert sorted(p.name for p in tmp_path.iterdir()) == FILES
 
 
 def test_a_file_that_cannot_be_put_in_place_leaves_the_old_one_whole(tmp_path, diagnosis, scene, monkeypatch):
     write_diagnosis(diagnosis, scene, tmp_path)
-    before = (tmp_path / "report.json").read_text()
+    text_before = (tmp_path / "report.json").read_text()
 
-    def full(source, target):
+    def raise_disk_full(source, target):
         raise OSError("no space left on device")
 
-    monkeypatch.setattr(os, "replace", full)
+    monkeypatch.setattr(os, "replace", raise_disk_full)
     with pytest.raises(SetupError, match="no space"):
-        write_diagnosis(Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED),
-                        scene, tmp_path)  # fmt: skip
-    assert (tmp_path / "report.json").read_text() == before
+        write_diagnosis(
+            Diagnosis(diagnosis.report.model_copy(update={"verdict": "no_gap"}), Evidence(), REPAIRED_SIMULATOR),
+            scene,
+            tmp_path,
+        )
+    assert (tmp_path / "report.json").read_text() == text_before

@@ -21,8 +21,8 @@ def test_it_is_left_out_without_a_model_or_with_other_positions(full_evidence, h
     example = full_evidence.example
     assert filmstrip(None, example, "repaired") == ""
     assert filmstrip(hand, replace(example, qpos_before=np.zeros((3, 2))), "repaired") == ""
-    gone = replace(example, qpos_real=np.full_like(example.qpos_real, np.nan))
-    assert filmstrip(hand, gone, "repaired") == ""
+    invalid_example = replace(example, qpos_real=np.full_like(example.qpos_real, np.nan))
+    assert filmstrip(hand, invalid_example, "repaired") == ""
 
 
 def test_moments_spread_over_the_rows_that_are_known(full_evidence):
@@ -37,8 +37,11 @@ def test_moments_spread_over_the_rows_that_are_known(full_evidence):
 
 def test_a_short_episode_shows_each_moment_once(full_evidence):
     example = full_evidence.example
-    few = replace(
-        example, time_s=example.time_s[:3], qpos_real=example.qpos_real[:3],
-        qpos_before=example.qpos_before[:3], qpos_after=None,
-    )  # fmt: skip
-    assert moments(few).tolist() == [0, 1, 2]
+    short_example = replace(
+        example,
+        time_s=example.time_s[:3],
+        qpos_real=example.qpos_real[:3],
+        qpos_before=example.qpos_before[:3],
+        qpos_after=None,
+    )
+    assert moments(short_example).tolist() == [0, 1, 2]

@@ -13,7 +13,7 @@ from candata.datasets.compare import compare
 from candata.datasets.survey import survey
 from candata.errors import SetupError
 from candata.reports import comparison, inspection
-from candata.reports.joint_units import readable
+from candata.reports.joint_units import readable_unit
 from candata.reports.writing import write_text
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
@@ -24,7 +24,7 @@ EVIL = "<script>alert(1)</script>&\"'"
 class Tags(HTMLParser):
     """Balance of the tags, and how many scripts and marks of each class there are."""
 
-    VOID = frozenset({"meta", "link", "path", "img", "br"})
+    VOID = frozenset({"meta", "link", "img", "br"})
 
     def __init__(self, text):
         super().__init__()
@@ -44,7 +44,7 @@ class Tags(HTMLParser):
         assert self.open.pop() == tag
 
 
-def made(name="e", rows=60, source="sim", **arrays):
+def make_episode(name="e", rows=60, source="sim", **arrays):
     rng = np.random.default_rng(3)
     meta = {k: arrays.pop(k) for k in ("joint_names", "fingertip_names", "task", "scene") if k in arrays}
     if not arrays:
@@ -72,22 +72,33 @@ def dataset(tmp_path):
 
 
 def test_a_page_has_every_part_and_asks_for_nothing(dataset):
-    text = inspection.page(survey(dataset(made("a"), made("b", rows=90))))
-    found = Tags(text)
-    assert found.open == []
-    for heading in ("Channels", "Contact", "Episodes", "Distributions", "Where it comes from", "Object in space",
-                    "Forces", "Joints and commands"):  # fmt: skip
+    text = inspection.page(survey(dataset(make_episode("a"), make_episode("b", rows=90))))
+    tags = Tags(text)
+    assert tags.open == []
+    for heading in (
+        "Channels",
+        "Contact",
+        "Episodes",
+        "Distributions",
+        "Where it comes from",
+        "Object in space",
+        "Forces",
+        "Joints and commands",
+    ):
         assert f">{heading}</h" in text, heading
     assert not re.search(r"(src|href)=\"(?!data:)", text)
-    assert found.classes.count("space") == 2
-    assert found.classes.count("histo") == 7 - 4 + 2 + 2 + 6  # a quaternion that stands is said in words
+    assert tags.classes.count("space") == 2
+    assert tags.classes.count("histo") == 7 - 4 + 2 + 2 + 6  # a quaternion that stands is said in words
 
 
 def test_names_are_text(dataset):
     names = {"joint_names": (EVIL, "b"), "fingertip_names": (EVIL, "t"), "task": EVIL, "scene": EVIL}
-    data = dataset(made(EVIL, **names))
-    for text in (inspection.page(survey(data)), inspection.page(survey(data, ids=[EVIL]), EVIL),
-                 comparison.page(compare(data, data))):  # fmt: skip
+    data = dataset(make_episode(EVIL, **names))
+    for text in (
+        inspection.page(survey(data)),
+        inspection.page(survey(data, ids=[EVIL]), EVIL),
+        comparison.page(compare(data, data)),
+    ):
         assert "<script>alert" not in text
         assert Tags(text).scripts <= 1
         assert "&lt;script&gt;alert" in text
@@ -99,35 +110,39 @@ def test_names_are_text(dataset):
         ({"object_pose": np.tile([0, 0, 0, 1.0, 0, 0, 0], (60, 1))}, "no contact, no forces, no joints."),
         ({"joint_position": np.zeros((60, 2))}, "no valid pose of an object, no contact, no forces."),
         (
-            {"object_pose": np.full((60, 7), np.nan), "object_pose_valid": np.zeros(60, bool),
-             "joint_position": np.zeros((60, 1)), "contact": np.zeros(60, bool)},
+            {
+                "object_pose": np.full((60, 7), np.nan),
+                "object_pose_valid": np.zeros(60, bool),
+                "joint_position": np.zeros((60, 1)),
+                "contact": np.zeros(60, bool),
+            },
             "no valid pose of an object, no forces.",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_an_episode_lacks_is_said(dataset, arrays, absent):
-    text = inspection.page(survey(dataset(made(**arrays))))
+    text = inspection.page(survey(dataset(make_episode(**arrays))))
     assert f"This episode has {absent}" in text
     assert Tags(text).open == []
 
 
 def test_one_row_is_drawn(dataset):
-    one = made(rows=1)
-    text = inspection.page(survey(dataset(one)))
+    episode = make_episode(rows=1)
+    text = inspection.page(survey(dataset(episode)))
     assert "1 row.<" in text.replace("</dd>", "<")
     assert "nan" not in text.lower().replace("nano", "")
 
 
 def test_a_long_episode_of_many_joints_stays_small(dataset):
     rng, rows = np.random.default_rng(0), 12_000
-    one = made(
+    episode = make_episode(
         rows=rows,
         joint_position=rng.normal(size=(rows, 80)),
         action=rng.normal(size=(rows, 80)),
         fingertip_force=rng.normal(size=(rows, 10, 3)),
         fingertip_contact=rng.random((rows, 10)) > 0.5,
     )
-    text = inspection.page(survey(dataset(one)))
+    text = inspection.page(survey(dataset(episode)))
     assert len(text) < 2e6
     assert "40 more are not drawn" in text
     assert "16 more elements are not drawn" in text
@@ -135,21 +150,21 @@ def test_a_long_episode_of_many_joints_stays_small(dataset):
 
 def test_units_come_from_a_built_in_scene(dataset):
     names = ("wrist_x", "index1")
-    text = inspection.page(survey(dataset(made(scene="xhand_tabletop", joint_names=names))))
-    assert readable("joint/s", "index1", inspection.units_of(["xhand_tabletop"])) == "rad/s"
+    text = inspection.page(survey(dataset(make_episode(scene="xhand_tabletop", joint_names=names))))
+    assert readable_unit("joint/s", "index1", inspection.units_of(["xhand_tabletop"])) == "rad/s"
     assert '<p>wrist_x</p><div class="chart"' in text
     assert re.search(r'<p>wrist_x</p><div class="chart"[^>]*><span class="yl">m<', text)
     assert re.search(r'<p>index1</p><div class="chart"[^>]*><span class="yl">rad<', text)
-    assert "rad or m" in inspection.page(survey(dataset(made(), name="other")))
+    assert "rad or m" in inspection.page(survey(dataset(make_episode(), name="other")))
 
 
 def test_two_datasets_on_one_page(dataset):
-    found = compare(dataset(made("a"), name="one"), dataset(made("b", source="real"), name="two"))
-    text = comparison.page(found)
+    pair = compare(dataset(make_episode("a"), name="one"), dataset(make_episode("b", source="real"), name="two"))
+    text = comparison.page(pair)
     assert Tags(text).open == []
     assert "one <small>beside</small> two" in text
     assert "Too few episodes to tell a difference from luck (1 beside 1)" in text
-    assert text.count("<tr") >= len(found.comparison.rows)
+    assert text.count("<tr") >= len(pair.comparison.rows)
 
 
 def test_a_page_that_cannot_be_written_leaves_nothing(tmp_path):

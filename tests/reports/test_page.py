@@ -59,10 +59,11 @@ class Page(HTMLParser):
             self.scripts[self.script] = data
 
 
-def said(text: str) -> str:
+def visible_text(text: str) -> str:
     """The page's text as a reader sees it, scripts left out."""
     body = re.sub(r"<(script|style).*?</\1>", "", text, flags=re.S)
-    return html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\N{NO-BREAK SPACE}", " ")
+    lines = html.unescape(re.sub(r"<[^>]+>", "", body)).replace("\N{NO-BREAK SPACE}", " ").splitlines()
+    return "\n".join(filter(None, map(str.strip, lines)))
 
 
 @pytest.mark.parametrize("verdict", get_args(Verdict))
@@ -71,8 +72,8 @@ def test_every_verdict_is_written_with_its_sentences(tmp_path, make_report, full
     path = reports.write_report(report, full_evidence, None, tmp_path / "new", YAML)
     assert path == tmp_path / "new" / "report.html"
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
-    text = said(path.read_text(encoding="utf-8"))
-    for sentence in (words.where, words.which, words.how_far, words.not_known):
+    text = visible_text(path.read_text(encoding="utf-8"))
+    for sentence in (words.where_sentence, words.cause_sentence, words.closure_sentence, words.unknowns_sentence):
         assert sentence(report) in text
     assert reports.explain(verdict) in text
 
@@ -96,7 +97,7 @@ def test_every_element_of_the_heat_map_has_its_episodes(tmp_path, make_report, f
     panels = re.findall(r'data-element="([^"]*)"( hidden)?', text)
     assert [label for label, _ in panels] == list(full_evidence.heat.rows)
     assert re.findall(r'data-shows="([^"]*)"', text) == list(full_evidence.heat.rows)
-    assert [label for label, hidden in panels if not hidden] == ["joint_position index2"], "the first symptom"
+    assert [label for label, is_hidden in panels if not is_hidden] == ["joint_position index2"], "the first symptom"
 
 
 def test_the_yaml_is_shown_escaped(tmp_path, make_report):
@@ -105,12 +106,12 @@ def test_the_yaml_is_shown_escaped(tmp_path, make_report):
 
 
 def test_hostile_names_stay_text(tmp_path, make_report, full_evidence):
-    bad = "</script><script>alert(1)</script>"
-    trace = replace(full_evidence.example.traces[0], element=bad)
-    example = replace(full_evidence.example, traces=(trace,), episode=bad)
-    evidence = replace(full_evidence, example=example, heat=replace(full_evidence.heat, phases=(bad,) * 5))
-    page = reports.write_report(make_report(provenance={"x": bad}), evidence, None, tmp_path, bad)
-    assert bad not in page.read_text("utf-8")
+    hostile = "</script><script>alert(1)</script>"
+    trace = replace(full_evidence.example.traces[0], element=hostile)
+    example = replace(full_evidence.example, traces=(trace,), episode=hostile)
+    evidence = replace(full_evidence, example=example, heat=replace(full_evidence.heat, phases=(hostile,) * 5))
+    page = reports.write_report(make_report(provenance={"x": hostile}), evidence, None, tmp_path, hostile)
+    assert hostile not in page.read_text("utf-8")
 
 
 @pytest.mark.parametrize("part", list(SIGNS))
@@ -119,8 +120,8 @@ def test_a_missing_part_of_the_evidence_is_left_out(tmp_path, make_report, full_
         "utf-8"
     )
     assert SIGNS[part] not in text
-    whole = reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8")
-    assert SIGNS[part] in whole
+    whole_page = reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8")
+    assert SIGNS[part] in whole_page
 
 
 def test_nothing_repaired(tmp_path, make_report, make_unrepaired, full_evidence, hand, no_gl, small_pictures):
@@ -138,7 +139,7 @@ def test_unknown_and_measures_are_tabled(tmp_path, make_report):
     report = make_report("partly_explained", measures=measures)
     rest = report.unknown.model_copy(update={"closable": 0.1241})
     report = report.model_copy(update={"unknown": rest})
-    text = said(reports.write_report(report, Evidence(), None, tmp_path, "").read_text("utf-8"))
+    text = visible_text(reports.write_report(report, Evidence(), None, tmp_path, "").read_text("utf-8"))
     assert "position percent of width" in text
     assert "What stays unexplained" in text
     assert "0.4 N" in text
@@ -154,77 +155,77 @@ def cells(text: str, row: str) -> list[tuple[str, str, str]]:
 
 
 def test_the_heat_map_shows_numbers_only_where_significant(make_heat):
-    drawn = heat_map(make_heat(), frozenset(make_heat().rows))
-    index2 = cells(drawn, "joint_position index2")
+    markup = heat_map(make_heat(), frozenset(make_heat().rows))
+    index2 = cells(markup, "joint_position index2")
     assert [number for *_, number in index2] == ["3.1", "4.6", "2.2", "2.8", "17"]
     assert index2[4][0] == "h8", "the largest takes the strongest colour"
     assert "17.3 times the floor, p = 0.001" in index2[4][1]
-    thumb = cells(drawn, "fingertip_force thumb_tip")
+    thumb = cells(markup, "fingertip_force thumb_tip")
     assert thumb[0] == ("hole", "free: no data", "")
     assert {number for *_, number in thumb} == {""}
 
 
 def test_a_heat_map_of_nothing_but_gaps(make_heat):
     heat = make_heat(3)
-    drawn = heat_map(replace(heat, ratio=np.full((3, 5), np.nan), p=np.full((3, 5), np.nan)), frozenset())
-    assert drawn.count('<td class="hole"') == 15
+    markup = heat_map(replace(heat, ratio=np.full((3, 5), np.nan), p=np.full((3, 5), np.nan)), frozenset())
+    assert markup.count('<td class="hole"') == 15
 
 
 def test_the_ranking_shows_a_named_effect_wherever_it_ranks(make_report):
     report = make_report()
-    late = report.effects[0].model_copy(update={"name": "tactile_bias", "element": None})
-    shown = figures.shown_candidates(report.model_copy(update={"effects": (late,)}))
-    assert len(shown) == figures.MOST_RANKED + 1
-    assert shown[-1].name == "tactile_bias"
+    late_effect = report.effects[0].model_copy(update={"name": "tactile_bias", "element": None})
+    candidates = figures.drawn_candidates(report.model_copy(update={"effects": (late_effect,)}))
+    assert len(candidates) == figures.MOST_RANKED + 1
+    assert candidates[-1].name == "tactile_bias"
 
 
 def test_the_ranking_is_not_filled_with_one_effect(make_report):
     report = make_report()
     local = tuple(report.ranking[1].model_copy(update={"element": f"joint{k}"}) for k in range(20))
-    shown = figures.shown_candidates(report.model_copy(update={"ranking": (*local, *report.ranking)}))
-    assert [c.name for c in shown].count("joint_damping") == figures.MOST_VARIANTS
-    assert len({c.name for c in shown}) > 8
+    candidates = figures.drawn_candidates(report.model_copy(update={"ranking": (*local, *report.ranking)}))
+    assert [c.name for c in candidates].count("joint_damping") == figures.MOST_VARIANTS
+    assert len({c.name for c in candidates}) > 8
 
 
 def test_losses_that_are_not_finite_are_left_out(full_evidence):
     values = replace(full_evidence.losses, after=np.full(24, np.nan))
-    drawn = figures.losses(values)
-    assert "nan" not in drawn
-    assert drawn.count("nominal:") == 24
-    assert "repaired:" not in drawn
+    markup = figures.losses(values)
+    assert "nan" not in markup
+    assert markup.count("nominal:") == 24
+    assert "repaired:" not in markup
 
 
 def test_the_page_says_what_to_change(tmp_path, make_report, full_evidence):
-    text = said(reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8"))
+    text = visible_text(reports.write_report(make_report(), full_evidence, None, tmp_path, YAML).read_text("utf-8"))
     assert "Add joint dry friction of 0.0412 N m (0.0373 to 0.0458) to joint index2." in text
     assert "In MJCF: add 0.0412 to frictionloss of the <joint>" in text
     assert "0 to 0.3 N m" in text, "the range that was searched"
 
 
 def test_a_range_of_one_end_is_said_so_and_drawn_to_the_end_of_what_was_searched(tmp_path, make_report, full_evidence):
-    one = make_report().effects[0].model_dump()
-    one["parameters"]["frictionloss_Nm"] |= {"high": None, "bounded": "low"}
-    text = reports.write_report(make_report(effects=[one]), full_evidence, None, tmp_path, YAML).read_text("utf-8")
+    effect = make_report().effects[0].model_dump()
+    effect["parameters"]["frictionloss_Nm"] |= {"high": None, "bounded": "low"}
+    text = reports.write_report(make_report(effects=[effect]), full_evidence, None, tmp_path, YAML).read_text("utf-8")
     assert '<td class="n">at least 0.0373</td>' in text
-    assert "Add joint dry friction of 0.0412 N m (at least 0.0373; more explains as well)" in said(text)
+    assert "Add joint dry friction of 0.0412 N m (at least 0.0373; more explains as well)" in visible_text(text)
     # Searched was 0 to 0.3.
     assert f'<path class="span named" d="M{round(1000 * 0.0373 / 0.3)} 500H1000"/>' in text
 
 
 def test_a_value_at_its_bound_is_marked(tmp_path, make_report, full_evidence):
     report = make_report()
-    bound = report.effects[0].model_copy(update={"at_bound": True})
+    bound_effect = report.effects[0].model_copy(update={"at_bound": True})
     mark = ">at bound<"
     assert mark not in reports.write_report(report, full_evidence, None, tmp_path, YAML).read_text("utf-8")
-    report = report.model_copy(update={"effects": (bound,)})
+    report = report.model_copy(update={"effects": (bound_effect,)})
     assert mark in reports.write_report(report, full_evidence, None, tmp_path, YAML).read_text("utf-8")
 
 
 def test_ambiguous_says_what_to_record_and_changes_nothing(tmp_path, make_report, make_unrepaired, full_evidence):
     evidence = make_unrepaired(full_evidence)
-    text = said(reports.write_report(make_report("ambiguous"), evidence, None, tmp_path, "").read_text("utf-8"))
+    text = visible_text(reports.write_report(make_report("ambiguous"), evidence, None, tmp_path, "").read_text("utf-8"))
     assert "Nothing yet" in text
-    assert "command filemotion.parquetseparatesjoint damping from joint dry friction" in text
+    assert "command filemotion.parquet\nseparatesjoint damping from joint dry friction" in text
 
 
 def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evidence):
@@ -232,23 +233,26 @@ def test_fields_that_newer_records_add_are_shown(tmp_path, make_report, full_evi
         kept: float
         about: str
 
-    class Newer(Report):
+    class NewerReport(Report):
         later: Edit | None = None
 
-    newer = Newer.model_validate({**make_report().model_dump(), "later": {"kept": 0.9, "about": "another object"}})
-    text = said(reports.write_report(newer, full_evidence, None, tmp_path, YAML).read_text("utf-8"))
+    newer_report = NewerReport.model_validate(
+        {**make_report().model_dump(), "later": {"kept": 0.9, "about": "another object"}}
+    )
+    text = visible_text(reports.write_report(newer_report, full_evidence, None, tmp_path, YAML).read_text("utf-8"))
     assert "kept 0.9, about another object" in text
 
 
 def test_many_elements_and_episodes_stay_small(tmp_path, make_report, full_evidence):
-    one = full_evidence.elements.of[5]
+    element = full_evidence.elements.of[5]
     time = np.linspace(0, 4, POINTS)
     wave = np.sin(7 * time)
-    courses = tuple(replace(c, time_s=time, real=wave, before=wave + 0.1, after=wave + 0.01) for c in one.courses)
+    courses = tuple(replace(c, time_s=time, real=wave, before=wave + 0.1, after=wave + 0.01) for c in element.courses)
     ids = tuple(f"episode-{k:06d}" for k in range(2000))
     size = np.linspace(1e-3, 1e-2, 2000)
     of = tuple(
-        replace(one, element=f"j{k}", before=size, after=size / 2, null=size / 3, courses=courses) for k in range(60)
+        replace(element, element=f"j{k}", before=size, after=size / 2, null=size / 3, courses=courses)
+        for k in range(60)
     )
     evidence = replace(full_evidence, elements=Elements(ids, of))
     path = reports.write_report(make_report(), evidence, None, tmp_path, YAML)

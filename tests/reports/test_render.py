@@ -17,8 +17,8 @@ BALL = """<mujoco><worldbody><light pos="0 0 2"/><geom type="plane" size="1 1 .1
 <body pos="0 0 .3"><freejoint/><geom size=".1" rgba="1 0 0 1"/></body></worldbody></mujoco>"""
 
 
-def ball(extra: str = "") -> mujoco.MjModel:
-    return mujoco.MjModel.from_xml_string(BALL.format(camera=extra))
+def ball(camera_xml: str = "") -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(BALL.format(camera=camera_xml))
 
 
 def decode(data: bytes) -> np.ndarray:
@@ -58,7 +58,7 @@ def test_without_gl_the_ball_is_drawn_in_the_middle(no_gl):
 
 
 def test_the_note_says_how_the_pictures_were_made(no_gl):
-    assert render.film(ball(), ball().qpos0, None, 16, 12).note == render.DRAWN_NOTE
+    assert render.render_frames(ball(), ball().qpos0, None, 16, 12).note == render.DRAWN_NOTE
 
 
 def test_render_png_says_that_it_drew(tmp_path, no_gl):
@@ -69,7 +69,7 @@ def test_render_png_says_that_it_drew(tmp_path, no_gl):
 def test_a_gl_library_that_fails_is_quiet(monkeypatch, capfd):
     monkeypatch.setattr(render, "LIBRARIES", ("no-such-library",))
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    film = render.film(ball(), ball().qpos0, None, 32, 24)
+    film = render.render_frames(ball(), ball().qpos0, None, 32, 24)
     assert film.library is None
     assert capfd.readouterr() == ("", "")
 
@@ -79,45 +79,45 @@ def test_a_child_that_hangs_is_given_up(monkeypatch):
         raise subprocess.TimeoutExpired("python", 60)
 
     monkeypatch.setattr(subprocess, "run", hang)
-    assert render.film(ball(), ball().qpos0, None, 16, 12).library is None
+    assert render.render_frames(ball(), ball().qpos0, None, 16, 12).library is None
 
 
 def test_with_gl_the_same_things_are_in_the_same_place(monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.delenv("CANDATA_GL", raising=False)
-    made = render.film(ball(), ball().qpos0, None, 80, 60)
-    if made.library is None:
+    gl_frames = render.render_frames(ball(), ball().qpos0, None, 80, 60)
+    if gl_frames.library is None:
         pytest.skip("no GL library here")
     monkeypatch.setenv("MUJOCO_GL", "off")
-    drawn = render.film(ball(), ball().qpos0, None, 80, 60)
-    red = [(f.frames[0][..., 0].astype(int) > 2 * f.frames[0][..., 1].astype(int)) for f in (made, drawn)]
+    ray_frames = render.render_frames(ball(), ball().qpos0, None, 80, 60)
+    red = [(f.frames[0][..., 0].astype(int) > 2 * f.frames[0][..., 1].astype(int)) for f in (gl_frames, ray_frames)]
     # outlines agree but for shading at the silhouette's rim
     assert (red[0] & red[1]).sum() > 0.85 * (red[0] | red[1]).sum()
 
 
 def test_the_models_own_report_camera_is_used():
     model = ball('<camera name="report" pos="0 -1 .3" xyaxes="1 0 0 0 0 1" fovy="30"/>')
-    assert camera.choose(model, model.qpos0[None], None, 1.5) == "report"
+    assert camera.choose_camera(model, model.qpos0[None], None, 1.5) == "report"
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    eye = camera.eye(model, data, "report")
-    assert eye.position == pytest.approx([0, -1, 0.3])
-    assert eye.axes[:, 2] == pytest.approx([0, -1, 0], abs=1e-12)
-    assert eye.fovy_rad == pytest.approx(np.pi / 6)
+    pinhole = camera.pinhole(model, data, "report")
+    assert pinhole.position == pytest.approx([0, -1, 0.3])
+    assert pinhole.axes[:, 2] == pytest.approx([0, -1, 0], abs=1e-12)
+    assert pinhole.fovy_rad == pytest.approx(np.pi / 6)
 
 
 def test_a_fitted_camera_holds_everything_that_moves():
     model, aspect = ball(), 4 / 3
     qpos = np.tile(model.qpos0, (5, 1))
     qpos[:, 0] = np.linspace(-0.5, 0.7, 5)
-    view = camera.fit(model, qpos, aspect)
-    eye = camera.eye(model, mujoco.MjData(model), view)
+    view = camera.fit_camera(model, qpos, aspect)
+    pinhole = camera.pinhole(model, mujoco.MjData(model), view)
     corners = qpos[:, None, :3] + 0.1 * camera.SIGNS
-    seen = (corners.reshape(-1, 3) - eye.position) @ eye.axes
-    reach = np.tan(eye.fovy_rad / 2)
-    assert (np.abs(seen[:, 0] / seen[:, 2]) < reach * aspect).all()
-    assert (np.abs(seen[:, 1] / seen[:, 2]) < reach).all()
-    across = np.abs(seen[:, 0] / seen[:, 2]).max() / (reach * aspect)
+    offsets = (corners.reshape(-1, 3) - pinhole.position) @ pinhole.axes
+    reach = np.tan(pinhole.fovy_rad / 2)
+    assert (np.abs(offsets[:, 0] / offsets[:, 2]) < reach * aspect).all()
+    assert (np.abs(offsets[:, 1] / offsets[:, 2]) < reach).all()
+    across = np.abs(offsets[:, 0] / offsets[:, 2]).max() / (reach * aspect)
     assert across > 0.8  # and it is no farther than the margin asks
 
 

@@ -8,8 +8,8 @@ import pytest
 
 from candata import reports
 from candata.reports import words
-from candata.reports.advice import SILENT
-from candata.reports.numbers import digits, percent, reading, unit_of
+from candata.reports.advice import NO_RESPONSE
+from candata.reports.numbers import digits, format_estimate, percent, unit_of
 from candata.schema.report import Estimate, Symptom, Verdict
 
 VERDICTS = get_args(Verdict)
@@ -49,22 +49,24 @@ def test_what_is_known_from_one_side_is_said_so(make_report, ends, word):
         "parameters": {"frictionloss_Nm": {"value": 0.0875, **ends}},
     }
     (end,) = ends.values()
-    beyond = {"at least": "more", "at most": "less"}[word]
+    equally_good = {"at least": "more", "at most": "less"}[word]
     report = make_report(effects=[effect])
     text = " ".join(reports.summary(report).split())
-    assert f"frictionloss_Nm {word} {end} N m (0.0875 taken; {beyond} explains as well); share" in text
-    assert f"frictionloss {word} {end} N m" in words.which(report)
-    assert f"is known from one side: with any {beyond} the simulation" in words.not_known(report)
-    stopped = make_report(effects=[effect | {"at_bound": True}])
-    assert "one side" not in words.not_known(stopped)
-    assert "stopped at its bound" in words.not_known(stopped)
+    assert f"frictionloss_Nm {word} {end} N m (0.0875 taken; {equally_good} explains as well); share" in text
+    assert f"frictionloss {word} {end} N m" in words.cause_sentence(report)
+    assert f"is known from one side: with any {equally_good} the simulation" in words.unknowns_sentence(report)
+    bound_report = make_report(effects=[effect | {"at_bound": True}])
+    assert "one side" not in words.unknowns_sentence(bound_report)
+    assert "stopped at its bound" in words.unknowns_sentence(bound_report)
 
 
 def test_summary_of_many_long_effects_stays_short(make_report):
     effect = {
-        "name": "tactile_bias", "share": 0.1, "support": 0.5,
+        "name": "tactile_bias",
+        "share": 0.1,
+        "support": 0.5,
         "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
-    }  # fmt: skip
+    }
     text = reports.summary(make_report("partly_explained", effects=[effect] * 9, unknown=None))
     assert len(text.splitlines()) <= 25
     assert "and 6 more in report.json" in text
@@ -72,19 +74,26 @@ def test_summary_of_many_long_effects_stays_short(make_report):
 
 def test_the_longest_summary_fits_a_terminal(make_report):
     """Everything that can be said at once, each of it long."""
-    long = "word " * 120
+    long_text = "word " * 120
     effect = {
-        "name": "tactile_bias", "element": "index_tip", "share": 0.1, "support": 0.5, "at_bound": True,
+        "name": "tactile_bias",
+        "element": "index_tip",
+        "share": 0.1,
+        "support": 0.5,
+        "at_bound": True,
         "parameters": {"bias_N": {"value": [0.1] * 15, "low": [0.05] * 15, "high": [0.15] * 15}},
-    }  # fmt: skip
-    dead = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": SILENT} for k in range(30)]
-    data = make_report().data.model_dump() | {"notes": [long], "channels": ["joint_position"], "floor": "assumed"}
+    }
+    unresponsive = [{"name": f"effect_{k}", "support": 0, "held_out_gain": 0, "reason": NO_RESPONSE} for k in range(30)]
+    data = make_report().data.model_dump() | {"notes": [long_text], "channels": ["joint_position"], "floor": "assumed"}
     for count in (1, 2, 3, 9):
         report = make_report(
-            "partly_explained", effects=[effect] * count, unknown={"words": long}, data=data,
-            ranking=[*make_report().model_dump()["ranking"], *dead],
-            next_motion={"name": long, "file": "motion.parquet", "separates": ["a", "b"]},
-        )  # fmt: skip
+            "partly_explained",
+            effects=[effect] * count,
+            unknown={"words": long_text},
+            data=data,
+            ranking=[*make_report().model_dump()["ranking"], *unresponsive],
+            next_motion={"name": long_text, "file": "motion.parquet", "separates": ["a", "b"]},
+        )
         lines = reports.summary(report).splitlines()
         assert len(lines) <= 25
         assert max(map(len, lines)) <= 100
@@ -99,51 +108,55 @@ def test_a_summary_says_what_to_change(make_report):
 
 def test_ambiguous_names_nothing_but_the_class_and_the_next_motion(make_report):
     report = make_report("ambiguous")
-    assert words.which(report) == "Joint damping or joint dry friction: these recordings cannot tell them apart."
+    assert (
+        words.cause_sentence(report) == "Joint damping or joint dry friction: these recordings cannot tell them apart."
+    )
     expected = "Record slow reversals (motion.parquet): it separates joint damping from joint dry friction."
-    assert words.next_motion(report) == expected
+    assert words.next_motion_sentence(report) == expected
 
 
 def test_unknown_effect_offers_the_nearest_only_as_nearest(make_report):
-    assert "the nearest is joint dry friction at index2" in words.which(make_report("unknown_effect"))
+    assert "the nearest is joint dry friction at index2" in words.cause_sentence(make_report("unknown_effect"))
 
 
 def test_out_of_budget_names_nothing_and_says_what_is_first_so_far(make_report):
     report = make_report("out_of_budget")
-    assert words.which(report) == (
+    assert words.cause_sentence(report) == (
         "None is named: the search was not finished; first so far is joint dry friction at index2."
     )
-    assert words.how_far(report).startswith("On held-out episodes the mismatch is 3.12 times the floor")
-    nothing = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
-    assert words.which(nothing) == "None is named: the search was not finished."
-    assert words.where(nothing) == "Not examined: the budget was spent before."
-    assert words.how_far(nothing) == "Not measured."
-    assert "change     Nothing yet: diagnose again with a larger --budget." in reports.summary(nothing)
+    assert words.closure_sentence(report).startswith("On held-out episodes the mismatch is 3.12 times the floor")
+    empty_report = report.model_copy(update={"gap": None, "where": (), "ranking": ()})
+    assert words.cause_sentence(empty_report) == "None is named: the search was not finished."
+    assert words.where_sentence(empty_report) == "Not examined: the budget was spent before."
+    assert words.closure_sentence(empty_report) == "Not measured."
+    assert "change     Nothing yet: diagnose again with a larger --budget." in reports.summary(empty_report)
 
 
 def test_where_no_candidate_passes_none_is_said_to_close_anything(make_report):
     report = make_report("unknown_effect")
-    same = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})
-    assert words.how_far(report).startswith("The best candidate would close")
-    assert words.how_far(report.model_copy(update={"gap": same})) == (
-        f"No candidate passes the held-out test: the mismatch stays at {digits(same.before)} times the floor."
+    unchanged_gap = report.gap.model_copy(update={"after": report.gap.before, "closed": 0.0})
+    assert words.closure_sentence(report).startswith("The best candidate would close")
+    assert words.closure_sentence(report.model_copy(update={"gap": unchanged_gap})) == (
+        f"No candidate passes the held-out test: the mismatch stays at {digits(unchanged_gap.before)} times the floor."
     )
 
 
 def test_few_episodes_that_hold_most_of_what_remains_are_named(make_report):
     report = make_report("partly_explained")
-    few = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
-    told = words.how_far(report.model_copy(update={"gap": few}))
-    assert told.endswith("Episodes e2 and e12 hold most of what remains; of the gap of the others 56 % closes.")
-    many = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e1", "e2", "e3", "e4")})})
-    assert "4 episodes (e1, e2, e3 and others) hold most of what remains" in words.how_far(many)
-    one = report.model_copy(update={"gap": few.model_copy(update={"outlying": ("e2",)})})
-    assert "Episode e2 holds most of what remains" in words.how_far(one)
+    outlier_gap = report.gap.model_copy(update={"closed": 0.14, "outlying": ("e2", "e12"), "closed_elsewhere": 0.56})
+    sentence = words.closure_sentence(report.model_copy(update={"gap": outlier_gap}))
+    assert sentence.endswith("Episodes e2 and e12 hold most of what remains; 56 % of the gap of the others closes.")
+    many_outliers = report.model_copy(
+        update={"gap": outlier_gap.model_copy(update={"outlying": ("e1", "e2", "e3", "e4")})}
+    )
+    assert "4 episodes (e1, e2, e3 and others) hold most of what remains" in words.closure_sentence(many_outliers)
+    one_outlier = report.model_copy(update={"gap": outlier_gap.model_copy(update={"outlying": ("e2",)})})
+    assert "Episode e2 holds most of what remains" in words.closure_sentence(one_outlier)
 
 
 def test_a_column_of_the_pose_is_said_as_what_it_is():
     symptom = Symptom(channel="object_pose", element="rotation x", phase="rest", ratio=30.0, p=0.001)
-    assert words.place(symptom) == "the object's rotation x during rest"
+    assert words.symptom_place(symptom) == "the object's rotation x during rest"
 
 
 def test_no_gap_claims_no_repair(make_report):
@@ -154,19 +167,19 @@ def test_no_gap_claims_no_repair(make_report):
 
 def test_an_assumed_floor_and_a_bound_are_said(make_report):
     report = make_report()
-    bound = report.effects[0].model_copy(update={"at_bound": True})
+    bound_effect = report.effects[0].model_copy(update={"at_bound": True})
     data = report.data.model_copy(update={"floor": "assumed"})
-    text = words.not_known(report.model_copy(update={"effects": (bound,), "data": data}))
+    text = words.unknowns_sentence(report.model_copy(update={"effects": (bound_effect,), "data": data}))
     assert "stopped at its bound" in text
     assert "floor is assumed" in text
 
 
 def test_what_may_be_the_cause_instead_is_said(make_report):
     report = make_report()
-    one = report.effects[0].model_copy(update={"rivals": ("pose_scale", "support_height")})
-    text = words.not_known(report.model_copy(update={"effects": (one,)}))
+    effect = report.effects[0].model_copy(update={"rivals": ("pose_scale", "support_height")})
+    text = words.unknowns_sentence(report.model_copy(update={"effects": (effect,)}))
     assert "may be pose scale or support height instead" in text
-    assert "instead" not in words.not_known(report)
+    assert "instead" not in words.unknowns_sentence(report)
 
 
 @pytest.mark.parametrize(
@@ -204,8 +217,8 @@ def test_a_parameters_unit(effect, parameter, unit):
         ),
     ],
 )
-def test_a_reading(estimate, unit, text):
-    assert str(reading(estimate, unit)) == text
+def test_an_estimate_as_text(estimate, unit, text):
+    assert str(format_estimate(estimate, unit)) == text
 
 
 @pytest.mark.parametrize(
@@ -234,5 +247,5 @@ def test_percent_never_rounds_up_to_all(share, text):
     ],
 )
 def test_a_symptom_says_its_regime_only_where_it_has_one(regime, text):
-    one = Symptom(channel="joint_position", element="index2", phase="onset", regime=regime, ratio=3.0, p=0.01)
-    assert words.place(one) == text
+    effect = Symptom(channel="joint_position", element="index2", phase="onset", regime=regime, ratio=3.0, p=0.01)
+    assert words.symptom_place(effect) == text
