@@ -220,7 +220,7 @@ def test_a_dataset_made_meanwhile_is_not_added_to(source, out, capsys, monkeypat
     def late(path, *_, **__):
         create_dataset(path)  # another import, after the check and before the end of ours
 
-    monkeypatch.setattr(import_commands, "tried", late)
+    monkeypatch.setattr(import_commands, "check_output", late)
     assert exit_code("import", "table", source(), "--out", out) == 2
     assert "the output exists already" in capsys.readouterr().err
     assert not (out / "versions").exists()
