@@ -76,8 +76,8 @@ def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bo
             found = survey(data, lambda: advance(1), ids)
             summary = found.summary
     if html is not None:
+        from candata.datasets.writing import write_text
         from candata.reports.inspection import page
-        from candata.reports.writing import write_text
 
         write_text(html, page(found, episode))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
@@ -95,8 +95,8 @@ def _inspect_two(data: Dataset, other: Dataset, html: Path | None, json: bool) -
     with console.progress("reading episodes", episodes_compared(data) + episodes_compared(other)) as advance:
         found = compare(data, other, lambda: advance(1))
     if html is not None:
+        from candata.datasets.writing import write_text
         from candata.reports.comparison import page
-        from candata.reports.writing import write_text
 
         write_text(html, page(found))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")

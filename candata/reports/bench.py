@@ -7,8 +7,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from candata.datasets.writing import write_text
 from candata.reports.document import document, figure, plot, plotly
-from candata.reports.writing import write_text
 from candata.schema.bench import BenchFile, Bin, Row
 
 Spec = dict[str, Any]

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from html import escape
 from pathlib import Path
 
+from candata.datasets.writing import write_text
 from candata.reports import courses
 from candata.reports.courses import Spec
 from candata.reports.document import document, figure, plot, plotly
 from candata.reports.numbers import digits, percent
 from candata.reports.tables import pairs, table
-from candata.reports.writing import write_text
 from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
 
 DASH = "\N{EN DASH}"

@@ -1,4 +1,4 @@
-"""Files of reports: whole or not at all, and an error that a user can act on where they cannot be written."""
+"""Single files: whole or not at all, and an error that a user can act on where they cannot be written."""
 
 from __future__ import annotations
 
