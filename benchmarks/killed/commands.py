@@ -268,7 +268,8 @@ def prepare() -> list[int]:
         ("registry", "pull", "store", "base@1", "--out", "old"),
         (*sim, "cube_toss", "--duration-s", 0.3, "--episodes", 4, "--seed", 7, "--out", "tosses"),
         (*sim, "gripper_tabletop", "--duration-s", 1.2, "--episodes", 8, "--seed", 5, "--out", "grip"),
-        ("registry", "tag", "base", "spare"), ("import", "table", "map.yaml", "--out", "driven"), ("export", "lerobot", "tosses", "--out", "exported"),
+        ("registry", "tag", "base", "spare"), ("import", "table", "map.yaml", "--out", "driven"),
+        ("export", "lerobot", "tosses", "--out", "exported"),
         ("train", "--data", "grip", *NET, "--out", "run"),
     ]  # fmt: skip
     codes = [run(words) for words in lines]
