@@ -14,7 +14,7 @@ PINS := pyproject.toml constraints.txt
 help:
 	@echo "make demo       plant a hidden effect, diagnose it, compare (SEED=2 takes another); see out/demo"
 	@echo "make test       the fast suite;  make test-slow: the long statistical tests"
-	@echo "make test-hard  hostile input, kills, races and bombs: the tests marked hard, then kills of every command"
+	@echo "make test-hard  hostile input, kills, races and bombs: what docs/hardness.md promises, in small sizes"
 	@echo "make check      lint, formatting and types;  make format: mend the first two"
 	@echo "make bench      the measured promises, printed beside their targets"
 	@echo "make schemas    write schemas/ from the records"
@@ -32,6 +32,10 @@ test-slow: $(VENV)/test.stamp
 test-hard: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -n auto --dist loadfile -m hard
 	$(BIN)/python benchmarks/kills.py --kills 42
+#	$(BIN)/python benchmarks/hard_models.py
+#	$(BIN)/python benchmarks/mutated_inputs.py --inputs 10000
+#	$(BIN)/python benchmarks/clean_checks.py --episodes 96
+#	$(BIN)/python benchmarks/silent_mistakes.py --scenes gripper_tabletop --random 1
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -141,9 +141,11 @@ def watched(words: Words, moment: Moment, shared: mmap.mmap) -> dict[str, Any]:
 
 
 def write_registry(folder: Path) -> None:
-    """Write the registry of a folder: two remotes in it."""
-    remotes = {"lab": {"url": str(folder / "share")}, "store": {"url": str(folder / "store")}}
-    (folder / "registry.json").write_text(json.dumps({"registry_version": 1, "datasets": {}, "remotes": remotes}))
+    """Write the registry of a folder: the name of a dataset and three remotes in it."""
+    remotes = {"lab": "share", "store": "store", "spare": "share"}
+    entries = {name: {"url": str(folder / place)} for name, place in remotes.items()}
+    whole = {"registry_version": 1, "datasets": {"spare": str(folder / "other")}, "remotes": entries}
+    (folder / "registry.json").write_text(json.dumps(whole))
 
 
 def prepare(template: Path) -> None:

@@ -76,8 +76,8 @@ def _inspect_one(data: Dataset, episode: str | None, html: Path | None, json: bo
             dataset_survey = survey(data, lambda: advance(1), ids)
             summary = dataset_survey.summary
     if html is not None:
+        from candata.datasets.writing import write_text
         from candata.reports.inspection import page
-        from candata.reports.writing import write_text
 
         write_text(html, page(dataset_survey, episode))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")
@@ -95,8 +95,8 @@ def _inspect_two(data: Dataset, reference: Dataset, html: Path | None, json: boo
     with console.progress("reading episodes", episodes_compared(data) + episodes_compared(reference)) as advance:
         comparison = compare(data, reference, lambda: advance(1))
     if html is not None:
+        from candata.datasets.writing import write_text
         from candata.reports.comparison import page
-        from candata.reports.writing import write_text
 
         write_text(html, page(comparison))
         console.note(f"{html}: {html.stat().st_size / 1e6:.2f} MB")

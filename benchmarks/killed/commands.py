@@ -4,11 +4,52 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from candata.schema.bench import Kind
 
 Words = tuple[object, ...]
+#: Files that commands read.
+SOURCES = (
+    "bench/sealed.json",
+    "torn.mcap",
+    "whole.mcap",
+    "table.csv",
+    "map.yaml",
+    "model.xml",
+    "effects.yaml",
+    "net.yaml",
+)
+#: Formats that are exported.
+FORMATS = ("lerobot", "robomimic", "diffusion_policy", "mcap")
+#: A model that is trained in a second.
+NET = (
+    *("--model", "mlp", "--config", "net.yaml", "--batch", 4, "--steps", 12, "--threads", 1),
+    *("--history", 2, "--horizon", 4),
+)
+#: Two cases of tosses; their labels are sealed before.
+BENCH_KINDS: dict[Kind, int] = {"one": 1, "null": 1}
+BENCH = (
+    *("--scene", "cube_toss", "--episodes", 8, "--duration-s", 0.5, "--jobs", 1, "--no-follow"),
+    *("--kinds", "one,null", "--counts", "one=1,null=1", "--only", "sliding_friction"),
+)
+MODEL = """<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 .1"/>
+    <body name="box" pos="0 0 .1"><freejoint/><geom size=".05" mass=".1"/></body>
+    <body name="arm" pos=".3 0 .2"><joint name="hinge" axis="0 1 0"/><geom name="tip" size=".03"/></body>
+  </worldbody>
+  <actuator><position name="drive" joint="hinge" kp="1"/></actuator>
+</mujoco>
+"""
+EFFECTS = """scene: gripper_tabletop
+effects:
+  - {name: object_mass, parameters: {mass_scale: 1.5}}
+"""
 
 
 class Command(NamedTuple):
@@ -23,8 +64,7 @@ class Command(NamedTuple):
 def commands() -> list[Command]:
     """Return what is killed."""
     sim, toss = ("--scene", "cube_toss", "--duration-s", 0.3, "--jobs", 1), ("--episodes", 20, "--seed", 7)
-    net = ("--model", "mlp", "--config", "net.yaml", "--batch", 4, "--steps", 12, "--threads", 1)
-    net += ("--history", 2, "--horizon", 4)
+    log = ("import", "log", "whole.mcap", "--uncalibrated", "--rate", 80)
     grip = ("grip", "--scene", "gripper_tabletop", "--only", "joint_damping", "--jobs", 1)
     new, more = ("--out", "new"), ("--out", "base", "--append")
     return [
@@ -32,7 +72,9 @@ def commands() -> list[Command]:
         Command("generate-sim more", ("generate-sim", *sim, *toss, "--out", "tosses"), lambda: dataset("tosses")),
         Command("import", ("import", "table", "map.yaml", *new), lambda: dataset("new")),
         Command("import --append", ("import", "table", "map.yaml", *more), lambda: dataset("base")),
-        Command("export", ("export", "lerobot", "tosses", *new), lambda: files("new")),
+        Command("import lerobot", ("import", "lerobot", "exported", *new), lambda: dataset("new")),
+        Command("import log", (*log, *new), lambda: dataset("new")),
+        *(Command(f"export {kind}", ("export", kind, "tosses", *new), lambda: files("new")) for kind in FORMATS),
         Command("filter", ("registry", "filter", "base", "id <> 'e3'", *new), lambda: dataset("new")),
         Command("merge", ("registry", "merge", "base", "other", *new), lambda: dataset("new")),
         Command("merge --append", ("registry", "merge", "other", *more), lambda: dataset("base")),
@@ -41,15 +83,27 @@ def commands() -> list[Command]:
         Command(
             "tag --move", ("registry", "tag", "base", "clean", "--version", 1, "--move"), lambda: files("base/tags")
         ),
+        Command("tag --delete", ("registry", "tag", "base", "spare", "--delete"), lambda: files("base/tags")),
+        Command("add", ("registry", "add", "more", "other"), registry),
+        Command("remove", ("registry", "remove", "spare"), registry),
+        Command("remotes add", ("registry", "remotes", "add", "disk", "share"), registry),
+        Command("remotes remove", ("registry", "remotes", "remove", "spare"), registry),
         Command("split", ("registry", "split", "base", "mine"), lambda: files("base/splits")),
         Command("push", ("registry", "push", "base", "lab"), lambda: remote("share")),
         Command("pull", ("registry", "pull", "store", "base", *new), lambda: dataset("new")),
         Command("pull again", ("registry", "pull", "store", "base", "--out", "old"), lambda: dataset("old")),
         Command("compact", ("compact", "base"), lambda: [dataset("base"), parts("base")]),
         Command("gc", ("gc", "base", "--grace", "0s", "--keep", 1), lambda: [dataset("base"), names("base")]),
-        Command("train", ("train", "--data", "grip", *net, *new), lambda: weights("new")),
+        Command("train", ("train", "--data", "grip", *NET, *new), lambda: weights("new")),
+        Command("evaluate", ("evaluate", "run", "grip", "--threads", 1, *new), lambda: files("new"), 0.5),
+        Command("validate", ("validate", "grip", "--html", "page.html"), lambda: files(".", "page.html"), 0.5),
+        Command("inspect", ("inspect", "grip", "--html", "page.html"), lambda: files(".", "page.html"), 0.5),
+        Command("scene init", ("scene", "init", "model.xml"), lambda: files(".", "scene.yaml")),
+        Command("scene servo", ("scene", "servo", "--dataset", "driven", *new), lambda: files("new")),
+        Command("scene export", ("scene", "export", "--effects", "effects.yaml", *new), lambda: files("new")),
         Command("recover", ("recover", "torn.mcap", "--out", "new.mcap"), lambda: messages("new.mcap")),
         Command("diagnose", ("diagnose", *grip, *new, "--cache-dir", "kept"), lambda: report("new"), 0.25),
+        Command("gap bench", ("gap", "bench", *BENCH, "--out", "bench"), lambda: scored("bench"), 0.25),
         Command("gap signatures", ("gap", "signatures", *grip, "--cache-dir", "kept"), lambda: files("kept"), 0.5),
     ]
 
@@ -78,10 +132,21 @@ def names(name: str) -> list[str]:
     return sorted(path.name for folder in ("parts", "versions") for path in (Path(name) / folder).iterdir())
 
 
-def files(name: str) -> dict[str, str]:
-    """Return the hash of each file under a folder, hidden drafts left out."""
-    found = [path for path in Path(name).rglob("*") if path.is_file() and not path.name.startswith(".")]
-    return {str(path.relative_to(name)): hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
+def files(name: str, pattern: str = "*") -> dict[str, str]:
+    """Return the hash of each file of a name under a folder, hidden drafts left out."""
+    found = [path for path in Path(name).rglob(pattern) if path.is_file() and not path.name.startswith(".")]
+    return {str(path.relative_to(name)): _hash(path) for path in found}
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def registry() -> dict[str, dict[str, str]]:
+    """Return the names in the registry and what they stand for, as seen from its folder."""
+    found = json.loads(Path("registry.json").read_text())
+    datasets = {name: os.path.relpath(path) for name, path in found["datasets"].items()}
+    return {"datasets": datasets, "remotes": {name: os.path.relpath(e["url"]) for name, e in found["remotes"].items()}}
 
 
 def remote(name: str) -> object:
@@ -122,11 +187,25 @@ def report(name: str) -> object:
     return json.loads(path.read_text()) if path.is_file() else None
 
 
+def scored(name: str) -> object:
+    """Return the results of a bench without what depends on the clock; None before it has a score."""
+    if not Path(name, "bench.json").is_file():
+        return None
+    score = json.loads(Path(name, "bench.json").read_text())
+    lines = [json.loads(line) for line in Path(name, "results.jsonl").read_text().splitlines()]
+    results = {line["case"]: [line["sealed"], line["cold"], line["report"], line["error"]] for line in lines}
+    return [len(lines), results, score["misses"], [row for row in score["rows"] if row["unit"] != "s"]]
+
+
 def standing() -> dict[str, dict[str, str]]:
     """Return what was there before: contents by episode id, of each dataset; hashes of the other files."""
-    found = {name: dataset(name) for name in ("base", "other", "tosses", "grip", "old")}
+    found = {name: dataset(name) for name in ("base", "other", "tosses", "grip", "driven", "old")}
     kept = {name: value["contents"] if isinstance(value, dict) else {} for name, value in found.items()}
-    return kept | {"files": {**files("store"), **{n: files(".")[n] for n in ("torn.mcap", "table.csv", "map.yaml")}}}
+    names = {
+        f"{kind} {name}": to for kind, pairs in registry().items() for name, to in pairs.items() if name != "spare"
+    }
+    whole = {key: digest for folder in ("store", "exported", "run") for key, digest in files(folder).items()}
+    return kept | {"registry": names, "files": whole | {name: _hash(Path(name)) for name in SOURCES}}
 
 
 def lost(before: dict[str, dict[str, str]], now: dict[str, dict[str, str]]) -> list[str]:
@@ -149,6 +228,8 @@ def prepare() -> list[int]:
     import numpy as np
 
     from candata.datasets import append, create_dataset, open_dataset, put_cloud
+    from candata.gap.blind.cases import seal_labels
+    from candata.scenes import load_scene
     from candata.schema.episode import Episode, EpisodeMeta
     from candata.schema.manifest import Lineage
 
@@ -164,27 +245,39 @@ def prepare() -> list[int]:
     for some in (["e0", "e1", "e2"], ["e3"], ["e4", "e5"]):
         append(base, [episode(one, cloud) for one in some], Lineage(operation="test"), part_size=2)
     append(other, [episode("e0", put_cloud(other, np.eye(3))), episode("x")], Lineage(operation="test"))
-    rows = [f"{e},{i * 0.0125},{i * 0.01 * (e + 1)},{i}" for e in range(3) for i in range(40)]
-    Path("table.csv").write_text("episode,t,q,u\n" + "\n".join(rows) + "\n")
-    channels = "{joint_position: [q], action: [u]}"
+    rows = [f"{e},{i * 0.0125},{i * 0.01 * (e + 1)}" for e in range(3) for i in range(40)]
+    Path("table.csv").write_text("episode,t,q\n" + "\n".join(rows) + "\n")
+    channels = "{joint_position: [q], action: [q]}"
     Path("map.yaml").write_text(
         f"file: table.csv\nsource: sim\nepisode: episode\ntime_s: t\nrate_hz: 80\nchannels: {channels}\n"
     )
     Path("net.yaml").write_text("{width: 16, layers: 1}")
-    _write_torn(Path("torn.mcap"))
+    Path("model.xml").write_text(MODEL)
+    Path("effects.yaml").write_text(EFFECTS)
+    scene = load_scene("cube_toss")
+    Path("bench").mkdir()
+    seal_labels(
+        Path("bench"), scene, BENCH_KINDS, seed=1, episodes=8, duration_s=0.5, only=("sliding_friction",), salt="0" * 64
+    )
+    _write_log(Path("whole.mcap"))
+    log = Path("whole.mcap").read_bytes()
+    Path("torn.mcap").write_bytes(log[: len(log) // 2])
     sim = ("generate-sim", "--jobs", 1, "--scene")
     lines: list[Words] = [
         ("registry", "tag", "base", "clean"), ("registry", "split", "base"), ("registry", "push", "base", "store"),
         ("registry", "pull", "store", "base@1", "--out", "old"),
         (*sim, "cube_toss", "--duration-s", 0.3, "--episodes", 4, "--seed", 7, "--out", "tosses"),
         (*sim, "gripper_tabletop", "--duration-s", 1.2, "--episodes", 8, "--seed", 5, "--out", "grip"),
+        ("registry", "tag", "base", "spare"), ("import", "table", "map.yaml", "--out", "driven"),
+        ("export", "lerobot", "tosses", "--out", "exported"),
+        ("train", "--data", "grip", *NET, "--out", "run"),
     ]  # fmt: skip
     codes = [run(words) for words in lines]
     return codes if not any(codes) and len(open_dataset("base")) == 6 else [][1]
 
 
-def _write_torn(path: Path) -> None:
-    """Write a log and cut it in the middle."""
+def _write_log(path: Path) -> None:
+    """Write a log of five seconds."""
     import numpy as np
 
     from candata.record.devices._contract import States
@@ -201,4 +294,3 @@ def _write_torn(path: Path) -> None:
         if i % 50 == 0:
             writer.flush()
     writer.close()
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])

@@ -106,7 +106,7 @@ def _replace(file: Path, data: bytes) -> None:
             draft.flush()
             os.fsync(draft.fileno())
         os.replace(name, file)
-    except OSError:
+    except BaseException:  # Ctrl-C too
         Path(name).unlink(missing_ok=True)
         raise
     durable.sync(file.parent)

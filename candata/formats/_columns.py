@@ -14,6 +14,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet
 from numpy.typing import NDArray
 
+from candata.datasets.bounded import require_bounded
 from candata.errors import CandataError, DataError, UsageError, Where
 from candata.formats._csv import dialect, read_csv
 from candata.formats._memory import require_memory
@@ -168,7 +169,9 @@ def _parquet(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the columns of a Parquet file."""
     with pa.parquet.ParquetFile(path) as file:
         wanted = _resolve(names, entries, file.schema_arrow.names, path)
-        require_memory(file.metadata.num_rows * len(wanted) * _NUMBER_BYTES, "the table", Where(path=str(path)))
+        claimed = file.metadata.num_rows * len(wanted) * _NUMBER_BYTES
+        require_memory(claimed, "the table", Where(path=str(path)))
+        require_bounded(path, claimed, path.stat().st_size)
         return _from_arrow(file.read(columns=wanted), wanted, path)
 
 

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
+from candata.datasets.writing import replacing, write_text
 from candata.errors import SetupError, UsageError, Where
 from candata.record.emulate import Transmission
 from candata.record.emulate_script import Script
@@ -53,7 +54,7 @@ def prepare(path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _unwritten(path, error) from None
+        raise SetupError("the file cannot be written", found=error.strerror, where=Where(path=str(path))) from None
 
 
 def write_table(path: Path, transmission: Transmission) -> None:
@@ -83,12 +84,10 @@ def write_table(path: Path, transmission: Transmission) -> None:
         force=meta.force,
     )
     text = yaml.safe_dump(mapping.model_dump(mode="json", exclude_none=True, exclude={"units"}), sort_keys=False)
-    try:
-        columns = pa.table(table).replace_schema_metadata({META_KEY: meta.model_dump_json().encode()})
-        pq.write_table(columns, path)
-        path.with_name(MAP).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise _unwritten(path, error) from None
+    columns = pa.table(table).replace_schema_metadata({META_KEY: meta.model_dump_json().encode()})
+    with replacing(path, "table") as draft:
+        pq.write_table(columns, draft)
+    write_text(path.with_name(MAP), text, "map")
 
 
 def _columns(script: Script) -> dict[str, tuple[str, ...]]:
@@ -128,13 +127,5 @@ def write_truth(path: Path, transmission: Transmission) -> None:
         "meta": np.array(script.meta.model_dump_json()),
     }
     arrays |= {f"unwired_{name}": block[index] for name, block in script.unwired_channels.items()}
-    try:
-        with path.open("wb") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
-    except OSError as error:
-        raise _unwritten(path, error) from None
-
-
-def _unwritten(path: Path, error: OSError) -> SetupError:
-    """Return the error of a file that cannot be written."""
-    return SetupError("the file cannot be written", found=error.strerror, where=Where(path=str(path)))
+    with replacing(path, "truth") as draft, draft.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)

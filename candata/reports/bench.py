@@ -7,10 +7,10 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from candata.datasets.writing import write_text
 from candata.reports.chart import Axis, chart, dots, line
 from candata.reports.document import render_page
 from candata.reports.heat import confusion
-from candata.reports.writing import write_text
 from candata.schema.bench import BenchFile, Bin, Row
 
 #: Last column of the table by whether a target is met; None when there is no target.

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from candata.datasets.writing import write_text
 from candata.reports import courses
 from candata.reports.document import render_page
 from candata.reports.numbers import digits, percent
-from candata.reports.writing import write_text
 from candata.training.results import Contact, Evaluation, Gain, Scores, Success, Track
 
 DASH = "\N{EN DASH}"

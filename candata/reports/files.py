@@ -6,11 +6,11 @@ from pathlib import Path
 
 import yaml
 
+from candata.datasets.writing import write_text
 from candata.gap import Diagnosis
 from candata.gap.proposal import MOTION_FILE
 from candata.policies import write_motions
 from candata.reports.page import write_report
-from candata.reports.writing import write_text
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import mujoco
 from markupsafe import Markup
 
+from candata.datasets.writing import write_text
 from candata.gap.evidence import Evidence, Example
 from candata.reports import advice, exhibits, figures, heat, tables, words
 from candata.reports.document import render_page
 from candata.reports.filmstrip import filmstrip
 from candata.reports.numbers import percent
-from candata.reports.writing import write_text
 from candata.schema.report import Report
 
 #: Colour of the headline for each verdict, a name in `templates/style.css.j2`.

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.datasets.writing import replacing
 from candata.reports import camera as cameras
 from candata.reports import offscreen, png, rays
 from candata.reports.png import Image
@@ -98,7 +99,8 @@ def render_png(model: mujoco.MjModel, qpos: Array | None, path: Path, width: int
     if qpos is None:
         qpos = model.key_qpos[0] if model.nkey else model.qpos0
     picture = render_frames(model, qpos, None, width, height)
-    Path(path).write_bytes(png.encode(picture.frames[0]))
+    with replacing(path, "picture") as draft:
+        draft.write_bytes(png.encode(picture.frames[0]))
     return picture.library is not None
 
 

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from candata.datasets import Dataset, get_cloud
 from candata.datasets.elements import fingertip_labels, joint_labels
 from candata.datasets.summary import touches
+from candata.datasets.writing import replacing
 from candata.errors import MissingExtraError, SetupError
 from candata.plugins import names
 from candata.reports.posed import PosedRows, ScenePoser, poser, shown_geoms
 from candata.reports.rerun_shapes import shape, xyzw
 from candata.reports.traces import command_joints, masked
-from candata.reports.writing import replacing
 from candata.scenes import Scene, load_scene
 from candata.scenes.assemble import LIBRARY
 from candata.schema.episode import Episode

@@ -10,8 +10,8 @@ from textwrap import shorten
 
 from candata.checks import LEVELS, Finding, Group, Level, grouped, meanings
 from candata.datasets import Dataset
+from candata.datasets.writing import write_text
 from candata.reports.document import render_page
-from candata.reports.writing import write_text
 
 #: Level to its colour in `templates/style.css.j2`.
 TONES = {"error": "bad", "warning": "part", "info": "accent", "unknown": "none"}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from candata.datasets.writing import write_text
 from candata.errors import SceneError, UsageError, Where
 from candata.scenes.assemble import Scene, assemble
 from candata.scenes.model_file import compiled, read_model
@@ -47,8 +48,7 @@ def write_draft(model: Path, out: Path) -> tuple[Scene, Proposal]:
         )
     text = scene_text(proposal, _from(out, model))
     scene = assemble(str(out), SceneFile.parse(parse_yaml(text), out), read_model(model))
-    out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text, "scene")
     return scene, proposal
 
 

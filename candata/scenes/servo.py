@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from candata.datasets.writing import write_text
 from candata.errors import DataError, UsageError, Where
 from candata.scenes.first_load import vouch
 from candata.schema.episode import Episode
@@ -95,9 +96,8 @@ def write_servo_scene(
     target = folder / "scene.yaml"
     if target.exists():
         raise UsageError("a scene stands there", where=Where(path=str(target)), fix="choose another --out")
-    folder.mkdir(parents=True, exist_ok=True)
     model = servo_model(names, ranges, rate_hz, natural_hz or NATURAL_SHARE * rate_hz)
-    (folder / "scene.xml").write_text(model, encoding="utf-8")
+    write_text(folder / "scene.xml", model, "model")
     vouch(folder / "scene.xml")
     file = SceneFile(
         model="scene.xml",
@@ -106,8 +106,9 @@ def write_servo_scene(
         actuators=tuple(names),
         noise=Noise(joint_position=noise) if noise else None,
     )
-    target.write_text(yaml.safe_dump(file.model_dump(mode="json", exclude_defaults=True), sort_keys=False))
-    return target
+    return write_text(
+        target, yaml.safe_dump(file.model_dump(mode="json", exclude_defaults=True), sort_keys=False), "scene"
+    )
 
 
 def _check(names: Sequence[str], ranges: Array) -> None:

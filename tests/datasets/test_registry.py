@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 
@@ -143,3 +144,20 @@ def test_processes_that_change_it_at_once_lose_nothing(tmp_path):
     assert sorted(read_registry().remotes) == sorted(f"{name}{i}" for name in "abc" for i in range(20))
     assert json.loads(registry_path().read_text())["registry_version"] == 1
     assert [p.name for p in registry_path().parent.iterdir() if p.name.startswith(".")] == []
+
+
+def test_ctrl_c_leaves_no_draft_of_the_registry(dataset, tmp_path, monkeypatch):
+    root, file = dataset("ds"), tmp_path / "names" / "registry.json"
+    monkeypatch.setenv("CANDATA_REGISTRY", str(file))
+    add_dataset("first", root)
+    before = file.read_bytes()
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as during:
+        during.setattr(os, "replace", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            add_dataset("second", root)
+    assert file.read_bytes() == before
+    assert {path.name for path in file.parent.iterdir()} == {"registry.json", "registry.json.lock"}

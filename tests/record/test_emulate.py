@@ -401,9 +401,10 @@ def test_a_table_of_another_kind_is_refused(script, tmp_path):
 
 def test_a_table_that_cannot_be_written_is_said(whole, tmp_path):
     (tmp_path / "file").write_text("")
-    for name in ("file", "missing"):
-        with pytest.raises(SetupError, match="the file cannot be written"):
-            files.write_table(tmp_path / name / "poses.parquet", whole[0])
+    with pytest.raises(SetupError, match="the table cannot be written"):
+        files.write_table(tmp_path / "file" / "poses.parquet", whole[0])
+    with pytest.raises(SetupError, match="the truth cannot be written"):
+        files.write_truth(tmp_path / "file" / "truth.npz", whole[0])
     with pytest.raises(SetupError, match="the file cannot be written"):
         files.prepare(tmp_path / "file" / "truth.npz")
 

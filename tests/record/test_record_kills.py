@@ -15,9 +15,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from candata.datasets import open_dataset
 from candata.errors import DataError
 from candata.record.logs import read_log
 from candata.record.recover import recover
+from tests.cli.command import run
 
 pytestmark = pytest.mark.hard
 
@@ -25,8 +27,20 @@ pytestmark = pytest.mark.hard
 LOST_S = 1.0
 
 
-def start(*words: object, stdout: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+#: Python reads this first: the wall clock is set back by an hour once the log `{log}` has grown.
+SET_BACK = """
+import os, time
+seconds, nanoseconds = time.time, time.time_ns
+late_s = lambda: 3600 * (os.path.exists({log!r}) and os.path.getsize({log!r}) > 60_000)
+time.time = lambda: seconds() - late_s()
+time.time_ns = lambda: nanoseconds() - late_s() * 10**9
+"""
+
+
+def start(*words: object, stdout: int = subprocess.DEVNULL, first: Path | None = None) -> subprocess.Popen[str]:
+    """Start a command; Python looks for its modules in the folder `first` before all others."""
+    path = [str(first)] if first else []
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, *sys.path])}
     command = [sys.executable, "-m", "candata_cli.main", *map(str, words)]
     return subprocess.Popen(command, stdout=stdout, stderr=subprocess.DEVNULL, text=True, env=env)
 
@@ -135,3 +149,22 @@ def test_a_hand_that_is_killed_leaves_a_log_that_says_so(tmp_path):
     assert len(facts["unplugs"]) == 1
     whole = read_log(log)
     assert (whole.torn, len(whole.state_time_ns)) == (False, facts["rows"])
+
+
+def test_a_clock_that_is_set_back_while_it_records_moves_no_row(tmp_path):
+    log = tmp_path / "log.mcap"
+    (tmp_path / "python").mkdir()
+    (tmp_path / "python" / "sitecustomize.py").write_text(SET_BACK.format(log=str(log)))
+    words = ("record-real", "--port", tmp_path / "hand", "--out", log, "--no-calibrate", "--plain", "--duration", 6)
+    with emulated(tmp_path), start(*words, first=tmp_path / "python") as recorder:
+        assert recorder.wait(timeout=120) == 0
+    whole = read_log(log)
+    offsets_s = [1e-9 * (s["clock"]["wall_ns"] - s["clock"]["monotonic_ns"]) for s in whole.statistics]
+    assert max(offsets_s) - min(offsets_s) == pytest.approx(3600, abs=1)
+    period_s = np.diff(whole.state_time_ns) * 1e-9
+    assert period_s.min() > 0
+    assert period_s.sum() == pytest.approx(6, abs=1)
+    done = run("import", "log", log, "--uncalibrated", "--out", tmp_path / "set")
+    assert done.code == 0
+    (imported,) = open_dataset(tmp_path / "set")
+    assert imported.time_s[-1] == pytest.approx(period_s.sum(), abs=0.1)

@@ -11,10 +11,10 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.datasets.compare import compare
 from candata.datasets.survey import survey
+from candata.datasets.writing import write_text
 from candata.errors import SetupError
 from candata.reports import comparison, inspection
 from candata.reports.joint_units import readable_unit
-from candata.reports.writing import write_text
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 

@@ -1,12 +1,13 @@
-"""Files of reports: whole or not at all, and an error that a user can act on where they cannot be written."""
+"""Single files: whole or not at all, and an error that a user can act on where they cannot be written."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
+from candata.datasets.drafts import draft_beside
 from candata.errors import SetupError, Where
 
 
@@ -14,16 +15,17 @@ from candata.errors import SetupError, Where
 def replacing(path: Path, what: str = "page") -> Iterator[Path]:
     """Give a draft beside `path`, which takes its place at the end; folders on the way are made.
 
+    Several processes may write the same file at once: the last one's stands, whole.
+
     Raises
     ------
     SetupError
         When `what` cannot be written.
     """
-    draft = path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield draft
-        os.replace(draft, path)
+        with draft_beside(path) as folder:
+            yield folder / path.name
+            os.replace(folder / path.name, path)
     except OSError as error:
         raise SetupError(
             f"the {what} cannot be written",
@@ -31,9 +33,6 @@ def replacing(path: Path, what: str = "page") -> Iterator[Path]:
             where=Where(path=str(path)),
             fix="free space, or name another place",
         ) from None
-    finally:
-        with suppress(OSError):
-            draft.unlink()
 
 
 def write_text(path: Path, text: str, what: str = "page") -> Path:

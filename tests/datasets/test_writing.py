@@ -1,0 +1,44 @@
+"""Single files that several write at once, or that nobody can write."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from candata.datasets.writing import replacing, write_text
+from candata.errors import SetupError
+
+pytestmark = pytest.mark.hard
+
+
+def test_a_file_that_several_write_at_once_is_always_one_of_theirs(tmp_path):
+    path = tmp_path / "deep" / "page.html"
+    texts = {letter * 300_000 for letter in "abcdefgh"}
+    write_text(path, "a" * 300_000)
+    with ThreadPoolExecutor(8) as threads:
+        writing = [threads.submit(write_text, path, text) for text in texts for _ in range(10)]
+        while not all(one.done() for one in writing):
+            assert path.read_text() in texts
+    assert [one.result() for one in writing] == [path] * 80
+    assert [one.name for one in path.parent.iterdir()] == ["page.html"]
+
+
+def test_what_fails_leaves_the_old_file_and_no_draft(tmp_path):
+    path = write_text(tmp_path / "page.html", "old")
+
+    def fail():
+        with replacing(path) as draft:
+            draft.write_text("half")
+            raise OSError(28, "No space left on device")
+
+    with pytest.raises(SetupError, match="the page cannot be written"):
+        fail()
+    assert path.read_text() == "old"
+    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_a_folder_that_is_none_is_said(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SetupError, match="the page cannot be written"):
+        write_text(tmp_path / "file" / "page.html", "new")
