@@ -185,10 +185,10 @@ def split(
 
     from candata.datasets import open_dataset
     from candata.datasets.registry import resolve
-    from candata.loaders.splits import GROUPS, By, make_split, save_split, split_digest
+    from candata.loaders.splits import GROUPS, SplitField, make_split, save_split, split_digest
 
     opened = open_dataset(*resolve(dataset))
-    made = make_split(opened, _shares(shares, GROUPS), seed, cast(By | None, by))
+    made = make_split(opened, _shares(shares, GROUPS), seed, cast(SplitField | None, by))
     path = save_split(opened, made, name)
     counts = {group: len(made.ids(group)) for group in GROUPS}
     if json:

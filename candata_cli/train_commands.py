@@ -279,7 +279,7 @@ def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
 
 def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: bool) -> None:
     """Print what stands now."""
-    from candata.loaders import told
+    from candata.loaders import share_report
 
     given = job.effective(progress.step)
     if json:
@@ -294,5 +294,5 @@ def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: boo
     skipped = f", {progress.skipped} steps skipped: not finite" if progress.skipped else ""
     console.out(f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best}{skipped}")
     if given:
-        console.out(told(given))
+        console.out(share_report(given))
     console.note(f"next: candata evaluate {out} {data}")

@@ -12,7 +12,7 @@ import torch
 from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import SetupError, UnknownNameError, UsageError, Where
-from candata.loaders import Effective, Mixed, Mixture, Normaliser, Split, Windows
+from candata.loaders import Effective, MixedWindows, Mixture, Normaliser, Split, Windows
 from candata.loaders.normaliser import Method
 from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
@@ -117,7 +117,7 @@ def prepare(data: Dataset | Mapping[str, Dataset], ask: Ask, settings: Settings,
     )
 
 
-def _effective(train: Windows | Mixed, run: Run) -> Callable[[int], tuple[Effective, ...]]:
+def _effective(train: Windows | MixedWindows, run: Run) -> Callable[[int], tuple[Effective, ...]]:
     """Return the function from steps to what each source gave by then; nothing without a mixture."""
     if isinstance(train, Windows):
         return lambda steps: ()
@@ -156,7 +156,7 @@ def check_device(device: str) -> None:
         raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
 
 
-def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
+def check_data(kept: Checkpoint, found: Windows | MixedWindows) -> None:
     """Refuse windows of another hand or shape than a checkpoint was made for.
 
     The number of points may differ, also be none where the model reads no clouds; so may fingertips that it reads not.
@@ -175,7 +175,7 @@ def check_data(kept: Checkpoint, found: Windows | Mixed) -> None:
     checkpoint.check_fits(run, facts, kept.path)
 
 
-def _facts(found: Windows | Mixed) -> dict[str, Any]:
+def _facts(found: Windows | MixedWindows) -> dict[str, Any]:
     """Return the fields of a Run that the windows decide."""
     return {
         "joint_names": found.joint_names,
@@ -224,7 +224,7 @@ def _run(
     settings: Settings,
     name: str,
     config: Record,
-    train: Windows | Mixed,
+    train: Windows | MixedWindows,
     begin: Checkpoint | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""

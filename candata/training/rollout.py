@@ -106,7 +106,7 @@ def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
     table, inside = windows.cache.rows, np.arange(1, steps.max() + 1) <= steps[:, None]
     has_contact = "contact" in windows.channels
     return Course(
-        replace(windows, present=begin + start * stride, owner=episodes),
+        replace(windows, present_row=begin + start * stride, owner=episodes),
         episodes,
         steps,
         table["object_pose"][before].astype(np.float64),
@@ -140,8 +140,8 @@ def _starts(
 def at_rows(windows: Windows, chosen: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:
     """Return the windows `step` model steps after the first one of each chosen episode of a course."""
     index = np.searchsorted(windows.owner, chosen)
-    present = windows.present[index] + step * windows.stride[chosen]
-    return replace(windows, present=present, owner=chosen).batch(np.arange(len(chosen)))
+    present = windows.present_row[index] + step * windows.stride[chosen]
+    return replace(windows, present_row=present, owner=chosen).batch(np.arange(len(chosen)))
 
 
 def close_loop(given: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:

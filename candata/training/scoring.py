@@ -234,7 +234,7 @@ def _track(road: Course, errors: Mapping[str, _Errors], model: str, number: int)
     rows = slice(0, count)
     begin = road.observed[number, -1:]
     forecast = errors[model].loop.contact
-    first = (road.windows.present[number] - road.windows.cache.begin[road.episodes[number]]) // road.windows.stride[
+    first = (road.windows.present_row[number] - road.windows.cache.begin[road.episodes[number]]) // road.windows.stride[
         road.episodes[number]
     ]
     return Track(
