@@ -14,7 +14,7 @@ from candata.datasets.dataset import Dataset
 from candata.datasets.distance import DEALS, Drawn, Pool, spread_of
 from candata.datasets.measures import Statistic, measure
 from candata.errors import DataError
-from candata.schema.channels import DENSE, VALID_SUFFIX
+from candata.schema.channels import DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.record import Record
 
 #: Episodes of each dataset that are compared; more are drawn evenly along the sorted ids.
@@ -176,7 +176,7 @@ class _Reader:
         """Take in the episodes; each statistic of each keeps a few numbers."""
         for number, episode in enumerate(self.dataset.episodes(ids)):
             meta = episode.meta
-            self.channels |= {n for n in episode.arrays if not n.endswith(VALID_SUFFIX) and n not in DENSE}
+            self.channels |= {n for n in episode.arrays if not n.endswith(VALID_SUFFIX) and n not in DENSE_CHANNELS}
             self.rates.add(meta.rate_hz)
             for kind, value in (("sources", meta.source), ("scenes", meta.scene)):
                 if value is not None:

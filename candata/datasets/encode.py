@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX, canonical_order
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX, canonical_order
 from candata.schema.episode import Episode, EpisodeMeta
 
 #: Shapes without the time axis, by column: what all episodes of one part share.
@@ -124,7 +124,7 @@ def layout_of(episode: Episode) -> Layout:
 
 def dense_layout(layout: Layout) -> Layout:
     """Return the part of a layout that lies in Zarr stores; a channel without elements lies nowhere."""
-    return {name: shape for name, shape in layout.items() if name in DENSE and 0 not in shape}
+    return {name: shape for name, shape in layout.items() if name in DENSE_CHANNELS and 0 not in shape}
 
 
 def steps_schema(layout: Layout) -> pa.Schema:

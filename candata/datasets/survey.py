@@ -11,7 +11,7 @@ from candata.datasets.dataset import Dataset
 from candata.datasets.elements import Element, columns, elements
 from candata.datasets.histograms import Distribution, Histogram
 from candata.datasets.summary import ANY, Summary, summarise, touches
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 
 #: Different sets of elements (other joints, other fingertips) of one channel that get histograms of their own.
@@ -152,6 +152,8 @@ class _Chosen:
 
 def _light(episode: Episode) -> Episode:
     """Return an episode without its dense channels, which are large and not drawn."""
-    if not any(name.removesuffix(VALID_SUFFIX) in DENSE for name in episode.arrays):
+    if not any(name.removesuffix(VALID_SUFFIX) in DENSE_CHANNELS for name in episode.arrays):
         return episode
-    return Episode(episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE})
+    return Episode(
+        episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE_CHANNELS}
+    )

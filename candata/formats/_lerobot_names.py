@@ -7,7 +7,7 @@ from pathlib import Path
 
 from candata.errors import UsageError, Where
 from candata.formats._features import Feature
-from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS
 from candata.schema.exchange import FeatureMap
 
 STATE, ACTION, PREFIX = "observation.state", "action", "observation."
@@ -33,7 +33,7 @@ def guess(features: Sequence[Feature], path: Path) -> FeatureMap:
     channels: dict[str, str | tuple[str, ...]] = {}
     for channel in CHANNELS:
         own = by_name.get(PREFIX + channel)
-        if channel not in DENSE and own is not None and _fitting(channel, own.width):
+        if channel not in DENSE_CHANNELS and own is not None and _fitting(channel, own.width):
             channels[channel] = own.name
     if ACTION in by_name:
         channels[ACTION] = ACTION

@@ -8,7 +8,7 @@ from pathlib import Path
 from candata.errors import UnknownNameError, UsageError, Where
 from candata.formats._columns import TABLES
 from candata.formats._map_file import read_map_file
-from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS
 from candata.schema.scene import TableMap
 from candata.units import TO_SI, to_si
 
@@ -68,7 +68,7 @@ def check_channels(channels: Iterable[str], where: Where) -> None:
     UsageError
         When one is not known, or there is neither object_pose nor joint_position.
     """
-    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE]
+    known = [name for name in CHANNELS if name != "time_ns" and name not in DENSE_CHANNELS]
     made = list(channels)
     for name in made:
         if name not in known:

@@ -221,7 +221,7 @@ def _aligned(
     return arrays, names
 
 
-def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.Resampled:
+def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.ResampledStream:
     """Return a stream on the rows."""
     role = stream.entry.role
     if role is None and stream.channel == "fingertip_force" and mapping.force == "instant":

@@ -17,7 +17,7 @@ from candata.errors import CandataError, DataError, Where
 from candata.formats import Reading
 from candata.formats._mcap_messages import message
 from candata.formats._mcap_scan import Scan
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode, EpisodeMeta
 
 #: Name of the metadata record, and topics.
@@ -44,7 +44,7 @@ def row_schema(episode: Episode) -> bytes:
     """Return the JSON Schema of a row, with the unit of each channel."""
     properties: dict[str, Any] = {}
     for name, array in episode.arrays.items():
-        if name not in DENSE:
+        if name not in DENSE_CHANNELS:
             properties[name] = _property(name, array)
     return json.dumps({"type": "object", "title": "candata.Row", "properties": properties}).encode()
 
@@ -61,7 +61,7 @@ def _property(name: str, array: NDArray) -> dict[str, Any]:
 
 def rows_json(episode: Episode) -> Iterator[bytes]:
     """Yield each row as JSON; every number is read back as the same bits."""
-    columns = {name: _plain(array) for name, array in episode.arrays.items() if name not in DENSE}
+    columns = {name: _plain(array) for name, array in episode.arrays.items() if name not in DENSE_CHANNELS}
     for k in range(len(episode)):
         yield json.dumps({name: rows[k] for name, rows in columns.items()}, allow_nan=False).encode()
 
@@ -145,7 +145,7 @@ def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
 
 def _column(name: str, shape: list[int], rows: list[dict[str, Any]], dense: list[NDArray[np.int16]]) -> NDArray:
     """Return one column of the episode."""
-    if name in DENSE:
+    if name in DENSE_CHANNELS:
         return np.stack(dense) if math.prod(shape) else np.zeros(shape, np.int16)
     flag = name.endswith(VALID_SUFFIX)
     dtype = np.dtype("bool" if flag else CHANNELS[name].dtype)

@@ -22,7 +22,7 @@ from candata.formats._hdf5_datasets import load, names_in, open_dataset, open_gr
 from candata.formats._map_file import read_map_file
 from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
 from candata.lfs import refuse_pointer
-from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
 
@@ -256,7 +256,7 @@ def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
 
 def _guess(known: Sequence[str], path: Path) -> FeatureMap:
     """Return the map that the datasets' names imply."""
-    channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE}
+    channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE_CHANNELS}
     for channel, name in _ROBOSUITE.items():
         if name in known:
             channels.setdefault(channel, name)

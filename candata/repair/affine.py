@@ -122,7 +122,7 @@ def _places(
     bounds: tuple[float, float],
     names: mujoco.MjModel,
 ) -> list[ParameterTarget] | None:
-    """Return the numbers that one component moves along straight lines; None where there are none that can be written."""
+    """Return the numbers that one component moves along straight lines; None where none can be written."""
     s = effects[effect_number]
     models, values = [], [bounds[0] + share * (bounds[1] - bounds[0]) for share in (0.25, 0.5, 0.8)]
     for value in values:

@@ -12,10 +12,10 @@ from candata.schema.record import Record
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
 ]
-Bound = float | tuple[float, ...] | None
-Bounded = Literal["low", "high", "both"]
+IntervalEnd = float | tuple[float, ...] | None
+KnownEnds = Literal["low", "high", "both"]
 #: Which ends are known, by whether the lower and the higher one are given.
-_ENDS_KNOWN: dict[tuple[bool, bool], Bounded | None] = {
+_ENDS_KNOWN: dict[tuple[bool, bool], KnownEnds | None] = {
     (True, True): "both",
     (True, False): "low",
     (False, True): "high",
@@ -32,9 +32,9 @@ class Estimate(Record):
     """
 
     value: Value
-    low: Bound = None
-    high: Bound = None
-    bounded: Bounded | None = None
+    low: IntervalEnd = None
+    high: IntervalEnd = None
+    bounded: KnownEnds | None = None
     unit: str | None = None
 
     @model_validator(mode="before")
@@ -48,9 +48,9 @@ class Estimate(Record):
     @model_validator(mode="after")
     def _ends_agree(self) -> Self:
         """Refuse a word that contradicts the ends."""
-        expected = _ENDS_KNOWN[self.low is not None, self.high is not None]
-        if self.bounded != expected:
-            raise ValueError(f"bounded is {self.bounded!r}, but low and high say {expected!r}")
+        known_ends = _ENDS_KNOWN[self.low is not None, self.high is not None]
+        if self.bounded != known_ends:
+            raise ValueError(f"bounded is {self.bounded!r}, but low and high say {known_ends!r}")
         return self
 
 

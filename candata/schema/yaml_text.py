@@ -35,22 +35,22 @@ class _Loader(yaml.SafeLoader):
     """
 
     yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in entries if tag in (_NULL, _MERGE)]
-        for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+        character: [(tag, pattern) for tag, pattern in entries if tag in (_NULL, _MERGE)]
+        for character, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are all different."""
         node = super().compose_mapping_node(anchor)
-        first: dict[tuple[str, str], yaml.ScalarNode] = {}
+        first_keys: dict[tuple[str, str], yaml.ScalarNode] = {}
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == _MERGE:
                 continue
-            before = first.setdefault((key.tag, key.value), key)
-            if before is not key:
+            first_key = first_keys.setdefault((key.tag, key.value), key)
+            if first_key is not key:
                 raise yaml.constructor.ConstructorError(
                     f"the key `{key.value}` stands twice, first",
-                    before.start_mark,
+                    first_key.start_mark,
                     "and again: remove one of them",
                     key.start_mark,
                 )
@@ -72,8 +72,8 @@ class _Loader(yaml.SafeLoader):
         return value
 
 
-for _tag, (_pattern, _first) in _WORDS.items():
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
+for _tag, (_pattern, _characters) in _WORDS.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_characters))
 
 
 def parse_yaml(text: str) -> Any:
