@@ -155,9 +155,9 @@ def score(
 
 def _alone(out: Path) -> AbstractContextManager[None]:
     """Refuse a folder in which another run is at work: both would write the same results."""
-    from candata.datasets.durable import alone, ensure_folder
+    from candata.datasets.durable import ensure_folder, exclusive_lock
 
-    return alone(ensure_folder(out), "another gap bench or gap score works in this folder")
+    return exclusive_lock(ensure_folder(out), "another gap bench or gap score works in this folder")
 
 
 @dataclass(frozen=True)

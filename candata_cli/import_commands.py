@@ -321,7 +321,7 @@ def _publish(
     """
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
     from candata.datasets.drafts import draft_beside, place
-    from candata.datasets.versions import members_of, newest
+    from candata.datasets.versions import members_of, newest_version
 
     read: set[str] = set()
 
@@ -332,7 +332,7 @@ def _publish(
         return publish(root, parts, lineage())
 
     adds = append and out.exists()
-    standing = newest(out) if adds else None
+    standing = newest_version(out) if adds else None
     with console.stoppable(lambda: f"{out} is as it was" if adds else console.written(out)):
         if adds:
             version = add(out)

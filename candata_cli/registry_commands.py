@@ -235,14 +235,14 @@ def diff(
             f"not what manifests claim: {names}{f' and {more} more' if more > 0 else ''}; see candata validate"
         )
     if json:
-        console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.equal, **asdict(found)})
+        console.out_json({"a": label_of(one), "b": label_of(two), "equal": found.is_equal, **asdict(found)})
     else:
         for word, ids in (("added", found.added), ("removed", found.removed), ("changed", found.changed)):
             for name in ids:
                 console.out(f"{word:8}{name}")
         counts = f"{len(found.added)} added, {len(found.removed)} removed, {len(found.changed)} changed"
         console.out(f"{counts}, {found.same} the same")
-    if not found.equal:
+    if not found.is_equal:
         raise typer.Exit(1)
 
 
@@ -257,7 +257,7 @@ def filter_episodes(
     Stored splits come along, less what is left out. What is left out of a part still lies in its files and travels
     with a push; `candata compact` drops it.
     """
-    from candata.datasets.filtering import filter_dataset, matching
+    from candata.datasets.filtering import filter_dataset, matching_ids
     from candata.loaders import carry_splits
 
     if out is not None:
@@ -266,7 +266,7 @@ def filter_episodes(
     if out is not None:
         _made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
         return
-    ids = matching(data, where)
+    ids = matching_ids(data, where)
     if json:
         console.out_json({"dataset": data.name, "digest": data.digest, "where": where, "of": len(data), "ids": ids})
         return

@@ -198,7 +198,7 @@ def _hash(file: CacheFile) -> str:
 def _make(dataset: Dataset, shapes: Shapes, clouds: bool, target: Path, progress: Progress) -> Cache:
     """Return the cache at `target`, built in a staging folder and renamed when whole."""
     durable.ensure_folder(target.parent)
-    with durable.staged(target.parent) as folder:
+    with durable.staging_folder(target.parent) as folder:
         draft = folder / target.name
         draft.mkdir()
         file = _write(dataset, shapes, clouds, draft, progress)

@@ -171,5 +171,5 @@ def _part_layout(part: RawPart) -> Shapes:
     try:
         shapes = json.loads((pq.read_schema(path).metadata or {})[LAYOUT_KEY])
     except UNREADABLE as error:
-        raise durable.damaged(path, durable.reason(error)) from None
+        raise durable.damaged_error(path, durable.reason(error)) from None
     return {name: tuple(shape) for name, shape in shapes.items()}

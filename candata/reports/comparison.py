@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from candata.datasets.compare import Compared, Comparison, Row, Side, Spread
-from candata.datasets.distance import Drawn
+from candata.datasets.compare import Comparison, ComparisonResult, ComparisonRow, Side, Spread
+from candata.datasets.distance import Bars
 from candata.reports.chart import Axis, chart, linear
 from candata.reports.distributions import bars
 from candata.reports.document import document
@@ -35,7 +35,7 @@ _MANNER = (
 )  # fmt: skip
 
 
-def page(found: Compared) -> str:
+def page(found: ComparisonResult) -> str:
     """Return the page as text."""
     one = found.comparison
     units = units_of({*one.this.scenes, *one.against.scenes})
@@ -73,7 +73,7 @@ def verdict(found: Comparison) -> str:
     return f"{many} by more than luck would make episodes of one world differ."
 
 
-def row_unit(row: Row, units: Mapping[str, str]) -> str:
+def row_unit(row: ComparisonRow, units: Mapping[str, str]) -> str:
     """Return the unit of a row as people read it."""
     return readable(row.unit, row.element, units)
 
@@ -95,17 +95,17 @@ def _answers(found: Comparison, units: Mapping[str, str]) -> str:
     return f'<dl class="answers">{"".join(cells)}</dl>'
 
 
-def _drawn(found: Compared, units: Mapping[str, str]) -> str:
+def _drawn(found: ComparisonResult, units: Mapping[str, str]) -> str:
     """Return the distributions of the first rows: those that differ, a few in any case."""
     count = max(6, sum(bool(row.differs) for row in found.comparison.rows))
-    chosen = list(zip(found.comparison.rows, found.drawn, strict=True))[: min(count, MOST_DRAWN)]
+    chosen = list(zip(found.comparison.rows, found.bars, strict=True))[: min(count, MOST_DRAWN)]
     cells = "".join(_cell(row, drawn, row_unit(row, units)) for row, drawn in chosen)
     names = [("this", found.comparison.this.label), ("against", found.comparison.against.label)]
     key = "".join(f'<span class="key-{kind}">{escape(name)}</span>' for kind, name in names)
     return f'<p class="sub key">{key}</p><div class="multiples wide">{cells}</div>'
 
 
-def _cell(row: Row, drawn: Drawn, unit: str) -> str:
+def _cell(row: ComparisonRow, drawn: Bars, unit: str) -> str:
     """Return both distributions of a row under its name."""
     title = escape(f"{row.statistic} {row.element}".strip())
     words = f"{digits(row.spreads)} spreads apart" if row.spreads is not None else "always the same"
@@ -135,7 +135,7 @@ def _table(found: Comparison, units: Mapping[str, str]) -> str:
     )
 
 
-def _row(row: Row, units: Mapping[str, str], longest: float) -> str:
+def _row(row: ComparisonRow, units: Mapping[str, str], longest: float) -> str:
     """Return one row of the table."""
     cells = (
         row.statistic, row.element or DASH, row_unit(row, units) or DASH, _spread(row.this), _spread(row.against),

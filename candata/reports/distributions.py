@@ -43,9 +43,9 @@ def _element(one: ChannelDistribution, units: Mapping[str, str]) -> str:
     """Return one histogram under its name."""
     unit = readable(one.element.unit, one.element.name, units)
     title = escape(one.element.name or one.channel)
-    if one.found is None:
+    if one.distribution is None:
         return f"<div><p>{title}</p>{_words('no valid value')}</div>"
-    return f"<div><p>{title}</p>{histogram(one.found, unit, one.element.name or one.channel)}</div>"
+    return f"<div><p>{title}</p>{histogram(one.distribution, unit, one.element.name or one.channel)}</div>"
 
 
 def histogram(found: Distribution, unit: str, label: str) -> str:

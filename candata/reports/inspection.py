@@ -7,7 +7,7 @@ from html import escape
 
 from candata.datasets.elements import JOINT_UNITS
 from candata.datasets.summary import ChannelSummary, Summary
-from candata.datasets.survey import Shown, Survey
+from candata.datasets.survey import ExampleEpisode, Survey
 from candata.reports import space, traces
 from candata.reports.distributions import distributions
 from candata.reports.document import document, figure
@@ -46,7 +46,7 @@ def page(found: Survey, episode: str | None = None) -> str:
             "<h2>Channels</h2>",
             _channels(summary.channels, units),
             _contact(summary),
-            _episodes(found.shown, episode),
+            _episodes(found.examples, episode),
             "<h2>Distributions</h2>",
             f'<p class="sub">Valid values of {_of(summary, episode)}; a bar\'s height is its share of them.</p>',
             distributions(found.distributions, units),
@@ -193,7 +193,7 @@ def _contact(summary: Summary) -> str:
     return f'<h2>Contact</h2><div class="two">{left}{right}</div>'
 
 
-def _episodes(shown: tuple[Shown, ...], episode: str | None) -> str:
+def _episodes(shown: tuple[ExampleEpisode, ...], episode: str | None) -> str:
     """Return the chosen episodes whole, under what they were chosen by."""
     if episode is not None:
         return "".join(_episode(one.episode) for one in shown[:1])
@@ -208,7 +208,7 @@ def _episodes(shown: tuple[Shown, ...], episode: str | None) -> str:
     return f'<h2>Episodes</h2><p class="sub">{rule}</p>{cells}'
 
 
-def _facts(one: Shown) -> str:
+def _facts(one: ExampleEpisode) -> str:
     """Return what an episode is, in one line."""
     meta = one.episode.meta
     said = [meta.source, meta.task, meta.object, f"seed {meta.seed}" if meta.seed is not None else None, meta.outcome]

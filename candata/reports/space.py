@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.datasets.summary import ANY, touches
+from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.reports.chart import linear
 from candata.reports.envelope import turning_rows
 from candata.reports.traces import masked
@@ -37,7 +37,7 @@ def path(episode: Episode) -> str:
     low, high = pose[known, :3].min(axis=0), pose[known, :3].max(axis=0)
     centre, half_m = (low + high) / 2, max(LEAST_HALF_M, 0.55 * float((high - low).max()))
     points = HALF * (pose[:, :3] - centre) / half_m
-    touch = touches(episode).get(ANY, np.zeros(len(episode), bool))
+    touch = touches(episode).get(ANY_FINGERTIP, np.zeros(len(episode), bool))
     rows = turning_rows(points, STRETCHES)
     marks = [
         *_frame(centre, half_m),

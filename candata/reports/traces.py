@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets.elements import actuator_labels, fingertip_labels, joint_labels
-from candata.datasets.summary import ANY, touches
+from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.reports.chart import PLANE, Axis, chart, line, linear
 from candata.reports.envelope import bounds, envelope, runs
 from candata.reports.joint_units import readable
@@ -71,16 +71,16 @@ def forces(episode: Episode) -> str:
 def timeline(episode: Episode) -> str:
     """Return when each fingertip touches, under the phases of the contact; empty where contact is not known."""
     found = touches(episode)
-    if ANY not in found:
+    if ANY_FINGERTIP not in found:
         return ""
-    time_s, tips = episode.time_s, [name for name in found if name != ANY]
+    time_s, tips = episode.time_s, [name for name in found if name != ANY_FINGERTIP]
     rows = ["phase", *(tips or ["any"])]
     x = linear([0.0, _length_s(episode)], 8)
     y = Axis(-0.5, len(rows) - 0.5, tuple((float(len(rows) - 1 - k), name) for k, name in enumerate(rows)))
-    phases = contact_phases(found[ANY], episode.meta.rate_hz)
+    phases = contact_phases(found[ANY_FINGERTIP], episode.meta.rate_hz)
     marks = "".join(_strokes(x, y, time_s, phases == p, len(rows) - 1, f"phase {p}") for p in DRAWN_PHASES)
     for k, name in enumerate(rows[1:]):
-        marks += _strokes(x, y, time_s, found[name if tips else ANY], len(rows) - 2 - k, "touching")
+        marks += _strokes(x, y, time_s, found[name if tips else ANY_FINGERTIP], len(rows) - 2 - k, "touching")
     drawn = chart(x, y, marks, "contact of each fingertip over time", 20 * len(rows), "time [s]")
     return f'{phase_key()}<div class="named">{drawn}</div>'
 
