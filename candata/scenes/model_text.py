@@ -1,4 +1,4 @@
-"""What the text of a model says before MuJoCo reads it: some files crash MuJoCo, others keep it busy for hours."""
+"""Checks on the text of a model before MuJoCo reads it: some files crash MuJoCo, others keep it busy for hours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _XACRO = "{http://www.ros.org/wiki/xacro}"
 def check_text(path: Path) -> None:
     """Return nothing when MuJoCo can be given a model file.
 
-    What is no sound XML, or names files that are not there, is left to MuJoCo to refuse.
+    MuJoCo itself refuses broken XML and names of files that are not there.
 
     Raises
     ------
@@ -37,28 +37,28 @@ def check_text(path: Path) -> None:
     _check_file(path, path.parent, (), 1)
 
 
-def _check_file(path: Path, base: Path, above: tuple[Path, ...], copies: int) -> None:
-    """Check one file and those that it attaches or includes, beside `base`; `above` are the files that led to it."""
-    own = path.resolve()
-    if own in above:
+def _check_file(path: Path, base: Path, ancestors: tuple[Path, ...], copies: int) -> None:
+    """Check one file and those that it attaches or includes, beside `base`; `ancestors` are those that led to it."""
+    real_path = path.resolve()
+    if real_path in ancestors:
         raise SceneError(
             f"model {path.name} attaches itself",
-            found=" -> ".join(p.name for p in (*above[above.index(own) :], own)),
+            found=" -> ".join(p.name for p in (*ancestors[ancestors.index(real_path) :], real_path)),
             where=Where(path=str(path)),
             fix="remove the <model> that names the file it stands in",
         )
     root = _root(path)
-    for node, count in _unfolded(root, copies) if root is not None else ():
+    for node, count in _unfold_copies(root, copies) if root is not None else ():
         if count > MOST_COPIES:
             raise _too_much(path, f"a <{node.tag}> that unfolds to {count:,} copies", f"at most {MOST_COPIES:,}")
-        sides = [_whole(node.get(side)) for side in _SIDES.get(node.tag, ())]
+        sides = [_integer(node.get(side)) for side in _SIDES.get(node.tag, ())]
         if sides and sides[0] * sides[1] > MOST_SAMPLES:
-            found = f"a <{node.tag}> of {sides[0]:,} x {sides[1]:,} samples"
-            raise _too_much(path, found, f"at most {MOST_SAMPLES:,} samples")
+            size_text = f"a <{node.tag}> of {sides[0]:,} x {sides[1]:,} samples"
+            raise _too_much(path, size_text, f"at most {MOST_SAMPLES:,} samples")
         if node.tag in ("model", "include") and (child := base / node.get("file", "")).is_file():
             # MuJoCo finds by itself a file that includes itself.
-            chain = (*above, own) if node.tag == "model" else above
-            if node.tag == "model" or child.resolve() != own:
+            chain = (*ancestors, real_path) if node.tag == "model" else ancestors
+            if node.tag == "model" or child.resolve() != real_path:
                 _check_file(child, child.parent if node.tag == "model" else base, chain, count)
 
 
@@ -99,19 +99,19 @@ def _root(path: Path) -> ElementTree.Element | None:
     return root
 
 
-def _unfolded(root: ElementTree.Element, copies: int) -> Iterator[tuple[ElementTree.Element, int]]:
-    """Yield each element of a model, and of how many copies of it the whole consists."""
-    waiting = [(root, copies)]
-    while waiting:
-        node, count = waiting.pop()
+def _unfold_copies(root: ElementTree.Element, copies: int) -> Iterator[tuple[ElementTree.Element, int]]:
+    """Yield each element of a model, and the number of its copies in the whole."""
+    stack = [(root, copies)]
+    while stack:
+        node, count = stack.pop()
         if node.tag in ("replicate", "composite", "flexcomp"):
             for number in (node.get("count") or "1").split():
-                count *= max(1, _whole(number))
+                count *= max(1, _integer(number))
         yield node, count
-        waiting += [(child, count) for child in node]
+        stack += [(child, count) for child in node]
 
 
-def _whole(text: str | None) -> int:
+def _integer(text: str | None) -> int:
     """Return a whole number of an attribute; 0 where there is none."""
     try:
         return int(float(text or 0))
