@@ -13,11 +13,11 @@ from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
 
-def _silent(line: str) -> None:
+def _ignore_line(line: str) -> None:
     """Say nothing."""
 
 
-def _dropped(points: NDArray) -> None:
+def _ignore_cloud(points: NDArray) -> None:
     """Keep no cloud."""
 
 
@@ -47,8 +47,8 @@ class Reading:
     scene: str | None = None
     object: str | None = None
     task: str | None = None
-    note: Callable[[str], None] = field(default=_silent, compare=False)
-    cloud: Callable[[NDArray], None] = field(default=_dropped, compare=False)
+    note: Callable[[str], None] = field(default=_ignore_line, compare=False)
+    cloud: Callable[[NDArray], None] = field(default=_ignore_cloud, compare=False)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Writing:
     digest: str
     lineage: tuple[Lineage, ...] = ()
     variant: str | None = None
-    note: Callable[[str], None] = field(default=_silent, compare=False)
+    note: Callable[[str], None] = field(default=_ignore_line, compare=False)
     cloud: Callable[[str], NDArray] | None = field(default=None, compare=False)
 
 

@@ -26,16 +26,16 @@ def read_map_file(kind: type[R], path: Path) -> R:
     DataError
         When it is a Git LFS pointer.
     """
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     refuse_pointer(path)
     try:
         value: Any = parse_yaml(_text(path))
     except UnicodeDecodeError:
-        raise UsageError("the map is no text", expected="a YAML file", found="other bytes", where=where) from None
+        raise UsageError("the map is no text", expected="a YAML file", found="other bytes", where=location) from None
     except OSError as error:
-        raise UsageError("the map cannot be read", found=error.strerror, where=where) from None
+        raise UsageError("the map cannot be read", found=error.strerror, where=location) from None
     except yaml.YAMLError as error:
-        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:400], where=where) from None
+        raise UsageError("the map is no YAML", found=" ".join(str(error).split())[:400], where=location) from None
     return kind.parse(value, path)
 
 
