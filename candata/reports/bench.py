@@ -9,7 +9,7 @@ from typing import Any
 
 from candata.reports.document import document, figure, plot, plotly
 from candata.reports.writing import write_text
-from candata.schema.bench import BenchFile, Bin, Row
+from candata.schema.bench import BenchFile, BenchRow, Bin
 
 Spec = dict[str, Any]
 #: What the last column of the table says.
@@ -39,7 +39,7 @@ def write_bench(found: BenchFile, out: Path) -> Path:
 
 def bench_page(found: BenchFile) -> str:
     """Return the page as text; it asks for nothing from elsewhere."""
-    missed = [row for row in found.rows if row.met is False]
+    missed = [row for row in found.rows if row.is_met is False]
     specs: dict[str, Spec] = {}
     parts = [
         f'<header><p class="kicker">Blind check in {escape(found.scene)}: {found.done} of {found.cases} cases</p>'
@@ -55,9 +55,9 @@ def bench_page(found: BenchFile) -> str:
     return document(f"Blind check: {found.scene}", "bad" if missed else "good", "".join(parts), plotly(specs))
 
 
-def _headline(found: BenchFile, missed: Sequence[Row]) -> str:
+def _headline(found: BenchFile, missed: Sequence[BenchRow]) -> str:
     """Return how many targets were met."""
-    judged = sum(row.met is not None for row in found.rows)
+    judged = sum(row.is_met is not None for row in found.rows)
     return f"{judged - len(missed)} of {judged} targets met"
 
 
@@ -119,7 +119,7 @@ def calibration_curve(bins: Sequence[Bin]) -> Spec:
 
 def _cells(found: BenchFile) -> list[tuple[str, ...]]:
     """Return the cells of the table."""
-    return [(r.measure, value_text(r), str(r.n), target_text(r), MARKS[r.met]) for r in found.rows]
+    return [(r.measure, value_text(r), str(r.n), target_text(r), MARKS[r.is_met]) for r in found.rows]
 
 
 def _misses(found: BenchFile) -> list[tuple[str, ...]]:
@@ -139,14 +139,14 @@ def _beside(found: BenchFile) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
     return (f"measure ({methods[0].done} cases)", *(one.method for one in methods)), rows
 
 
-def value_text(row: Row) -> str:
+def value_text(row: BenchRow) -> str:
     """Return a measured value with its unit."""
     if row.value is None:
         return "-"
     return f"{row.value:.1f} {row.unit}" if row.unit else f"{row.value:.3f}"
 
 
-def target_text(row: Row) -> str:
+def target_text(row: BenchRow) -> str:
     """Return the target of a row in words; empty for none."""
     low, high = ("" if v is None else f"{v:g}" for v in (row.low, row.high))
     unit = f" {row.unit}" if row.unit else ""

@@ -12,7 +12,7 @@ from candata.gap.evidence import EpisodeLosses, Range, Trace
 from candata.reports import words
 from candata.reports.chart import Axis, band, chart, dots, line, linear, listing, logarithmic, plane, rule, span
 from candata.reports.numbers import digits, percent
-from candata.schema.report import Estimate, Gap, Ranked, Report
+from candata.schema.report import Estimate, Gap, RankedEffect, Report
 
 #: Candidates drawn in the ranking.
 MOST_RANKED = 12
@@ -50,12 +50,12 @@ def ranking(report: Report) -> str:
     )
 
 
-def shown_candidates(report: Report) -> list[Ranked]:
+def shown_candidates(report: Report) -> list[RankedEffect]:
     """Return the best candidates that were tested, each effect on few of its elements, and those that are named."""
     named = {(effect.name, effect.element) for effect in report.effects}
     tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named]
     met = Counter[str]()
-    first: list[Ranked] = []
+    first: list[RankedEffect] = []
     for one in tested:
         met[one.name] += 1
         if met[one.name] <= MOST_VARIANTS and len(first) < MOST_RANKED:

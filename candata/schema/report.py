@@ -69,7 +69,7 @@ class NamedEffect(Record):
     rivals: tuple[str, ...] = ()
 
 
-class Unknown(Record):
+class UnknownCause(Record):
     """What no effect of the library explains.
 
     `closable` is the share of the gap that a force fitted to it closes on held-out episodes: a bar for any cause.
@@ -84,7 +84,7 @@ class Unknown(Record):
     closable: float | None = None
 
 
-class Ranked(Record):
+class RankedEffect(Record):
     """A candidate with its held-out evidence."""
 
     name: str
@@ -171,7 +171,7 @@ class EpisodeCount(Record):
     held_out: int
 
 
-class DataUsed(Record):
+class DiagnosisData(Record):
     """What the diagnosis saw."""
 
     dataset: str
@@ -191,12 +191,12 @@ class Report(Record):
     ambiguous_class: tuple[str, ...] = Field(
         default=(), validation_alias=AliasChoices("class", "ambiguous_class"), serialization_alias="class"
     )
-    unknown: Unknown | None = None
-    ranking: tuple[Ranked, ...] = ()
+    unknown: UnknownCause | None = None
+    ranking: tuple[RankedEffect, ...] = ()
     gap: Gap | None = None
     where: tuple[Symptom, ...] = ()
     next_motion: NextMotion | None = None
     edit: EditTest | None = None
-    data: DataUsed
+    data: DiagnosisData
     measures: dict[str, dict[str, float]] = {}
     provenance: dict[str, str] = {}

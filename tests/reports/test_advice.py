@@ -6,7 +6,7 @@ import pytest
 
 from candata.effects import effect_names
 from candata.reports import advice
-from candata.schema.report import Estimate, NamedEffect, Ranked
+from candata.schema.report import Estimate, NamedEffect, RankedEffect
 
 
 def named(name: str, element: str | None = None, **values) -> NamedEffect:
@@ -72,7 +72,7 @@ def test_a_long_vector_stays_in_the_file():
 
 def test_what_could_not_be_tested_and_why(make_report):
     report = make_report()
-    dead = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.SILENT)
+    dead = RankedEffect(name="rolling_friction", support=0, held_out_gain=0, reason=advice.SILENT)
     blind = report.data.model_copy(update={"channels": ("joint_position", "object_pose")})
     report = report.model_copy(update={"ranking": (*report.ranking, dead), "data": blind})
     rows = {why: what for what, why in advice.untested(report)}
@@ -85,7 +85,7 @@ def test_what_could_not_be_tested_and_why(make_report):
 def test_what_is_named_is_not_said_to_be_untested(make_report):
     """Beside the others it was tested, though alone it gained little."""
     report = make_report()
-    alone = Ranked(
+    alone = RankedEffect(
         name=report.effects[0].name, support=0, held_out_gain=0, reason="gains little on the episodes looked at"
     )
     for named, said in (((), True), (report.effects, False)):
