@@ -23,7 +23,7 @@ def _ignore_cloud(points: NDArray) -> None:
 
 @dataclass(frozen=True)
 class Reading:
-    """What an import was told beside its source.
+    """The settings of an import beside its source.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Writing:
-    """What an export is told beside the episodes.
+    """The settings of an export beside the episodes.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Writing:
 
 @dataclass(frozen=True)
 class Format:
-    """What a format's file offers.
+    """A format: its name, and how it is read and written.
 
     Attributes
     ----------

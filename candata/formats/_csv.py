@@ -28,7 +28,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text table is written.
+    """The form of a text table.
 
     Attributes
     ----------

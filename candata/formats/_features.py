@@ -38,7 +38,7 @@ class Feature:
 
 @dataclass(frozen=True)
 class Pick:
-    """How one channel is made.
+    """The recipe of one channel.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What maps of all formats share: the map file, the channels that can be made, units."""
+"""The common part of maps of all formats: the map file, the channels that can be made, units."""
 
 from __future__ import annotations
 

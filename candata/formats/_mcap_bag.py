@@ -44,7 +44,7 @@ class Recording:
 
 @dataclass
 class Topic:
-    """What a recording holds of a topic: type, encoding, messages; with samples, log times [ns] and a first message."""
+    """A topic of a recording: type, encoding, messages; with samples, log times [ns] and a first message."""
 
     kind: str
     encoding: str
@@ -76,7 +76,7 @@ class TopicRow:
 
 @dataclass
 class Bag:
-    """What was read: topics, the rows of each wanted reading, and what is wrong with the files, in words."""
+    """Content that was read: topics, the rows of each wanted reading, and what is wrong with the files, in words."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
     rows: list[list[TopicRow]] = field(default_factory=list)

@@ -1,4 +1,4 @@
-"""What a recording holds, as text: a table of its topics, and a map that can be saved and mended."""
+"""The content of a recording as text: a table of its topics, and a map that can be saved and mended."""
 
 from __future__ import annotations
 

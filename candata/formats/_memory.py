@@ -1,4 +1,4 @@
-"""What fits into memory: a header may claim more than any machine holds."""
+"""A check that values fit into memory: a header may claim more than any machine holds."""
 
 from __future__ import annotations
 

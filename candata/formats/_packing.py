@@ -30,7 +30,7 @@ _FIXED_NAMES = {"object_pose": _POSE, "hand_pose": _POSE, "object_velocity": _TW
 
 @dataclass(frozen=True)
 class ColumnSurvey:
-    """What all episodes of an export share.
+    """The columns that all episodes of an export share.
 
     Attributes
     ----------

@@ -13,7 +13,7 @@ from candata.schema.record import Record
 
 
 class Augmentation(Record):
-    """How much noise; all off by default.
+    """Amounts of noise; all off by default.
 
     The paper perturbs poses and commands while it simulates and gives no numbers; here recorded windows are perturbed,
     so that what a disturbance does to the object later is not in them: `candata generate-sim` with effects has it.

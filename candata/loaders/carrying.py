@@ -1,4 +1,4 @@
-"""What becomes of stored splits when a dataset is made of others: each episode stays in its group, or a note says why.
+"""Stored splits carried to a dataset made of others: each episode stays in its group, or a note says why.
 
 A split is a list of episodes by name, drawn once. Drawing it anew over other episodes would put some that trained a
 model into its test. So a subset keeps who was in which group, and several datasets give one split only where all

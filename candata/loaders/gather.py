@@ -18,7 +18,7 @@ Batch = dict[str, Array]
 
 
 class Feed(Protocol):
-    """What gives batches: windows, a mixture of them, or the resident copy of either."""
+    """A source of batches: windows, a mixture of them, or the resident copy of either."""
 
     def batch(self, numbers: ArrayLike) -> Batch:
         """Return the windows with these numbers."""

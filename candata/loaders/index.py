@@ -1,4 +1,4 @@
-"""Which rows windows are made of: strides, present rows, padding; numbers only."""
+"""The rows that windows are made of: strides, present rows, padding; numbers only."""
 
 from __future__ import annotations
 

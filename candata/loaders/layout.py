@@ -1,4 +1,4 @@
-"""How one row of a dataset lies in the cache: all channels of a row side by side, so that a row is one copy."""
+"""The layout of a row in the cache: all channels of a row side by side, so that a row is one copy."""
 
 from __future__ import annotations
 

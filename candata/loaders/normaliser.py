@@ -101,7 +101,7 @@ class Normaliser(Record):
 
 
 class Sample(NamedTuple):
-    """What a normaliser is fitted on.
+    """The rows and poses that a normaliser is fitted on.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which windows a step takes: a pure function of (seed, step, rank), so that resuming is a number."""
+"""The windows that a step takes: a pure function of (seed, step, rank), so that resuming is a number."""
 
 from __future__ import annotations
 

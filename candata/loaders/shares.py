@@ -79,7 +79,7 @@ def _share(name: str, text: str) -> Fraction:
 
 
 class Effective(Record):
-    """What a source really gave by some step.
+    """The windows that a source really gave by some step.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Which element of an MJCF text is which object of the compiled model."""
+"""The elements of an MJCF text that belong to the objects of the compiled model."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Edit:
-    """What changes at one element: attributes set (None: removed), another tag, or text put inside at its start.
+    """The changes at one element: attributes set (None: removed), another tag, or text put inside at its start.
 
     `before_end` puts the text before the end tag instead.
     """

@@ -47,7 +47,7 @@ class Change(Record):
 
 
 class MjcfExport(Record):
-    """What an export wrote.
+    """The result of an export.
 
     `way` is patch (the user's own files, byte by byte the same but for the attributes in `changes`) or whole (the
     model as MuJoCo saves it, with six digits).

@@ -40,7 +40,7 @@ _READING = "modify_residual, with signal_modifier.apply_delay, apply_bias or app
 
 
 class SysidExport(Record):
-    """What an export for mujoco.sysid wrote."""
+    """The result of an export for mujoco.sysid."""
 
     folder: str
     model: str

@@ -78,7 +78,7 @@ class Proposal:
 
     @property
     def open_questions(self) -> tuple[str, ...]:
-        """What a user has to look at first, a line each."""
+        """Lines for people on what to check first."""
         lines = list(self.notes)
         if self.servos:
             lines.append("the model has no actuators: the gains are guessed, fill in those of your drives")

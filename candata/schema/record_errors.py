@@ -1,4 +1,4 @@
-"""What is wrong with a value that makes no record, in the words of whoever wrote the file."""
+"""Errors of a value that makes no record, in the words of whoever wrote the file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class _Fault(NamedTuple):
 
     @property
     def kind(self) -> str:
-        """What pydantic calls it."""
+        """Pydantic's name of the fault."""
         return self.details["type"]
 
 
