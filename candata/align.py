@@ -1,6 +1,6 @@
-"""Streams put on one clock: the one function that resamples, by what a stream means, and a line between two clocks.
+"""Streams put on one clock: the one function that resamples, by the role of a stream, and a line between two clocks.
 
-Nothing is interpolated over a gap. A reading is invented nowhere: every value lies between its neighbours.
+Nothing is interpolated over a gap. No reading is invented: every value lies between its neighbours.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ NEAR_FACTOR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Resampled:
+class ResampledStream:
     """A stream on a grid.
 
     Attributes
@@ -54,7 +54,7 @@ def resample(
     *,
     max_gap_ns: float | None = None,
     quaternion: slice | None = None,
-) -> Resampled:
+) -> ResampledStream:
     """Return what a stream says at the times of a grid.
 
     Parameters
@@ -85,18 +85,20 @@ def resample(
     time, rows = _read_rows(time, rows)
     grid = np.asarray(grid_ns, np.int64)
     if not len(time):
-        nothing = np.zeros(len(grid), bool)
-        return Resampled(_filled(np.zeros((len(grid), *rows.shape[1:]), rows.dtype), nothing), nothing)
+        never_valid = np.zeros(len(grid), bool)
+        return ResampledStream(
+            _mask_invalid(np.zeros((len(grid), *rows.shape[1:]), rows.dtype), never_valid), never_valid
+        )
     limit = MAX_GAP_PERIODS * period_ns(time) if max_gap_ns is None else float(max_gap_ns)
     if role == "state":
-        found, valid = _linear(time, rows, grid, limit, quaternion)
+        result, valid = _linear(time, rows, grid, limit, quaternion)
     elif role == "command":
-        found, valid = _held(time, rows, grid, limit)
+        result, valid = _hold_last(time, rows, grid, limit)
     elif role in _OVER_A_STEP:
-        found, valid = _over_steps(time, rows, grid, limit, role)
+        result, valid = _over_steps(time, rows, grid, limit, role)
     else:
         raise UsageError("unknown role", expected=f"state, command, {', '.join(_OVER_A_STEP)}", found=repr(role))
-    return Resampled(_filled(found, valid), valid)
+    return ResampledStream(_mask_invalid(result, valid), valid)
 
 
 #: What a channel's readings mean; others are states.
@@ -119,7 +121,7 @@ def on_rows(
     max_gap_periods: float = MAX_GAP_PERIODS,
     role: Role | None = None,
     action: Literal["next", "previous"] = "next",
-) -> Resampled:
+) -> ResampledStream:
     """Return a stream at the rows of an episode, each kind of reading where it counts.
 
     A command counts by the middle of the step that it is held over; a reading over a step (force, flag, sample) by the
@@ -180,10 +182,10 @@ def clock_fit(reference_ns: Times, other_ns: Times, method: str) -> Alignment:
     difference = (np.asarray(other_ns, np.int64) - np.asarray(reference_ns, np.int64)).astype(np.float64)
     if not len(difference):
         return Alignment(method=method)
-    elapsed = (reference_ns - reference_ns[0]).astype(np.float64)
-    centred = elapsed - elapsed.mean()
-    spread = float(centred @ centred)
-    slope = float(centred @ (difference - difference.mean())) / spread if spread else 0.0
+    elapsed_ns = (reference_ns - reference_ns[0]).astype(np.float64)
+    centred_ns = elapsed_ns - elapsed_ns.mean()
+    spread = float(centred_ns @ centred_ns)
+    slope = float(centred_ns @ (difference - difference.mean())) / spread if spread else 0.0
     return Alignment(method=method, offset_s=float(np.median(difference)) * 1e-9, drift_ppm=slope * 1e6)
 
 
@@ -191,109 +193,112 @@ def _read_rows(time: Times, rows: NDArray) -> tuple[Times, NDArray]:
     """Return the rows that were read, the last of those with one stamp."""
     if time.shape != rows.shape[:1]:
         raise DataError("a stream has not one stamp a row", expected=f"{len(rows)} stamps", found=str(time.shape))
-    back = np.flatnonzero(np.diff(time) < 0)
-    if len(back):
-        raise DataError("the stamps of a stream run back", found=f"at row {back[0] + 1}", fix="sort the rows by time")
+    backward_steps = np.flatnonzero(np.diff(time) < 0)
+    if len(backward_steps):
+        raise DataError(
+            "the stamps of a stream run back", found=f"at row {backward_steps[0] + 1}", fix="sort the rows by time"
+        )
     keep = np.append(np.diff(time) > 0, True)[: len(time)]
     if rows.dtype.kind == "f":
         keep &= np.isfinite(rows).all(axis=tuple(range(1, rows.ndim)))
     return (time, rows) if keep.all() else (time[keep], rows[keep])
 
 
-def _filled(found: NDArray, valid: NDArray[np.bool_]) -> NDArray:
-    """Return what was found, with NaN where invalid if the type has it."""
-    if found.dtype.kind == "f":
-        found[~valid] = np.nan
-    return found
+def _mask_invalid(values: NDArray, valid: NDArray[np.bool_]) -> NDArray:
+    """Return the values, with NaN where invalid if the type has it."""
+    if values.dtype.kind == "f":
+        values[~valid] = np.nan
+    return values
 
 
 def _neighbours(time: Times, at: Times, limit: float) -> tuple[NDArray, NDArray, NDArray[np.bool_]]:
     """Return the stamps before or at, and after or at, each time, and whether both lie within the limit."""
-    before = np.searchsorted(time, at, side="right") - 1
-    after = np.searchsorted(time, at, side="left")
-    inside = (before >= 0) & (after < len(time))
-    before, after = np.maximum(before, 0), np.minimum(after, len(time) - 1)
-    return before, after, inside & (time[after] - time[before] <= limit)
+    lower = np.searchsorted(time, at, side="right") - 1
+    upper = np.searchsorted(time, at, side="left")
+    is_inside = (lower >= 0) & (upper < len(time))
+    lower, upper = np.maximum(lower, 0), np.minimum(upper, len(time) - 1)
+    return lower, upper, is_inside & (time[upper] - time[lower] <= limit)
 
 
 def _linear(
     time: Times, rows: NDArray, at: Times, limit: float, quaternion: slice | None
 ) -> tuple[NDArray, NDArray[np.bool_]]:
     """Return states between their neighbours."""
-    before, after, valid = _neighbours(time, at, limit)
-    step = np.maximum(time[after] - time[before], 1)
-    share = np.clip((at - time[before]) / step, 0.0, 1.0).reshape(-1, *[1] * (rows.ndim - 1))
-    low, high = rows[before].astype(np.float64), rows[after].astype(np.float64)
+    lower, upper, valid = _neighbours(time, at, limit)
+    step = np.maximum(time[upper] - time[lower], 1)
+    share = np.clip((at - time[lower]) / step, 0.0, 1.0).reshape(-1, *[1] * (rows.ndim - 1))
+    low, high = rows[lower].astype(np.float64), rows[upper].astype(np.float64)
     # The share's complement is exact at both ends, and a constant stays one; clipping undoes the last rounding.
-    found = np.clip((1.0 - share) * low + share * high, np.minimum(low, high), np.maximum(low, high))
+    values = np.clip((1.0 - share) * low + share * high, np.minimum(low, high), np.maximum(low, high))
     if quaternion is not None:
         a, b = low[:, quaternion], high[:, quaternion]
-        turned = rotation.multiply(rotation.exp(share * rotation.difference(b, a)), a)
-        found[:, quaternion] = np.where(share > 0, rotation.normalise(turned), a)
-    return found, valid
+        orientation = rotation.multiply(rotation.exp(share * rotation.difference(b, a)), a)
+        values[:, quaternion] = np.where(share > 0, rotation.normalise(orientation), a)
+    return values, valid
 
 
-def _held(time: Times, rows: NDArray, at: Times, limit: float) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return the last command at or before each time; what follows within the limit need not be there."""
-    before = np.searchsorted(time, at, side="right") - 1
-    known = before >= 0
-    before = np.maximum(before, 0)
-    next_one = np.minimum(before + 1, len(time) - 1)
-    unbroken = time[next_one] - time[before] <= limit
-    return rows[before], known & unbroken & (at - time[before] <= limit)
+def _hold_last(time: Times, rows: NDArray, at: Times, limit: float) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return the last command at or before each time; the stream may end there, within the limit."""
+    index = np.searchsorted(time, at, side="right") - 1
+    is_known = index >= 0
+    index = np.maximum(index, 0)
+    next_one = np.minimum(index + 1, len(time) - 1)
+    unbroken = time[next_one] - time[index] <= limit
+    return rows[index], is_known & unbroken & (at - time[index] <= limit)
 
 
 def _over_steps(time: Times, rows: NDArray, at: Times, limit: float, role: str) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return what the readings of [at[k-1], at[k]) say together; the nearest reading where there is none."""
+    """Return the combined reading over [at[k-1], at[k]); the nearest reading where there is none."""
     step = int(at[1] - at[0]) if len(at) > 1 else int(min(limit, 1e9))
     edges = np.searchsorted(time, np.concatenate([at[:1] - step, at]), side="left")
-    first, stop = edges[:-1], edges[1:]
-    empty = first == stop
-    nearest = _nearest(time, at - step / 2)
-    before, after = np.maximum(first - 1, 0), np.minimum(stop, len(time) - 1)
-    bridged = (first > 0) & (stop < len(time)) & (time[after] - time[before] <= limit)
-    valid = np.where(empty, bridged, True)
-    return _OVER_A_STEP[role](rows, np.where(empty, nearest, first), np.where(empty, nearest + 1, stop)), valid
+    start, stop = edges[:-1], edges[1:]
+    is_empty = start == stop
+    nearest_index = _nearest_index(time, at - step / 2)
+    lower, upper = np.maximum(start - 1, 0), np.minimum(stop, len(time) - 1)
+    is_bridged = (start > 0) & (stop < len(time)) & (time[upper] - time[lower] <= limit)
+    valid = np.where(is_empty, is_bridged, True)
+    start, stop = np.where(is_empty, nearest_index, start), np.where(is_empty, nearest_index + 1, stop)
+    return _OVER_A_STEP[role](rows, start, stop), valid
 
 
-def _nearest(time: Times, at: NDArray) -> NDArray[np.intp]:
+def _nearest_index(time: Times, at: NDArray) -> NDArray[np.intp]:
     """Return the index of the stamp next to each time."""
-    right = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
-    left = right - 1
-    right = np.minimum(right, len(time) - 1)
-    return np.where(at - time[left] <= time[right] - at, left, right)
+    upper = np.clip(np.searchsorted(time, at), 1, max(len(time) - 1, 1))
+    lower = upper - 1
+    upper = np.minimum(upper, len(time) - 1)
+    return np.where(at - time[lower] <= time[upper] - at, lower, upper)
 
 
-def _mean(rows: NDArray, first: NDArray, stop: NDArray) -> NDArray:
+def _mean(rows: NDArray, start: NDArray, stop: NDArray) -> NDArray:
     """Return the mean of `rows[first:stop]`, between the least and the largest of them."""
-    count = (stop - first).reshape(-1, *[1] * (rows.ndim - 1))
+    count = (stop - start).reshape(-1, *[1] * (rows.ndim - 1))
     values = rows.astype(np.float64)
-    total = values[first]
+    total = values[start]
     low, high = total.copy(), total.copy()
-    for k in range(1, int((stop - first).max(initial=1))):
-        more = np.flatnonzero(stop - first > k)
-        row = values[first[more] + k]
-        total[more] += row
-        low[more], high[more] = np.minimum(low[more], row), np.maximum(high[more], row)
+    for k in range(1, int((stop - start).max(initial=1))):
+        step_ids = np.flatnonzero(stop - start > k)
+        row = values[start[step_ids] + k]
+        total[step_ids] += row
+        low[step_ids], high[step_ids] = np.minimum(low[step_ids], row), np.maximum(high[step_ids], row)
     return np.clip(total / count, low, high)
 
 
-def _any(rows: NDArray, first: NDArray, stop: NDArray) -> NDArray:
+def _any_set(rows: NDArray, start: NDArray, stop: NDArray) -> NDArray:
     """Return whether any of `rows[first:stop]` is set."""
     total = np.concatenate([np.zeros((1, *rows.shape[1:]), np.int64), np.cumsum(rows.astype(bool), axis=0)])
-    return total[stop] > total[first]
+    return total[stop] > total[start]
 
 
-def _last(rows: NDArray, first: NDArray, stop: NDArray) -> NDArray:
+def _last_row(rows: NDArray, start: NDArray, stop: NDArray) -> NDArray:
     """Return the last of `rows[first:stop]`."""
     return rows[stop - 1]
 
 
-_OVER_A_STEP = {"measurement": _mean, "sample": _last, "flag": _any}
+_OVER_A_STEP = {"measurement": _mean, "sample": _last_row, "flag": _any_set}
 
 
 def time_factor(ratio: float) -> str:
-    """Return in words by what factor steps of time are off; nothing where it is none of a unit and no whole number.
+    """Return in words by what factor steps of time are off; empty if it is neither a unit's factor nor a whole number.
 
     Parameters
     ----------

@@ -103,26 +103,26 @@ MOST_NAMES = 60
 class UnknownNameError(UsageError):
     """A name that is not known; lists the known ones, or the nearest of many, and proposes one."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str], where: Where | None = None):
+    def __init__(self, kind: str, name: str, known_names: Iterable[str], where: Where | None = None):
         """Write the message from the kind of thing, the name given and the names known."""
-        known = sorted(known)
-        near = difflib.get_close_matches(name, known, n=1)
-        listed = ", ".join(known) or "(none)"
-        if len(known) > MOST_NAMES:
-            some = difflib.get_close_matches(name, known, n=5, cutoff=0.0)
-            listed = f"{len(known):,}, the nearest {', '.join(some)}"
+        known_names = sorted(known_names)
+        matches = difflib.get_close_matches(name, known_names, n=1)
+        names_text = ", ".join(known_names) or "(none)"
+        if len(known_names) > MOST_NAMES:
+            nearest_names = difflib.get_close_matches(name, known_names, n=5, cutoff=0.0)
+            names_text = f"{len(known_names):,}, the nearest {', '.join(nearest_names)}"
         super().__init__(
             f"unknown {kind} {name!r}",
-            expected=f"one of {listed}",
+            expected=f"one of {names_text}",
             found=repr(name),
             where=where,
-            fix=f"did you mean {near[0]!r}?" if near else None,
+            fix=f"did you mean {matches[0]!r}?" if matches else None,
         )
 
 
 class MissingExtraError(SetupError):
     """A package of an optional extra is not installed."""
 
-    def __init__(self, package: str, extra: str):
+    def __init__(self, package: str, extra_name: str):
         """Write the one-line install hint."""
-        super().__init__(f"{package} is not installed", fix=f'pip install "candata[{extra}]"')
+        super().__init__(f"{package} is not installed", fix=f'pip install "candata[{extra_name}]"')

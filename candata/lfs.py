@@ -14,7 +14,7 @@ _LARGEST_BYTES = 1024
 
 
 def refuse_pointer(path: Path) -> None:
-    """Raise where a file is a Git LFS pointer; a path without a file passes, its reader says what is wrong.
+    """Raise if a file is a Git LFS pointer; a path without a file passes, as its reader says what is wrong.
 
     Raises
     ------

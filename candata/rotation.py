@@ -10,23 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: What of a quaternion stands where in the matrix of a product from the left, and its sign.
-_LEFT = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
+#: Index of the component at each place of the matrix of a product from the left, and its sign.
+_LEFT_INDEX = np.array([[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1], [3, 2, 1, 0]])
 _SIGN = np.array([[1.0, -1, -1, -1], [1, 1, -1, 1], [1, 1, 1, -1], [1, -1, 1, 1]])
-#: What turns a unit quaternion into its inverse.
+#: Factors that turn a unit quaternion into its inverse.
 _INVERSE = np.array([1.0, -1.0, -1.0, -1.0])
 
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the product `a b`, `(..., 4)`: first turn by b, then by a."""
-    aw, ax, ay, az = (a[..., i] for i in range(4))
-    bw, bx, by, bz = (b[..., i] for i in range(4))
+    a_w, a_x, a_y, a_z = (a[..., i] for i in range(4))
+    b_w, b_x, b_y, b_z = (b[..., i] for i in range(4))
     return np.stack(
         [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
+            a_w * b_w - a_x * b_x - a_y * b_y - a_z * b_z,
+            a_w * b_x + a_x * b_w + a_y * b_z - a_z * b_y,
+            a_w * b_y - a_x * b_z + a_y * b_w + a_z * b_x,
+            a_w * b_z + a_x * b_y - a_y * b_x + a_z * b_w,
         ],
         axis=-1,
     )
@@ -34,7 +34,7 @@ def multiply(a: Array, b: Array) -> Array:
 
 def product(a: Array, b: Array) -> Array:
     """Return `multiply(a, b)` of few quaternions `(n, 4)` in few calls, of many in twice the time."""
-    return (a[:, _LEFT] * _SIGN * b[:, None]).sum(-1)
+    return (a[:, _LEFT_INDEX] * _SIGN * b[:, None]).sum(-1)
 
 
 def conjugate(q: Array) -> Array:
@@ -70,9 +70,9 @@ def rotate(q: Array, v: Array) -> Array:
 
 def _cross(a: Array, b: Array) -> Array:
     """Return the cross product `(..., 3)`; numpy's own costs several times as much for small arrays."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
+    a_x, a_y, a_z = a[..., 0], a[..., 1], a[..., 2]
+    b_x, b_y, b_z = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], axis=-1)
 
 
 def normalise(q: Array) -> Array:

@@ -39,7 +39,7 @@ TO_SI: dict[str, float] = {
 }
 
 
-def to_si(unit: str, where: Where | None = None) -> float:
+def to_si(unit: str, location: Where | None = None) -> float:
     """Return the factor from `unit` to SI.
 
     Raises
@@ -48,5 +48,5 @@ def to_si(unit: str, where: Where | None = None) -> float:
         When the unit is not in the list.
     """
     if unit not in TO_SI:
-        raise UnknownNameError("unit", unit, TO_SI, where)
+        raise UnknownNameError("unit", unit, TO_SI, location)
     return TO_SI[unit]

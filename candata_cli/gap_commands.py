@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from candata.gap.blind.crew import Crew
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
-    from candata.schema.bench import BenchFile, CaseResult, Filled
+    from candata.schema.bench import BenchFile, CaseResult, FilledSignature
 
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
 BENCH_EXAMPLE = """\b
@@ -155,9 +155,9 @@ def score(
 
 def _with_lock(out: Path) -> AbstractContextManager[None]:
     """Refuse a folder in which another run is at work: both would write the same results."""
-    from candata.datasets.durable import alone, ensure_folder
+    from candata.datasets.durable import ensure_folder, exclusive_lock
 
-    return alone(ensure_folder(out), "another gap bench or gap score works in this folder")
+    return exclusive_lock(ensure_folder(out), "another gap bench or gap score works in this folder")
 
 
 @dataclass(frozen=True)
@@ -214,18 +214,18 @@ def _diagnose_and_score(run: _Run, json: bool) -> None:
     console.note(f"score: {run.out / 'bench.json'}, {page}")
 
 
-def _filled_cache(run: _Run, places: Sequence[Place]) -> list[Filled]:
+def _filled_cache(run: _Run, places: Sequence[Place]) -> list[FilledSignature]:
     """Return what has been simulated into the cache that the cases share, after simulating what they will need."""
     from candata.gap.blind.filling import FILLED, keep_signature, shared_tasks
     from candata.gap.blind.running import CACHE, finished, spread
-    from candata.schema.bench import Filled
+    from candata.schema.bench import FilledSignature
 
     tasks = shared_tasks(places, run.out / CACHE, run.seed)
     if tasks:
         with console.progress("simulating effects for all cases", len(tasks)) as advance:
             for _ in spread(run.out / FILLED, keep_signature, tasks, run.crew, run.until):
                 advance(1)
-    return finished(run.out / FILLED, Filled)
+    return finished(run.out / FILLED, FilledSignature)
 
 
 def _followed_outcomes(run: _Run, places: list[Place], outcomes: list[Outcome]) -> list[Outcome]:

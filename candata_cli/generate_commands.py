@@ -91,11 +91,11 @@ def generate_sim(
 def _kept_text(out: Path) -> str:
     """Return how many episodes a run that was stopped leaves, published or not, as a clause."""
     from candata.datasets import pending_parts
-    from candata.datasets.versions import DATASET, members_of, newest
+    from candata.datasets.versions import DATASET, members_of, newest_version
 
     if not (out / DATASET).exists():
         return "nothing was written"
-    version = newest(out)
+    version = newest_version(out)
     pending_count = sum(len(part.episodes) for part in pending_parts(out))
     return f"{pending_count + (len(members_of(out, version)) if version else 0)} episodes are kept in {out}"
 

@@ -323,7 +323,7 @@ def _publish(
     """
     from candata.datasets import create_dataset, publish, put_cloud, write_parts
     from candata.datasets.drafts import draft_beside, place
-    from candata.datasets.versions import members_of, newest
+    from candata.datasets.versions import members_of, newest_version
 
     read_ids: set[str] = set()
 
@@ -334,7 +334,7 @@ def _publish(
         return publish(root, parts, lineage())
 
     adds = append and out.exists()
-    earlier_version = newest(out) if adds else None
+    earlier_version = newest_version(out) if adds else None
     with console.stoppable(lambda: f"{out} is as it was" if adds else console.written_clause(out)):
         if adds:
             version = add(out)

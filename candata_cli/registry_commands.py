@@ -190,10 +190,10 @@ def split(
 
     from candata.datasets import open_dataset
     from candata.datasets.registry import resolve
-    from candata.loaders.splits import GROUPS, By, make_split, save_split, split_digest
+    from candata.loaders.splits import GROUPS, SplitField, make_split, save_split, split_digest
 
     data = open_dataset(*resolve(dataset))
-    drawn_split = make_split(data, _shares(shares, GROUPS), seed, cast(By | None, by))
+    drawn_split = make_split(data, _shares(shares, GROUPS), seed, cast(SplitField | None, by))
     path = save_split(data, drawn_split, name)
     counts = {group: len(drawn_split.ids(group)) for group in GROUPS}
     if json:
@@ -242,7 +242,7 @@ def diff(
         )
     if json:
         console.out_json(
-            {"a": label_of(first_data), "b": label_of(second_data), "equal": report.equal, **asdict(report)}
+            {"a": label_of(first_data), "b": label_of(second_data), "equal": report.is_equal, **asdict(report)}
         )
     else:
         for word, ids in (("added", report.added), ("removed", report.removed), ("changed", report.changed)):
@@ -250,7 +250,7 @@ def diff(
                 console.out(f"{word:8}{name}")
         counts = f"{len(report.added)} added, {len(report.removed)} removed, {len(report.changed)} changed"
         console.out(f"{counts}, {report.same} the same")
-    if not report.equal:
+    if not report.is_equal:
         raise typer.Exit(1)
 
 
@@ -265,7 +265,7 @@ def filter_episodes(
     Stored splits come along, less what is left out. What is left out of a part still lies in its files and travels
     with a push; `candata compact` drops it.
     """
-    from candata.datasets.filtering import filter_dataset, matching
+    from candata.datasets.filtering import filter_dataset, matching_ids
     from candata.loaders import carry_splits
 
     if out is not None:
@@ -274,7 +274,7 @@ def filter_episodes(
     if out is not None:
         _print_made(out, filter_dataset(data, where, out, carry_splits([data], console.note)), json)
         return
-    ids = matching(data, where)
+    ids = matching_ids(data, where)
     if json:
         console.out_json({"dataset": data.name, "digest": data.digest, "where": where, "of": len(data), "ids": ids})
         return

@@ -10,7 +10,7 @@ import typer
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.repair import Exported, SysidExport
+    from candata.repair import MjcfExport, SysidExport
     from candata.scenes import Scene
     from candata.scenes.roles import JointRole, Roles
     from candata.schema.effect import EffectsFile
@@ -165,7 +165,7 @@ def export(
     note(f"written: {out}")
 
 
-def _export(effects_file: EffectsFile, world: Scene, dataset: Path | None, out: Path) -> Exported | SysidExport:
+def _export(effects_file: EffectsFile, world: Scene, dataset: Path | None, out: Path) -> MjcfExport | SysidExport:
     """Write what was asked for."""
     from candata.datasets import open_dataset
     from candata.repair import export_mjcf, export_sysid
@@ -192,7 +192,7 @@ def _note_other(effects_file: EffectsFile, path: Path, digest: str) -> None:
         note(f"{path.name} was made for another scene: {effects_file.scene}")
 
 
-def _print_export(result: Exported | SysidExport) -> None:
+def _print_export(result: MjcfExport | SysidExport) -> None:
     """Print an export for people."""
     from candata_cli.console import out, out_table
 

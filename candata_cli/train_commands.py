@@ -272,7 +272,7 @@ def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
 
 def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: bool) -> None:
     """Print what stands now."""
-    from candata.loaders import told
+    from candata.loaders import share_report
 
     sources = job.effective(progress.step)
     if json:
@@ -291,5 +291,5 @@ def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: boo
         f"{out}: {job.run.model}, {progress.step} steps in {progress.elapsed_s:.0f} s, {best_text}{skipped_text}"
     )
     if sources:
-        console.out(told(sources))
+        console.out(share_report(sources))
     console.note(f"next: candata evaluate {out} {data}")

@@ -131,7 +131,7 @@ def _of_part(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None)
         for raw in part.group(number, rows):
             if raw.id not in left_out:
                 left_out.add(raw.id)
-                yield View(part.whole(raw) if deep else raw, scene, deep)
+                yield View(part.with_dense(raw) if deep else raw, scene, deep)
 
 
 def _look(view: View, rules: dict[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:

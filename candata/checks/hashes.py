@@ -96,7 +96,7 @@ def _clouds(part: RawPart, rows: list[dict[str, Any]], deep: bool) -> Iterator[F
 def _content(view: View) -> Iterator[Finding]:
     """Yield content that no longer has the hash it was stored with."""
     raw = view.raw
-    if raw.dense and not view.deep:
+    if raw.dense_shapes and not view.deep:
         return  # part of the content was not read
     found = raw.content_hash()
     if found != raw.stored_hash:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from candata.datasets import encode
 from candata.datasets.parts import write_part
-from candata.datasets.versions import index_of, newest, publish, read_dataset_file
+from candata.datasets.versions import index_of, newest_version, publish, read_dataset_file
 from candata.errors import DataError, UsageError, Where
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
 
 def append(path: str | Path, episodes: Iterable[Episode], lineage: Lineage, part_size: int = 16) -> VersionFile:
-    """Return the version that holds what stood there and `episodes`; the current one if they add nothing.
+    """Return the version with the dataset's episodes and `episodes`; the current one if they add nothing.
 
     An episode that stands with the same content is skipped. Episodes are taken one by one; at most
     `part_size` are held. A failure on the way publishes nothing.
@@ -67,34 +67,34 @@ def write_parts(path: str | Path, episodes: Iterable[Episode], operation: str, p
     read_dataset_file(root)
     if part_size < 1:
         raise UsageError("part_size is too small", expected="at least 1", found=str(part_size))
-    current = newest(root)
-    known = index_of(root, current.parts) if current else {}
-    batches = _batches(_unknown(root, episodes, known), part_size)
+    current = newest_version(root)
+    known_hashes = index_of(root, current.parts) if current else {}
+    batches = _batches(_new_episodes(root, episodes, known_hashes), part_size)
     return [write_part(root, batch, {"operation": operation}).id for batch in batches]
 
 
-def _unknown(root: Path, episodes: Iterable[Episode], known: dict[str, str]) -> Iterator[Episode]:
-    """Yield the episodes that are not in `known`, which grows with them."""
+def _new_episodes(root: Path, episodes: Iterable[Episode], known_hashes: dict[str, str]) -> Iterator[Episode]:
+    """Yield the episodes that are not in `known_hashes`, which grows with them."""
     for episode in episodes:
         digest, name = encode.content_hash(episode), episode.meta.id
-        if known.get(name, digest) != digest:
+        if known_hashes.get(name, digest) != digest:
             raise DataError(
                 "an episode with this id but another content is in the dataset",
-                expected=f"content {known[name][:12]}",
+                expected=f"content {known_hashes[name][:12]}",
                 found=f"content {digest[:12]}",
                 where=Where(path=str(root), episode=name),
                 fix="give the new episode another id, or write to another dataset",
             )
-        if name not in known:
-            known[name] = digest
+        if name not in known_hashes:
+            known_hashes[name] = digest
             yield episode
 
 
 def _batches(episodes: Iterable[Episode], size: int) -> Iterator[list[Episode]]:
     """Yield lists of episodes with equal channels; at most `size` episodes are held in all."""
-    held: dict[tuple, list[Episode]] = {}
+    episodes_by_layout: dict[tuple, list[Episode]] = {}
     for episode in episodes:
-        held.setdefault(tuple(encode.layout_of(episode).items()), []).append(episode)
-        if sum(map(len, held.values())) == size:
-            yield held.pop(max(held, key=lambda layout: len(held[layout])))
-    yield from held.values()
+        episodes_by_layout.setdefault(tuple(encode.layout_of(episode).items()), []).append(episode)
+        if sum(map(len, episodes_by_layout.values())) == size:
+            yield episodes_by_layout.pop(max(episodes_by_layout, key=lambda layout: len(episodes_by_layout[layout])))
+    yield from episodes_by_layout.values()

@@ -21,20 +21,20 @@ LIMIT_RATIO = 100
 _VALUE_BYTES = 8
 
 
-def require_bounded(path: Path, unfolded: int, stored: int) -> None:
-    """Return nothing; `stored` bytes of a file do not unfold to more than is read at once.
+def require_bounded(path: Path, unfolded_bytes: int, stored_bytes: int) -> None:
+    """Return nothing; `stored_bytes` of a file do not unfold to more than is read at once.
 
     Raises
     ------
     DataError
         When they do.
     """
-    limit = max(LIMIT_BYTES, LIMIT_RATIO * stored)
-    if unfolded > limit:
+    limit = max(LIMIT_BYTES, LIMIT_RATIO * stored_bytes)
+    if unfolded_bytes > limit:
         raise DataError(
             "a file unfolds to more than is read at once",
-            expected=f"at most {limit / 1e6:.0f} MB of {stored / 1e6:.3g} MB",
-            found=f"{unfolded / 1e6:.0f} MB",
+            expected=f"at most {limit / 1e6:.0f} MB of {stored_bytes / 1e6:.3g} MB",
+            found=f"{unfolded_bytes / 1e6:.0f} MB",
             where=Where(path=str(path)),
             fix="do not trust this file; ask who made it",
         )
@@ -64,9 +64,9 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, group: int | 
     meta = pq.read_metadata(path)
     leaves = [meta.schema.column(i) for i in range(meta.num_columns)]
     claimed = read_chunks(path)
-    stored = path.stat().st_size
+    stored_bytes = path.stat().st_size
     groups = claimed if group is None else claimed[group : group + 1]
-    require_bounded(path, sum(_decoded_bytes(chunks, leaves, columns) for chunks in groups), stored)
+    require_bounded(path, sum(_decoded_bytes(chunks, leaves, columns) for chunks in groups), stored_bytes)
     texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
     names = None if columns is None else list(columns)
     with pq.ParquetFile(path, metadata=meta, read_dictionary=texts) as file:
@@ -74,8 +74,10 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, group: int | 
             table = file.read(names, use_threads=False)
         else:
             table = file.read_row_group(group, names, use_threads=False)
-    require_bounded(path, sum(map(_text_bytes, table.columns)), stored)
-    return table.cast(pa.schema([field.with_type(_plain(field.type)) for field in table.schema], table.schema.metadata))
+    require_bounded(path, sum(map(_text_bytes, table.columns)), stored_bytes)
+    return table.cast(
+        pa.schema([field.with_type(_plain_type(field.type)) for field in table.schema], table.schema.metadata)
+    )
 
 
 def _decoded_bytes(chunks: Sequence[Chunk], leaves: Sequence[pq.ColumnSchema], columns: Sequence[str] | None) -> int:
@@ -88,11 +90,11 @@ def _decoded_bytes(chunks: Sequence[Chunk], leaves: Sequence[pq.ColumnSchema], c
     return total
 
 
-def _plain(kind: pa.DataType) -> pa.DataType:
+def _plain_type(kind: pa.DataType) -> pa.DataType:
     """Return the type of text that stands for itself, in lists too; any other as it is."""
     if pa.types.is_dictionary(kind):
         return kind.value_type
-    return pa.list_(kind.value_field.with_type(_plain(kind.value_type))) if pa.types.is_list(kind) else kind
+    return pa.list_(kind.value_field.with_type(_plain_type(kind.value_type))) if pa.types.is_list(kind) else kind
 
 
 def _text_bytes(column: pa.ChunkedArray) -> int:

@@ -39,17 +39,19 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
     finite = bool(np.isfinite(cloud).all())
     if cloud.ndim != 2 or cloud.shape[1] != 3 or not len(cloud) or not finite:
         raise DataError(
-            "not a point cloud", expected="finite (N, 3), N >= 1", found=f"{cloud.shape}, finite: {finite}",
+            "not a point cloud",
+            expected="finite (N, 3), N >= 1",
+            found=f"{cloud.shape}, finite: {finite}",
             where=Where(path=str(root), channel="point_cloud"),
-        )  # fmt: skip
+        )
     name = cloud_hash(cloud)
     target = cloud_path(root, name)
-    with durable.publishing(root):
+    with durable.publish_lock(root):
         if target.is_file():
             durable.touch(target)
             return name
     durable.ensure_below(root, target.parent)
-    with durable.staged(root) as folder:
+    with durable.staging_folder(root) as folder:
         table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
         pq.write_table(table, folder / target.name, compression="zstd")
         durable.sync(folder / target.name)
@@ -71,9 +73,9 @@ def get_cloud(path: str | Path, sha: str) -> NDArray[np.float32]:
         table = read_parquet(target)
         cloud = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-        raise durable.damaged(target, durable.reason(error)) from None
+        raise durable.damaged_error(target, durable.reason(error)) from None
     if cloud_hash(cloud) != sha:
-        raise durable.damaged(target, f"content {cloud_hash(cloud)[:12]}", f"content {sha[:12]}")
+        raise durable.damaged_error(target, f"content {cloud_hash(cloud)[:12]}", f"content {sha[:12]}")
     return cloud
 
 

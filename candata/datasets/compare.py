@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets.dataset import Dataset
-from candata.datasets.distance import DEALS, Drawn, Pool, spread_of
+from candata.datasets.distance import DEALS, Bars, Pool, spread_of
 from candata.datasets.measures import Statistic, measure
 from candata.errors import DataError
-from candata.schema.channels import DENSE, VALID_SUFFIX
+from candata.schema.channels import DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.record import Record
 
 #: Episodes of each dataset that are compared; more are drawn evenly along the sorted ids.
@@ -51,7 +51,7 @@ class Spread(Record):
     high: float
 
 
-class Row(Record):
+class ComparisonRow(Record):
     """One statistic of one element on both sides.
 
     `distance` is Wasserstein's: how far, on average, values must be moved to turn one distribution into the other, in
@@ -81,17 +81,17 @@ class Comparison(Record):
     this: Side
     against: Side
     step_s: float
-    rows: tuple[Row, ...]
+    rows: tuple[ComparisonRow, ...]
     unmatched: tuple[str, ...]
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparisonResult:
     """A comparison, and the distributions behind its rows, in the same order."""
 
     comparison: Comparison
-    drawn: tuple[Drawn, ...]
+    bars: tuple[Bars, ...]
 
 
 def episodes_compared(dataset: Dataset) -> int:
@@ -99,7 +99,7 @@ def episodes_compared(dataset: Dataset) -> int:
     return min(len(dataset), MOST_EPISODES)
 
 
-def compare(this: Dataset, against: Dataset, progress: Callable[[], None] = lambda: None) -> Compared:
+def compare(dataset: Dataset, reference: Dataset, progress: Callable[[], None] = lambda: None) -> ComparisonResult:
     """Return the statistics of two datasets side by side.
 
     Positions are differenced over the longer of the two control periods, so that both sides see the same
@@ -107,7 +107,7 @@ def compare(this: Dataset, against: Dataset, progress: Callable[[], None] = lamb
 
     Parameters
     ----------
-    this, against : Dataset
+    dataset, reference : Dataset
         At most 400 episodes of each are read.
     progress : callable
         Called after each episode.
@@ -117,37 +117,43 @@ def compare(this: Dataset, against: Dataset, progress: Callable[[], None] = lamb
     DataError
         When a part is damaged, or the two have no statistic in common.
     """
-    sides = (_chosen(this), _chosen(against))
-    step_s = max(1 / _least_rate(d, ids) for d, ids in zip((this, against), sides, strict=True))
-    readers = [_Reader(d, step_s, label) for d, label in zip((this, against), _labels(this, against), strict=True)]
+    sides = (_compared_ids(dataset), _compared_ids(reference))
+    step_s = max(1 / _least_rate(d, ids) for d, ids in zip((dataset, reference), sides, strict=True))
+    readers = [
+        _Reader(d, step_s, label) for d, label in zip((dataset, reference), _labels(dataset, reference), strict=True)
+    ]
     for reader, ids in zip(readers, sides, strict=True):
         reader.read(ids, progress)
-    both = sorted(set(readers[0].found) & set(readers[1].found))
-    if not both:
+    shared_keys = sorted(set(readers[0].found) & set(readers[1].found))
+    if not shared_keys:
         raise DataError(
             "the two datasets have nothing in common to compare",
             expected="an object, or joints or fingertips of the same names, in both",
             found=f"{_channels(readers[0])} beside {_channels(readers[1])}",
-        )  # fmt: skip
+        )
     sizes = (len(sides[0]), len(sides[1]))
-    pools = [Pool.of(readers[0].found[key], readers[1].found[key], *sizes) for key in both]
-    rows, drawn = _rows(both, pools, *sizes)
+    pools = [Pool.of(readers[0].found[key], readers[1].found[key], *sizes) for key in shared_keys]
+    rows, bars = _rows(shared_keys, pools, *sizes)
     order = sorted(range(len(rows)), key=lambda i: (not rows[i].differs, -(rows[i].spreads or 0.0)))
     comparison = Comparison(
-        this=readers[0].side(), against=readers[1].side(), step_s=step_s, rows=tuple(rows[i] for i in order),
-        unmatched=tuple(_unmatched(*readers)), notes=tuple(_notes(readers)),
-    )  # fmt: skip
-    return Compared(comparison, tuple(drawn[i] for i in order))
+        this=readers[0].side(),
+        against=readers[1].side(),
+        step_s=step_s,
+        rows=tuple(rows[i] for i in order),
+        unmatched=tuple(_unmatched_lines(*readers)),
+        notes=tuple(_notes(readers)),
+    )
+    return ComparisonResult(comparison, tuple(bars[i] for i in order))
 
 
-def _labels(this: Dataset, against: Dataset) -> tuple[str, str]:
+def _labels(dataset: Dataset, reference: Dataset) -> tuple[str, str]:
     """Return what to call the two: their names, told apart where they have the same."""
-    if this.name != against.name:
-        return this.name, against.name
-    return f"{this.name} (this)", f"{against.name} (against)"
+    if dataset.name != reference.name:
+        return dataset.name, reference.name
+    return f"{dataset.name} (this)", f"{reference.name} (against)"
 
 
-def _chosen(dataset: Dataset) -> list[str]:
+def _compared_ids(dataset: Dataset) -> list[str]:
     """Return the ids that are compared: all, or evenly spaced ones."""
     places = np.unique(np.linspace(0, len(dataset) - 1, episodes_compared(dataset)).round().astype(int))
     return [dataset.ids[i] for i in places]
@@ -176,7 +182,7 @@ class _Reader:
         """Take in the episodes; each statistic of each keeps a few numbers."""
         for number, episode in enumerate(self.dataset.episodes(ids)):
             meta = episode.meta
-            self.channels |= {n for n in episode.arrays if not n.endswith(VALID_SUFFIX) and n not in DENSE}
+            self.channels |= {n for n in episode.arrays if not n.endswith(VALID_SUFFIX) and n not in DENSE_CHANNELS}
             self.rates.add(meta.rate_hz)
             for kind, value in (("sources", meta.source), ("scenes", meta.scene)):
                 if value is not None:
@@ -191,49 +197,70 @@ class _Reader:
         """Return what was read."""
         d = self.dataset
         return Side(
-            label=self.label, name=d.name, digest=d.digest, version=d.version, episodes=len(d),
-            compared=self.episodes, rows=self.rows, duration_s=self.duration_s,
-            sources=self.counts["sources"], scenes=self.counts["scenes"], rates_hz=tuple(sorted(self.rates)),
-        )  # fmt: skip
+            label=self.label,
+            name=d.name,
+            digest=d.digest,
+            version=d.version,
+            episodes=len(d),
+            compared=self.episodes,
+            rows=self.rows,
+            duration_s=self.duration_s,
+            sources=self.counts["sources"],
+            scenes=self.counts["scenes"],
+            rates_hz=tuple(sorted(self.rates)),
+        )
 
 
-def _rows(keys: list[Statistic], pools: list[Pool], first: int, second: int) -> tuple[list[Row], list[Drawn]]:
+def _rows(
+    keys: list[Statistic], pools: list[Pool], first_count: int, second_count: int
+) -> tuple[list[ComparisonRow], list[Bars]]:
     """Return the rows and what is drawn of them; all are dealt the same way at the same time."""
     rng = np.random.default_rng(0)  # the same page for the same data
-    enough = math.comb(first + second, first) >= LEAST_WAYS
-    deals = np.stack([rng.permutation(first + second) < first for _ in range(DEALS)]) if enough else None
-    true = np.arange(first + second) < first
+    is_testable = math.comb(first_count + second_count, first_count) >= LEAST_WAYS
+    deals = (
+        np.stack([rng.permutation(first_count + second_count) < first_count for _ in range(DEALS)])
+        if is_testable
+        else None
+    )
+    true = np.arange(first_count + second_count) < first_count
     distances = [pool.distance(true[None])[0] for pool in pools]
     lucks = [np.zeros(0) if deals is None else pool.distance(deals) for pool in pools]
-    beyond = _beyond(np.array(distances), lucks) if enough else [None] * len(keys)
-    rows, drawn = [], []
-    for key, pool, distance, luck, differs in zip(keys, pools, distances, lucks, beyond, strict=True):
+    differs_by_row = _differs_beyond_luck(np.array(distances), lucks) if is_testable else [None] * len(keys)
+    rows, bars = [], []
+    for key, pool, distance, luck, differs in zip(keys, pools, distances, lucks, differs_by_row, strict=True):
         spread = pool.spread(true)
         sides = [Spread(**vars(spread_of(pool, side))) for side in (true, ~true)]
-        known = luck[np.isfinite(luck)]
+        finite_luck = luck[np.isfinite(luck)]
         rows.append(
-            Row(
-                group=key.group, statistic=key.name, element=key.element, unit=key.unit, this=sides[0],
-                against=sides[1], distance=float(distance), spreads=float(distance / spread) if spread > 0 else None,
-                luck=float(np.quantile(known, 1 - LEVEL)) if len(known) else None, differs=differs,
+            ComparisonRow(
+                group=key.group,
+                statistic=key.name,
+                element=key.element,
+                unit=key.unit,
+                this=sides[0],
+                against=sides[1],
+                distance=float(distance),
+                spreads=float(distance / spread) if spread > 0 else None,
+                luck=float(np.quantile(finite_luck, 1 - LEVEL)) if len(finite_luck) else None,
+                differs=differs,
             )
-        )  # fmt: skip
-        drawn.append(pool.drawn(true))
-    return rows, drawn
+        )
+        bars.append(pool.bars(true))
+    return rows, bars
 
 
-def _beyond(distances: NDArray[np.float64], lucks: list[NDArray[np.float64]]) -> list[bool | None]:
+def _differs_beyond_luck(distances: NDArray[np.float64], lucks: list[NDArray[np.float64]]) -> list[bool | None]:
     """Return which rows differ by more than luck when all are looked at: the maximum over rows of standard scores.
 
     Source: P. Westfall, S. Young, Resampling-Based Multiple Testing (1993), the single-step maxT procedure.
     """
     table = np.stack(lucks)
     with np.errstate(invalid="ignore", divide="ignore"):
-        middle, width = np.nanmean(table, axis=1), np.nanstd(table, axis=1)
-        scores = np.where(width[:, None] > 0, (table - middle[:, None]) / width[:, None], 0.0)
-        own = np.where(width > 0, (distances - middle) / width, 0.0)
+        mean, width = np.nanmean(table, axis=1), np.nanstd(table, axis=1)
+        scores = np.where(width[:, None] > 0, (table - mean[:, None]) / width[:, None], 0.0)
+        row_scores = np.where(width > 0, (distances - mean) / width, 0.0)
     limit = float(np.quantile(np.nanmax(np.nan_to_num(scores, nan=0.0), axis=0), 1 - LEVEL))
-    return [bool(score > limit) for score in own]
+    return [bool(score > limit) for score in row_scores]
 
 
 def _channels(reader: _Reader) -> str:
@@ -241,30 +268,30 @@ def _channels(reader: _Reader) -> str:
     return ", ".join(sorted(reader.channels - {"time_ns"}))
 
 
-def _unmatched(first: _Reader, second: _Reader) -> Iterable[str]:
+def _unmatched_lines(first_reader: _Reader, second_reader: _Reader) -> Iterable[str]:
     """Yield in words what only one of the two has: channels, then elements of statistics."""
-    for one, other in ((first, second), (second, first)):
-        only = sorted(one.channels - other.channels)
-        if only:
-            yield f"channels only in {one.label}: {', '.join(only)}"
-        lacking: dict[tuple[str, ...], list[str]] = defaultdict(list)
+    for reader, other_reader in ((first_reader, second_reader), (second_reader, first_reader)):
+        channels = sorted(reader.channels - other_reader.channels)
+        if channels:
+            yield f"channels only in {reader.label}: {', '.join(channels)}"
+        statistics_by_elements: dict[tuple[str, ...], list[str]] = defaultdict(list)
         names: dict[str, set[str]] = defaultdict(set)
-        for key in set(one.found) - set(other.found):
+        for key in set(reader.found) - set(other_reader.found):
             names[key.name].add(key.element)
         for name, elements in sorted(names.items()):
-            lacking[tuple(sorted(elements - {""}))].append(name)
-        for listed, statistics in sorted(lacking.items()):
-            of = f" of {', '.join(listed)}" if listed else ""
-            yield f"only in {one.label}: {', '.join(statistics)}{of}"
+            statistics_by_elements[tuple(sorted(elements - {""}))].append(name)
+        for element_names, statistics in sorted(statistics_by_elements.items()):
+            of = f" of {', '.join(element_names)}" if element_names else ""
+            yield f"only in {reader.label}: {', '.join(statistics)}{of}"
 
 
 def _notes(readers: list[_Reader]) -> Iterable[str]:
     """Yield in words how things were measured where the two sides are not alike."""
-    for one in readers:
-        if one.episodes < len(one.dataset):
-            yield f"{one.episodes} of {len(one.dataset)} episodes of {one.label} were read, evenly by id"
-        if "fingertip_force" in one.channels and "fingertip_contact" not in one.channels:
-            yield f"contact of fingertips in {one.label} is derived: |Fx| + |Fy| + |Fz| above 0.3 N"
+    for reader in readers:
+        if reader.episodes < len(reader.dataset):
+            yield f"{reader.episodes} of {len(reader.dataset)} episodes of {reader.label} were read, evenly by id"
+        if "fingertip_force" in reader.channels and "fingertip_contact" not in reader.channels:
+            yield f"contact of fingertips in {reader.label} is derived: |Fx| + |Fy| + |Fz| above 0.3 N"
     if readers[0].rates != readers[1].rates:
         yield (
             f"rates differ: {_rates(readers[0])} beside {_rates(readers[1])}; speeds and accelerations are taken over "

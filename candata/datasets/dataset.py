@@ -26,8 +26,8 @@ from candata.schema.manifest import Lineage, VersionFile
 _GROUPS_HELD = 8
 
 
-class Place(NamedTuple):
-    """Where an episode lies: its part and its position in it."""
+class EpisodePlace(NamedTuple):
+    """The place of an episode: its part and its position in it."""
 
     part: RawPart
     position: int
@@ -51,14 +51,14 @@ class Dataset:
         Name of the dataset.
     file : VersionFile
         The version as published.
-    places : mapping of str to Place
-        Episode id to where it lies.
+    places : mapping of str to EpisodePlace
+        Episode id to its place.
     """
 
     path: Path
     name: str
     file: VersionFile = field(repr=False)
-    places: dict[str, Place] = field(repr=False)
+    places: dict[str, EpisodePlace] = field(repr=False)
 
     @property
     def version(self) -> int:
@@ -100,12 +100,13 @@ class Dataset:
         DataError
             When a part is damaged; names the file.
         """
-        wanted = self.ids if ids is None else tuple(ids)
-        places = [self._place(name) for name in wanted]
+        names = self.ids if ids is None else tuple(ids)
+        places = [self._place(name) for name in names]
         rows = lru_cache(maxsize=_GROUPS_HELD)(RawPart.rows)
-        read = lru_cache(maxsize=_GROUPS_HELD)(lambda part, number: part.group(number, rows(part)))
+        read_group = lru_cache(maxsize=_GROUPS_HELD)(lambda part, number: part.group(number, rows(part)))
         return (
-            _episode(read(place.part, place.group), place, name) for name, place in zip(wanted, places, strict=True)
+            _episode(read_group(place.part, place.group), place, name)
+            for name, place in zip(names, places, strict=True)
         )
 
     def episode(self, id: str) -> Episode:
@@ -142,8 +143,8 @@ class Dataset:
                 group = part.group(number, rows)
                 yield from ((name, _raw(group, self.places[name], name).content_hash()) for name in names)
 
-    def _place(self, name: str) -> Place:
-        """Return where an episode lies."""
+    def _place(self, name: str) -> EpisodePlace:
+        """Return the place of an episode."""
         if name not in self.places:
             raise UnknownNameError("episode", name, self.ids, Where(path=str(self.path)))
         return self.places[name]
@@ -170,10 +171,10 @@ class Dataset:
         DataError
             When a part is damaged; names the file.
         """
-        known = (*encode.EPISODE_COLUMNS.names, "part")
+        known_columns = (*encode.EPISODE_COLUMNS.names, "part")
         for name in columns or ():
-            if name not in known:
-                raise UnknownNameError("column of the catalog", name, known, Where(path=str(self.path)))
+            if name not in known_columns:
+                raise UnknownNameError("column of the catalog", name, known_columns, Where(path=str(self.path)))
         path = catalog_path(self.path, self.digest)
         try:
             if (pq.read_schema(path).metadata or {}).get(_MADE_FROM) == self._parts_key():
@@ -185,9 +186,9 @@ class Dataset:
         return table if columns is None else table.select(list(columns))
 
     def _parts_key(self) -> bytes:
-        """Return what tells the parts and exclusions of this version: equal content may lie in other parts."""
-        told = [*(entry.sha256 for entry in self.file.parts), "", *sorted(self.file.exclusions)]
-        return hashlib.sha256("\n".join(told).encode()).hexdigest().encode()
+        """Return a hash of the parts and exclusions of this version: equal content may lie in other parts."""
+        facts = [*(entry.sha256 for entry in self.file.parts), "", *sorted(self.file.exclusions)]
+        return hashlib.sha256("\n".join(facts).encode()).hexdigest().encode()
 
     def _build_catalog(self) -> pa.Table:
         """Return the catalog from the tables of the parts."""
@@ -196,9 +197,11 @@ class Dataset:
             rows = part.table()
             tables.append(rows.append_column("part", pa.array([part.entry.id] * len(rows), pa.string())))
         table = pa.concat_tables(tables)
-        own = [self.places[i].part.entry.id == p if i in self.places else False
-               for i, p in zip(table["id"].to_pylist(), table["part"].to_pylist(), strict=True)]  # fmt: skip
-        table = table.filter(pa.array(own, pa.bool_()))
+        is_current = [
+            self.places[i].part.entry.id == p if i in self.places else False
+            for i, p in zip(table["id"].to_pylist(), table["part"].to_pylist(), strict=True)
+        ]
+        table = table.filter(pa.array(is_current, pa.bool_()))
         return table.take(pc.sort_indices(table, [("id", "ascending")])).combine_chunks()
 
 
@@ -217,36 +220,36 @@ def _keep(root: Path, path: Path, table: pa.Table) -> None:
     """Store a table that can be made again; a folder that cannot be written is no error."""
     try:
         durable.ensure_below(root, path.parent)
-        with durable.staged(root) as folder:
+        with durable.staging_folder(root) as folder:
             pq.write_table(table, folder / path.name, compression="zstd")
             (folder / path.name).replace(path)
     except (OSError, SetupError):
         return
 
 
-def _raw(group: list[RawEpisode], place: Place, name: str) -> RawEpisode:
+def _raw(group: list[RawEpisode], place: EpisodePlace, name: str) -> RawEpisode:
     """Return an episode of a row group as it lies there, with its dense channels."""
     offset = place.position % EPISODES_PER_ROW_GROUP
     if offset >= len(group) or group[offset].id != name:
-        raise durable.damaged(place.part.folder / STEPS, f"another episode at position {place.position}", name)
-    return place.part.whole(group[offset])
+        raise durable.damaged_error(place.part.folder / STEPS, f"another episode at position {place.position}", name)
+    return place.part.with_dense(group[offset])
 
 
-def _episode(group: list[RawEpisode], place: Place, name: str) -> Episode:
+def _episode(group: list[RawEpisode], place: EpisodePlace, name: str) -> Episode:
     """Return the episode, checked against the hash its part was published with."""
     raw = _raw(group, place, name)
-    found = raw.content_hash()
-    if found != place.content_hash:
-        raise changed(place, name, found)
+    digest = raw.content_hash()
+    if digest != place.content_hash:
+        raise changed_error(place, name, digest)
     return Episode(raw.meta(), raw.arrays)
 
 
-def changed(place: Place, name: str, found: str) -> DataError:
+def changed_error(place: EpisodePlace, name: str, digest: str) -> DataError:
     """Return the error for an episode whose content is not what its part was published with."""
     return DataError(
         "damaged dataset: the content of an episode has changed",
         expected=f"content {place.content_hash[:12]}",
-        found=f"content {found[:12]}",
+        found=f"content {digest[:12]}",
         where=Where(path=str(place.part.folder / STEPS), episode=name),
         fix="restore the file from a copy; candata validate lists everything that is damaged",
     )
@@ -275,26 +278,30 @@ def open_dataset(path: str | Path, version: int | str | None = None, *, partial:
     root = Path(path)
     name = read_dataset_file(root).name
     file = find_version(root, version)
-    places: dict[str, Place] = {}
-    excluded, where, whole = frozenset(file.exclusions), version_path(root, file.number), True
+    places: dict[str, EpisodePlace] = {}
+    excluded_ids, file_path, is_complete = frozenset(file.exclusions), version_path(root, file.number), True
     for part in (RawPart(root, entry) for entry in file.parts):
         try:
             pairs = _intact(part)
         except DataError:
             if not partial:
                 raise
-            whole = False
+            is_complete = False
             continue
         for position, (episode, digest) in enumerate(pairs):
-            standing = places.setdefault(episode, Place(part, position, digest))
-            if standing.content_hash != digest and not partial and episode not in excluded:
-                two = f"{standing.content_hash[:12]} and {digest[:12]} of {episode}"
-                raise durable.damaged(where, f"two contents: {two}", "one")
-    for episode in excluded:
+            earlier_place = places.setdefault(episode, EpisodePlace(part, position, digest))
+            if earlier_place.content_hash != digest and not partial and episode not in excluded_ids:
+                both_hashes = f"{earlier_place.content_hash[:12]} and {digest[:12]} of {episode}"
+                raise durable.damaged_error(file_path, f"two contents: {both_hashes}", "one")
+    for episode in excluded_ids:
         places.pop(episode, None)
-    found = digest_of({episode: place.content_hash for episode, place in places.items()}) if whole else file.digest
-    if found != file.digest:
-        raise durable.damaged(where, f"digest {file.digest[:12]}", f"digest {found[:12]} of its episodes")
+    version_digest = (
+        digest_of({episode: place.content_hash for episode, place in places.items()}) if is_complete else file.digest
+    )
+    if version_digest != file.digest:
+        raise durable.damaged_error(
+            file_path, f"digest {file.digest[:12]}", f"digest {version_digest[:12]} of its episodes"
+        )
     return Dataset(root, name, file, places)
 
 

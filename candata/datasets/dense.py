@@ -21,7 +21,7 @@ from candata.schema.episode import Episode
 #: Source: measured on synthetic episodes with taxels, read per CPU-second and size (design of the storage).
 CHUNK_ROWS, SHARD_ROWS, ZSTD_LEVEL = 75, 3000, 3
 SUFFIX = ".zarr"
-#: Where a chunk lies in its shard, as a shard's index tells; what stands there for none; and the index's check sum.
+#: Entry of a shard's index, its number for a missing chunk, and the bytes of the index's check sum.
 _PLACE, _ABSENT, _CRC_BYTES = np.dtype([("begin", "<u8"), ("length", "<u8")]), 2**64 - 1, 4
 
 
@@ -48,19 +48,23 @@ class Writer:
 
     def add(self, episode: Episode) -> None:
         """Take in one episode; whole shards are written, less than one waits."""
-        waiting = sum(map(len, self._waiting))
+        unwritten_rows = sum(map(len, self._waiting))
         meta = episode.meta
         self._episodes.append(
-            {"id": meta.id, "first_row": self._written + waiting, "rows": len(episode),
-             "newton_per_count": meta.newton_per_count}
-        )  # fmt: skip
+            {
+                "id": meta.id,
+                "first_row": self._written + unwritten_rows,
+                "rows": len(episode),
+                "newton_per_count": meta.newton_per_count,
+            }
+        )
         self._waiting.append(episode[self._channel])
-        if waiting + len(episode) < SHARD_ROWS:
+        if unwritten_rows + len(episode) < SHARD_ROWS:
             return
         rows = np.concatenate(self._waiting) if len(self._waiting) > 1 else self._waiting[0]
-        whole = len(rows) - len(rows) % SHARD_ROWS
-        self._write(rows[:whole])
-        self._waiting = [rows[whole:]]
+        full_rows = len(rows) - len(rows) % SHARD_ROWS
+        self._write(rows[:full_rows])
+        self._waiting = [rows[full_rows:]]
 
     def close(self) -> None:
         """Write what waits and what the store holds, and force all of it to the disk."""
@@ -73,8 +77,8 @@ class Writer:
     def _write(self, rows: NDArray) -> None:
         """Append rows, the store's rows so far being whole shards."""
         self._array.resize((self._written + len(rows), *self._shape))
-        for first in range(0, len(rows), SHARD_ROWS):
-            block = rows[first : first + SHARD_ROWS]
+        for start in range(0, len(rows), SHARD_ROWS):
+            block = rows[start : start + SHARD_ROWS]
             self._array[self._written : self._written + len(block)] = block
             self._written += len(block)
 
@@ -101,47 +105,51 @@ def read(folder: Path, channel: str, rows: slice, shape: tuple[int, ...]) -> NDA
     path = folder / f"{channel}{SUFFIX}"
     try:
         array: Any = zarr.open_array(path, mode="r")
-        found = (array.dtype, array.shape[1:], array.shape[0] >= rows.stop)
-        if found != (np.dtype(CHANNELS[channel].dtype), shape, True):
+        stored_form = (array.dtype, array.shape[1:], array.shape[0] >= rows.stop)
+        if stored_form != (np.dtype(CHANNELS[channel].dtype), shape, True):
             raise ValueError(f"{array.dtype} {array.shape}")
         _require_ours(array)
-        return _decoded(path, array, rows)
+        return _decode_rows(path, array, rows)
     except (MemoryError, DataError):
         raise
     except Exception as error:  # a store's damage surfaces as whatever its codecs raise
-        raise durable.damaged(path, durable.reason(error)) from None
+        raise durable.damaged_error(path, durable.reason(error)) from None
 
 
 def _require_ours(array: Any) -> None:
     """Raise ValueError for a store that is packed in another way than `Writer` packs."""
-    (sharding,) = array.metadata.codecs
-    packing = sharding.to_dict()["configuration"]
-    kinds = [codec["name"] for codec in (*packing["codecs"], *packing["index_codecs"])]
-    endian = {codec["configuration"]["endian"] for codec in (packing["codecs"][0], packing["index_codecs"][0])}
-    plain = (kinds, endian, packing["index_location"], array.fill_value, array.shards[1:], array.chunks[1:])
-    if plain != (["bytes", "zstd", "bytes", "crc32c"], {"little"}, "end", 0, array.shape[1:], array.shape[1:]):
+    (shard_codec,) = array.metadata.codecs
+    shard_options = shard_codec.to_dict()["configuration"]
+    kinds = [codec["name"] for codec in (*shard_options["codecs"], *shard_options["index_codecs"])]
+    endian = {
+        codec["configuration"]["endian"] for codec in (shard_options["codecs"][0], shard_options["index_codecs"][0])
+    }
+    form = (kinds, endian, shard_options["index_location"], array.fill_value, array.shards[1:], array.chunks[1:])
+    if form != (["bytes", "zstd", "bytes", "crc32c"], {"little"}, "end", 0, array.shape[1:], array.shape[1:]):
         raise ValueError(f"packed in another way: {', '.join(kinds)}")
 
 
-def _decoded(path: Path, array: Any, rows: slice) -> NDArray:
+def _decode_rows(path: Path, array: Any, rows: slice) -> NDArray:
     """Return some rows of a store; those of chunks and shards that it lacks are zeros."""
-    kind, (each, *shape), shard_rows = array.dtype.newbyteorder("<"), array.chunks, array.shards[0]
-    chunk_bytes = each * math.prod(shape) * kind.itemsize
+    kind, (chunk_rows, *shape), shard_rows = array.dtype.newbyteorder("<"), array.chunks, array.shards[0]
+    chunk_bytes = chunk_rows * math.prod(shape) * kind.itemsize
     files = {i: path / array.metadata.encode_chunk_key((i, *(0 for _ in shape))) for i in _blocks(rows, shard_rows)}
-    standing = {i: file for i, file in files.items() if file.is_file()}
-    stored = sum(file.stat().st_size for file in standing.values())
-    require_bounded(path, len(_blocks(rows, each)) * chunk_bytes, stored)
-    decoded = np.zeros((rows.stop - rows.start, *shape), kind)
-    for shard, file in standing.items():
-        for number, packed in _packed(file, shard_rows // each, _blocks(rows, each), shard):
-            values = np.frombuffer(pa.Codec("zstd").decompress(packed, chunk_bytes), kind).reshape(each, *shape)
-            first = max(number * each, rows.start)
-            last = min((number + 1) * each, rows.stop)
-            decoded[first - rows.start : last - rows.start] = values[first - number * each : last - number * each]
-    return decoded.astype(array.dtype, copy=False)
+    shards = {i: file for i, file in files.items() if file.is_file()}
+    stored_bytes = sum(file.stat().st_size for file in shards.values())
+    require_bounded(path, len(_blocks(rows, chunk_rows)) * chunk_bytes, stored_bytes)
+    result = np.zeros((rows.stop - rows.start, *shape), kind)
+    for shard, file in shards.items():
+        for number, chunk in _packed_chunks(file, shard_rows // chunk_rows, _blocks(rows, chunk_rows), shard):
+            values = np.frombuffer(pa.Codec("zstd").decompress(chunk, chunk_bytes), kind).reshape(chunk_rows, *shape)
+            first_row = max(number * chunk_rows, rows.start)
+            stop_row = min((number + 1) * chunk_rows, rows.stop)
+            result[first_row - rows.start : stop_row - rows.start] = values[
+                first_row - number * chunk_rows : stop_row - number * chunk_rows
+            ]
+    return result.astype(array.dtype, copy=False)
 
 
-def _packed(file: Path, count: int, wanted: range, shard: int) -> Iterator[tuple[int, bytes]]:
+def _packed_chunks(file: Path, count: int, chunk_numbers: range, shard: int) -> Iterator[tuple[int, bytes]]:
     """Yield number and compressed bytes of the wanted chunks that a shard of `count` holds.
 
     Source: Zarr v3, "Sharding codec": pairs of offset and size (uint64) at the end of the file, then their crc32c;
@@ -152,7 +160,7 @@ def _packed(file: Path, count: int, wanted: range, shard: int) -> Iterator[tuple
         stream.seek(size - count * _PLACE.itemsize - _CRC_BYTES)
         places = np.frombuffer(stream.read(count * _PLACE.itemsize), _PLACE)
         for number, (begin, length) in enumerate(places.tolist(), shard * count):
-            if number not in wanted or begin == length == _ABSENT:
+            if number not in chunk_numbers or begin == length == _ABSENT:
                 continue
             if begin + length > size:
                 raise ValueError(f"a chunk ends at byte {begin + length} of {size}")

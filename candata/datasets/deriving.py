@@ -40,10 +40,10 @@ def new_dataset(out: Path, finish: Finish = nothing_more) -> Iterator[Path]:
     """
     refuse_standing(out)
     with draft_beside(out) as folder:
-        staged = create_dataset(folder / "dataset", name=out.resolve().name)
-        yield staged
-        finish(staged)
-        place(staged, out)
+        root = create_dataset(folder / "dataset", name=out.resolve().name)
+        yield root
+        finish(root)
+        place(root, out)
 
 
 def link_part(part: RawPart, root: Path) -> PartEntry:
@@ -65,7 +65,7 @@ def link_part(part: RawPart, root: Path) -> PartEntry:
     target = part_folder(root, part.entry.id)
     if not target.is_dir():
         durable.ensure_below(root, target.parent)
-        with durable.staged(root) as folder:
+        with durable.staging_folder(root) as folder:
             for name in (MANIFEST, *(file.path for file in manifest.files)):
                 _link(part.folder / name, folder / name)
             durable.sync(folder)
@@ -103,8 +103,8 @@ def clouds_of(dataset: Dataset) -> tuple[str, ...]:
     """
     records = dataset.catalog(["meta"])["meta"].to_pylist()
     # A quote inside a value is escaped, so that this finds keys alone; parsing 100,000 records takes a second.
-    found = {match[1] for text in records if (match := _CLOUD.search(text))}
-    return tuple(sorted(require_hash("a point cloud", one, str(dataset.path)) for one in found))
+    hashes = {match[1] for text in records if (match := _CLOUD.search(text))}
+    return tuple(sorted(require_hash("a point cloud", sha, str(dataset.path)) for sha in hashes))
 
 
 def link_clouds(dataset: Dataset, root: Path) -> None:
@@ -118,7 +118,7 @@ def link_clouds(dataset: Dataset, root: Path) -> None:
     for sha in clouds_of(dataset):
         source, target = cloud_path(dataset.path, sha), cloud_path(root, sha)
         if not source.is_file():
-            raise durable.damaged(source, "no such file")
+            raise durable.damaged_error(source, "no such file")
         if not target.is_file():
             durable.ensure_below(root, target.parent)
             _link(source, target)
@@ -139,9 +139,9 @@ def publish_first(root: Path, entries: Iterable[PartEntry], exclusions: Iterable
         How it came to be.
     """
     parts = tuple(entries)
-    excluded = frozenset(exclusions)
-    index = {name: digest for name, digest in index_of(root, parts).items() if name not in excluded}
+    excluded_ids = frozenset(exclusions)
+    index = {name: digest for name, digest in index_of(root, parts).items() if name not in excluded_ids}
     version = VersionFile(
-        number=1, parts=parts, exclusions=tuple(sorted(excluded)), digest=digest_of(index), lineage=(lineage,)
+        number=1, parts=parts, exclusions=tuple(sorted(excluded_ids)), digest=digest_of(index), lineage=(lineage,)
     )
     return advance(root, lambda base: base or version)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from candata.datasets.dataset import Dataset, Place
+from candata.datasets.dataset import Dataset, EpisodePlace
 
 
 @dataclass(frozen=True)
@@ -26,13 +26,16 @@ class Difference:
     misstated: tuple[str, ...] = ()
 
     @property
-    def equal(self) -> bool:
+    def is_equal(self) -> bool:
         """Whether both hold the same episodes."""
         return not (self.added or self.removed or self.changed)
 
 
 def diff(
-    first: Dataset, second: Dataset, quick: bool = False, progress: Callable[[int], None] = lambda count: None
+    first_version: Dataset,
+    second_version: Dataset,
+    trust_manifests: bool = False,
+    progress: Callable[[int], None] = lambda count: None,
 ) -> Difference:
     """Return what leads from one version to another, of one dataset or two.
 
@@ -40,9 +43,9 @@ def diff(
 
     Parameters
     ----------
-    first, second : Dataset
+    first_version, second_version : Dataset
         The versions.
-    quick : bool
+    trust_manifests : bool
         Believe the hashes that manifests claim; no episode is read.
     progress : callable
         Called with the number of ids just compared.
@@ -52,45 +55,59 @@ def diff(
     DataError
         When a part is damaged.
     """
-    claims = [{name: place.content_hash for name, place in dataset.places.items()} for dataset in (first, second)]
-    if quick:
+    claims = [
+        {name: place.content_hash for name, place in dataset.places.items()}
+        for dataset in (first_version, second_version)
+    ]
+    if trust_manifests:
         return _difference(*claims)
-    doubtful = sorted(apart(first, second))
-    progress(len(first.places.keys() & second.places.keys()) - len(doubtful))
-    misstated: set[str] = set()
-    for dataset, claim, step in zip((first, second), claims, (0, 1), strict=True):
+    doubtful = sorted(ids_to_read(first_version, second_version))
+    progress(len(first_version.places.keys() & second_version.places.keys()) - len(doubtful))
+    misstated_ids: set[str] = set()
+    for dataset, claim, step in zip((first_version, second_version), claims, (0, 1), strict=True):
         for name, digest in dataset.contents(doubtful):
-            misstated |= {name} if digest != claim[name] else set()
+            misstated_ids |= {name} if digest != claim[name] else set()
             claim[name] = digest
             progress(step)
-    found = _difference(*claims)
-    return Difference(found.added, found.removed, found.changed, found.same, tuple(sorted(misstated)))
+    difference = _difference(*claims)
+    return Difference(
+        difference.added, difference.removed, difference.changed, difference.same, tuple(sorted(misstated_ids))
+    )
 
 
-def apart(first: Dataset, second: Dataset) -> set[str]:
+def ids_to_read(first_version: Dataset, second_version: Dataset) -> set[str]:
     """Return the ids of both versions that lie in other files, or elsewhere in them: only reading can compare these."""
     same_files = lru_cache(maxsize=None)(_same_files)
 
-    def shared(one: Place, other: Place) -> bool:
-        return one.position == other.position and same_files(one.part.folder, other.part.folder)
+    def lies_in_same_files(first_place: EpisodePlace, second_place: EpisodePlace) -> bool:
+        return first_place.position == second_place.position and same_files(
+            first_place.part.folder, second_place.part.folder
+        )
 
-    both = first.places.keys() & second.places.keys()
-    return {name for name in both if not shared(first.places[name], second.places[name])}
+    common_ids = first_version.places.keys() & second_version.places.keys()
+    return {
+        name for name in common_ids if not lies_in_same_files(first_version.places[name], second_version.places[name])
+    }
 
 
-def _same_files(one: Path, other: Path) -> bool:
+def _same_files(first_folder: Path, second_folder: Path) -> bool:
     """Tell whether two folders of parts are one, or hold the same files under two names."""
-    held = [{str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()} for folder in (one, other)]
-    return held[0].keys() == held[1].keys() and all(os.path.samefile(p, held[1][name]) for name, p in held[0].items())
+    files_by_folder = [
+        {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file()}
+        for folder in (first_folder, second_folder)
+    ]
+    return files_by_folder[0].keys() == files_by_folder[1].keys() and all(
+        os.path.samefile(p, files_by_folder[1][name]) for name, p in files_by_folder[0].items()
+    )
 
 
-def _difference(first: Mapping[str, str], second: Mapping[str, str]) -> Difference:
+def _difference(first_hashes: Mapping[str, str], second_hashes: Mapping[str, str]) -> Difference:
     """Return what leads from one mapping of id to content hash to another."""
-    both = first.keys() & second.keys()
-    changed = {name for name in both if first[name] != second[name]}
+    common_ids = first_hashes.keys() & second_hashes.keys()
+    changed_ids = {name for name in common_ids if first_hashes[name] != second_hashes[name]}
     return Difference(
-        added=tuple(sorted(second.keys() - both)),
-        removed=tuple(sorted(first.keys() - both)),
-        changed=tuple(sorted(changed)),
-        same=len(both) - len(changed),
+        added=tuple(sorted(second_hashes.keys() - common_ids)),
+        removed=tuple(sorted(first_hashes.keys() - common_ids)),
+        changed=tuple(sorted(changed_ids)),
+        same=len(common_ids) - len(changed_ids),
     )

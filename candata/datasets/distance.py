@@ -21,7 +21,7 @@ FEWEST_BARS, BARS, SAMPLES_A_BAR = 8, 32, 5
 
 
 @dataclass(frozen=True)
-class Middle:
+class GroupSpread:
     """Samples, episodes that had any, median and the middle 90 %."""
 
     samples: int
@@ -32,7 +32,7 @@ class Middle:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class Bars:
     """Edges `(B + 1,)` of bars and the share of each group's samples in them, `(B,)`; the tails are left out."""
 
     edges: Array
@@ -48,14 +48,14 @@ class Pool:
     ----------
     edges : (G,) float64
         Values at which distributions are compared.
-    below : (N, G) float64
-        Of each episode, its samples up to each edge.
+    cumulative : (N, G) float64
+        Samples of each episode up to each edge.
     counts : (N,) float64
         Samples of each episode.
     """
 
     edges: Array
-    below: Array
+    cumulative: Array
     counts: Array
 
     @staticmethod
@@ -71,27 +71,27 @@ class Pool:
     @classmethod
     def of(
         cls,
-        first: Sequence[tuple[int, int, NDArray[np.float32]]],
-        second: Sequence[tuple[int, int, NDArray[np.float32]]],
+        first_group: Sequence[tuple[int, int, NDArray[np.float32]]],
+        second_group: Sequence[tuple[int, int, NDArray[np.float32]]],
         first_size: int,
         second_size: int,
     ) -> Pool:
         """Return the pool of two groups given as (episode's number, samples, sketch)."""
-        entries = [*first, *((number + first_size, count, atoms) for number, count, atoms in second)]
+        entries = [*first_group, *((number + first_size, count, atoms) for number, count, atoms in second_group)]
         values = np.concatenate([atoms for _, _, atoms in entries]).astype(float)
         owner = np.concatenate([np.full(len(atoms), number) for number, _, atoms in entries])
         weight = np.concatenate([np.full(len(atoms), count / len(atoms)) for _, count, atoms in entries])
         unique = np.unique(values)
         edges = unique if len(unique) <= EDGES else np.unique(np.quantile(values, np.linspace(0, 1, EDGES)))
-        held = np.zeros((first_size + second_size, len(edges)))
-        np.add.at(held, (owner, np.searchsorted(edges, values)), weight)
-        return cls(edges, np.cumsum(held, axis=1), held.sum(axis=1))
+        histogram = np.zeros((first_size + second_size, len(edges)))
+        np.add.at(histogram, (owner, np.searchsorted(edges, values)), weight)
+        return cls(edges, np.cumsum(histogram, axis=1), histogram.sum(axis=1))
 
     def shares(self, deal: Flags) -> Array:
         """Return the cumulative distribution of the episodes dealt to a group, `(K, G)` for deals `(K, N)`."""
         group = deal.astype(float)
         with np.errstate(invalid="ignore", divide="ignore"):
-            return (group @ self.below) / (group @ self.counts)[:, None]
+            return (group @ self.cumulative) / (group @ self.counts)[:, None]
 
     def distance(self, deals: Flags) -> Array:
         """Return Wasserstein's distance between the two groups of each deal `(K, N)`, NaN where one has no samples.
@@ -99,46 +99,46 @@ class Pool:
         Source: C. Villani, Optimal Transport (2009), ch. 6: in one dimension the area between the two cumulative
         distributions; here between edges at quantiles of all samples, where it is exact for up to 257 values.
         """
-        apart = np.abs(self.shares(deals) - self.shares(~deals))
-        return np.asarray(apart[:, :-1] @ np.diff(self.edges))
+        gaps = np.abs(self.shares(deals) - self.shares(~deals))
+        return np.asarray(gaps[:, :-1] @ np.diff(self.edges))
 
     def spread(self, deal: Flags) -> float:
         """Return the standard deviation when both groups weigh the same; distances reach at most twice it."""
-        both = (self.shares(deal[None])[0] + self.shares(~deal[None])[0]) / 2
-        weight = np.diff(both, prepend=0.0)
-        middle = weight @ self.edges
-        return float(np.sqrt(weight @ (self.edges - middle) ** 2))
+        mixture = (self.shares(deal[None])[0] + self.shares(~deal[None])[0]) / 2
+        weight = np.diff(mixture, prepend=0.0)
+        mean = weight @ self.edges
+        return float(np.sqrt(weight @ (self.edges - mean) ** 2))
 
     def quantile(self, deal: Flags, at: float) -> float:
         """Return a quantile of one group."""
         place = int(np.searchsorted(self.shares(deal[None])[0], at - 1e-9))
         return float(self.edges[min(place, len(self.edges) - 1)])
 
-    def drawn(self, deal: Flags) -> Drawn:
+    def bars(self, deal: Flags) -> Bars:
         """Return both groups as bars from the least to the largest of their middle 98 %."""
         ends = [self.quantile(side, at) for side in (deal, ~deal) for at in (0.01, 0.99)]
         samples = min(self.counts[deal].sum(), self.counts[~deal].sum())
         edges = np.linspace(min(ends), max(ends), int(np.clip(samples / SAMPLES_A_BAR, FEWEST_BARS, BARS)) + 1)
-        sides = [np.diff(self._below(side, edges)) for side in (deal, ~deal)]
-        return Drawn(edges, sides[0], sides[1])
+        sides = [np.diff(self._share_below(side, edges)) for side in (deal, ~deal)]
+        return Bars(edges, sides[0], sides[1])
 
-    def _below(self, deal: Flags, at: Array) -> Array:
+    def _share_below(self, deal: Flags, at: Array) -> Array:
         """Return the share of one group up to each value, the first value left out.
 
         Between edges at quantiles samples count as spread evenly, else those of a tail would pile up in one bar.
         """
-        held = self.shares(deal[None])[0]
+        distribution = self.shares(deal[None])[0]
         if len(self.edges) >= EDGES:
-            return np.asarray(np.interp(at, self.edges, held))
+            return np.asarray(np.interp(at, self.edges, distribution))
         places = np.searchsorted(self.edges, at, side="right")
         places[0] = np.searchsorted(self.edges, at[0], side="left")  # the first bar holds its own edge
-        return np.asarray(np.concatenate([[0.0], held])[places])
+        return np.asarray(np.concatenate([[0.0], distribution])[places])
 
 
-def spread_of(pool: Pool, deal: Flags) -> Middle:
-    """Return what is said of one group in a row."""
+def spread_of(pool: Pool, deal: Flags) -> GroupSpread:
+    """Return the statistics of one group that a row holds."""
     counts = pool.counts[deal]
-    return Middle(
+    return GroupSpread(
         samples=round(float(counts.sum())),
         episodes=int((counts > 0).sum()),
         median=pool.quantile(deal, 0.5),

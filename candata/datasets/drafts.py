@@ -33,7 +33,7 @@ def draft_beside(out: Path) -> Iterator[Path]:
     _sweep(out.parent)
     folder, lock = _locked_draft(out)
     try:
-        with durable.passing(folder):
+        with durable.temporary_folder(folder):
             yield folder
     finally:
         if lock is not None:

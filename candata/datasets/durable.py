@@ -20,9 +20,9 @@ from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.record import Record
 from candata.schema.text_bounds import TextError, read_bounded
 
-STAGING = "staging"
-#: Folder in it where a pull keeps whole files until their part is whole.
-PULLING = "pull"
+STAGING_FOLDER = "staging"
+#: Folder in it in which a pull keeps whole files until their part is whole.
+PULL_FOLDER = "pull"
 
 #: How long a thread that still writes after a failure is waited for, in s, before each further removal.
 LATE_S = (0.05, 0.25)
@@ -44,8 +44,8 @@ def sync(path: Path) -> None:
 
 def sync_tree(folder: Path) -> None:
     """Force a folder and all in it to the disk."""
-    for one in [*folder.rglob("*"), folder]:
-        sync(one)
+    for path in [*folder.rglob("*"), folder]:
+        sync(path)
 
 
 def ensure_folder(path: Path) -> Path:
@@ -64,20 +64,20 @@ def ensure_below(root: Path, path: Path) -> Path:
     SetupError
         When there is no `root`.
     """
-    below = path.relative_to(root)
+    relative = path.relative_to(root)
     if not root.is_dir():
-        raise gone(root)
-    for folder in (root / one for one in [*list(below.parents)[-2::-1], below] if one != Path()):
+        raise moved_away_error(root)
+    for folder in (root / part for part in [*list(relative.parents)[-2::-1], relative] if part != Path()):
         if not folder.is_dir():
             try:
                 folder.mkdir(exist_ok=True)
             except FileNotFoundError:
-                raise gone(root) from None
+                raise moved_away_error(root) from None
             sync(folder.parent)
     return path
 
 
-def gone(root: Path) -> SetupError:
+def moved_away_error(root: Path) -> SetupError:
     """Return the error for a dataset that was moved away while it was written to."""
     return SetupError(
         "the folder of the dataset has gone",
@@ -87,7 +87,7 @@ def gone(root: Path) -> SetupError:
 
 
 def touch(path: Path) -> None:
-    """Let the age of what stands count from now, so that gc leaves it alone; that of other users stays as it is.
+    """Set the time stamp of a file or folder to now, so that gc leaves it alone; those of other users stay.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def touch(path: Path) -> None:
 
 
 @contextmanager
-def staged(root: Path) -> Iterator[Path]:
+def staging_folder(root: Path) -> Iterator[Path]:
     """Give a fresh folder under `root/staging`; whatever is left in it at the end is removed.
 
     Raises
@@ -107,14 +107,14 @@ def staged(root: Path) -> Iterator[Path]:
     SetupError
         When there is no `root`, or the block failed because root or folder were taken away.
     """
-    folder = ensure_below(root, root / STAGING) / uuid.uuid4().hex
+    folder = ensure_below(root, root / STAGING_FOLDER) / uuid.uuid4().hex
     folder.mkdir()
-    with passing(folder):
+    with temporary_folder(folder):
         try:
             yield folder
         except OSError:
             if not root.is_dir():
-                raise gone(root) from None
+                raise moved_away_error(root) from None
             if not folder.is_dir():
                 raise SetupError(
                     "what was being written was collected as garbage",
@@ -125,7 +125,7 @@ def staged(root: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def passing(folder: Path) -> Iterator[None]:
+def temporary_folder(folder: Path) -> Iterator[None]:
     """Remove a folder at the end of the block, and after a failure also what other threads still put there.
 
     zarr writes in threads and waits for none of them when one fails; the last may make the folder anew.
@@ -142,7 +142,7 @@ def passing(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def alone(folder: Path, busy: str | None = None) -> Iterator[None]:
+def exclusive_lock(folder: Path, busy: str | None = None) -> Iterator[None]:
     """Wait until no other process is in this block for the same folder; where folders cannot be locked, go on.
 
     Parameters
@@ -157,17 +157,17 @@ def alone(folder: Path, busy: str | None = None) -> Iterator[None]:
     UsageError
         When `busy` is given and another process is in the block.
     """
-    with _locked(folder, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0), busy):
+    with _folder_lock(folder, fcntl.LOCK_EX | (fcntl.LOCK_NB if busy else 0), busy):
         yield
 
 
 @contextmanager
-def _locked(folder: Path, how: int, busy: str | None = None) -> Iterator[None]:
+def _folder_lock(folder: Path, operation: int, busy: str | None = None) -> Iterator[None]:
     """Hold a lock of the system on a folder, which releases it even when the process is killed."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
-            fcntl.flock(handle, how)
+            fcntl.flock(handle, operation)
         except BlockingIOError:
             raise UsageError(
                 str(busy), where=Where(path=str(folder)), fix="wait until it has ended, or choose another --out"
@@ -180,16 +180,16 @@ def _locked(folder: Path, how: int, busy: str | None = None) -> Iterator[None]:
 
 
 @contextmanager
-def publishing(root: Path) -> Iterator[None]:
-    """Hold what is published from the last look at it on: garbage is removed before or after, not meanwhile."""
-    with _locked(ensure_below(root, root / STAGING), fcntl.LOCK_SH):
+def publish_lock(root: Path) -> Iterator[None]:
+    """Hold a shared lock while something is published: garbage is removed before or after, not meanwhile."""
+    with _folder_lock(ensure_below(root, root / STAGING_FOLDER), fcntl.LOCK_SH):
         yield
 
 
 @contextmanager
-def removing(root: Path) -> Iterator[None]:
-    """Remove garbage while nothing is published."""
-    with _locked(ensure_below(root, root / STAGING), fcntl.LOCK_EX):
+def removal_lock(root: Path) -> Iterator[None]:
+    """Hold an exclusive lock while garbage is removed: nothing is published meanwhile."""
+    with _folder_lock(ensure_below(root, root / STAGING_FOLDER), fcntl.LOCK_EX):
         yield
 
 
@@ -224,7 +224,7 @@ def create_once(root: Path, target: Path, data: bytes) -> bool:
         When the file system has no hard links, or there is no `root`.
     """
     ensure_below(root, target.parent)
-    with staged(root) as folder:
+    with staging_folder(root) as folder:
         draft = folder / target.name
         draft.write_bytes(data)
         sync(draft)
@@ -273,7 +273,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return read_bounded(path, MOST_BYTES)
     except (OSError, TextError) as error:
-        raise damaged(path, reason(error)) from None
+        raise damaged_error(path, reason(error)) from None
 
 
 def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -> SomeRecord:
@@ -288,9 +288,9 @@ def read_record(kind: type[SomeRecord], path: Path, data: bytes | None = None) -
     try:
         return decode_record(kind, raw, path)
     except ValueError as error:
-        raise damaged(path, f"no valid JSON: {error}") from None
+        raise damaged_error(path, f"no valid JSON: {error}") from None
     except UsageError as error:
-        raise damaged(path, error.problem) from None
+        raise damaged_error(path, error.problem) from None
 
 
 def decode_record(kind: type[SomeRecord], data: bytes, path: str | Path) -> SomeRecord:
@@ -306,7 +306,7 @@ def decode_record(kind: type[SomeRecord], data: bytes, path: str | Path) -> Some
     return kind.parse(parse_json(data), path)
 
 
-def damaged(path: Path, found: str, expected: str = "the file as it was written") -> DataError:
+def damaged_error(path: Path, found: str, expected: str = "the file as it was written") -> DataError:
     """Return the error for a file of the dataset that is missing or no longer what was written."""
     return pointer_error(path) or DataError(
         f"damaged dataset: {path.name}",

@@ -13,12 +13,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX, canonical_order
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX, canonical_order
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.json_text import parse_json
 
 #: Shapes without the time axis, by column: what all episodes of one part share.
-Layout = dict[str, tuple[int, ...]]
+ColumnShapes = dict[str, tuple[int, ...]]
 
 #: Key of the schema metadata that holds the layout.
 LAYOUT_KEY = b"candata.layout"
@@ -29,12 +29,25 @@ _NAMES = pa.list_(pa.string())
 #: `episodes.parquet`: one row an episode, in the order of the rows of `steps.parquet`.
 EPISODE_COLUMNS = pa.schema(
     {
-        "id": _TEXT, "source": _TEXT, "scene": _TEXT, "object": _TEXT, "task": _TEXT, "seed": pa.int64(),
-        "effects": _TEXT, "outcome": _TEXT, "rate_hz": pa.float64(), "rows": pa.int64(),
-        "duration_s": pa.float64(), "joint_names": _NAMES, "actuator_names": _NAMES,
-        "fingertip_names": _NAMES, "content_hash": _TEXT, "row_group": pa.int64(), "meta": _TEXT,
+        "id": _TEXT,
+        "source": _TEXT,
+        "scene": _TEXT,
+        "object": _TEXT,
+        "task": _TEXT,
+        "seed": pa.int64(),
+        "effects": _TEXT,
+        "outcome": _TEXT,
+        "rate_hz": pa.float64(),
+        "rows": pa.int64(),
+        "duration_s": pa.float64(),
+        "joint_names": _NAMES,
+        "actuator_names": _NAMES,
+        "fingertip_names": _NAMES,
+        "content_hash": _TEXT,
+        "row_group": pa.int64(),
+        "meta": _TEXT,
     }
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,7 @@ class RawEpisode:
         Rows of the part before it.
     rows : int
         Rows that its catalog row claims.
-    dense : mapping of str to tuple of int, optional
+    dense_shapes : mapping of str to tuple of int, optional
         Shapes of channels that the tables lack because they lie in Zarr stores.
     """
 
@@ -65,7 +78,7 @@ class RawEpisode:
     stored_hash: str
     first_row: int = 0
     rows: int = 0
-    dense: Layout | None = None
+    dense_shapes: ColumnShapes | None = None
 
     def content_hash(self) -> str:
         """Return the hash of what is stored now."""
@@ -96,13 +109,13 @@ def hash_columns(meta: str, arrays: Mapping[str, NDArray]) -> str:
     digest = hashlib.sha256()
     text = meta.encode()
     digest.update(f"meta|json|{len(text)}|".encode() + text)
-    known = canonical_order([n for n in arrays if n.removesuffix(VALID_SUFFIX) in CHANNELS])
-    for name in [*known, *sorted(set(arrays) - set(known))]:
+    known_names = canonical_order([n for n in arrays if n.removesuffix(VALID_SUFFIX) in CHANNELS])
+    for name in [*known_names, *sorted(set(arrays) - set(known_names))]:
         array = np.ascontiguousarray(arrays[name])
-        little = array.astype(array.dtype.newbyteorder("<"), copy=False)
+        little_endian = array.astype(array.dtype.newbyteorder("<"), copy=False)
         shape = ",".join(map(str, array.shape))
         digest.update(f"{name}|{array.dtype.name}|{shape}|".encode())
-        digest.update(little.reshape(-1).view(np.uint8).data)
+        digest.update(little_endian.reshape(-1).view(np.uint8).data)
     return digest.hexdigest()
 
 
@@ -114,22 +127,22 @@ def content_hash(episode: Episode) -> str:
     return hash_columns(meta_json(episode.meta), episode.arrays)
 
 
-def layout_of(episode: Episode) -> Layout:
+def layout_of(episode: Episode) -> ColumnShapes:
     """Return each column's shape without the time axis."""
     return {name: array.shape[1:] for name, array in episode.arrays.items()}
 
 
-def dense_layout(layout: Layout) -> Layout:
+def dense_layout(layout: ColumnShapes) -> ColumnShapes:
     """Return the part of a layout that lies in Zarr stores; a channel without elements lies nowhere."""
-    return {name: shape for name, shape in layout.items() if name in DENSE and 0 not in shape}
+    return {name: shape for name, shape in layout.items() if name in DENSE_CHANNELS and 0 not in shape}
 
 
-def steps_schema(layout: Layout) -> pa.Schema:
+def steps_schema(layout: ColumnShapes) -> pa.Schema:
     """Return the Arrow schema of `steps.parquet`: a fixed-size list a column, units in the field metadata."""
     fields = [pa.field("episode", pa.string())]
-    dense = dense_layout(layout)
+    dense_shapes = dense_layout(layout)
     for name, shape in layout.items():
-        if math.prod(shape) and name not in dense:
+        if math.prod(shape) and name not in dense_shapes:
             fields.append(pa.field(name, _column_type(name, shape), metadata=_field_metadata(name, shape)))
     text = json.dumps({name: list(shape) for name, shape in layout.items()})
     return pa.schema(fields, metadata={LAYOUT_KEY: text.encode()})
@@ -157,9 +170,9 @@ def parquet_options(schema: pa.Schema) -> dict[str, Any]:
     """
     split = {}
     for field in schema:
-        nested = pa.types.is_fixed_size_list(field.type)
-        if pa.types.is_float32(field.type.value_type if nested else field.type):
-            split[f"{field.name}.list.element" if nested else field.name] = "BYTE_STREAM_SPLIT"
+        is_list = pa.types.is_fixed_size_list(field.type)
+        if pa.types.is_float32(field.type.value_type if is_list else field.type):
+            split[f"{field.name}.list.element" if is_list else field.name] = "BYTE_STREAM_SPLIT"
     return {
         "compression": "zstd",
         "compression_level": 3,
@@ -186,16 +199,27 @@ def episode_row(meta: EpisodeMeta, time_ns: NDArray[np.int64], digest: str, row_
     seed = meta.seed if meta.seed is not None and abs(meta.seed) < 2**63 else None
     duration_s = (time_ns[-1:] - time_ns[:1]) * 1e-9
     return {
-        "id": meta.id, "source": meta.source, "scene": meta.scene, "object": meta.object, "task": meta.task,
-        "seed": seed, "effects": None if effects is None else json.dumps(effects),
-        "outcome": meta.outcome, "rate_hz": meta.rate_hz, "rows": len(time_ns),
-        "duration_s": float(duration_s[0]), "joint_names": list(meta.joint_names),
-        "actuator_names": list(meta.actuator_names), "fingertip_names": list(meta.fingertip_names),
-        "content_hash": digest, "row_group": row_group, "meta": meta_json(meta),
-    }  # fmt: skip
+        "id": meta.id,
+        "source": meta.source,
+        "scene": meta.scene,
+        "object": meta.object,
+        "task": meta.task,
+        "seed": seed,
+        "effects": None if effects is None else json.dumps(effects),
+        "outcome": meta.outcome,
+        "rate_hz": meta.rate_hz,
+        "rows": len(time_ns),
+        "duration_s": float(duration_s[0]),
+        "joint_names": list(meta.joint_names),
+        "actuator_names": list(meta.actuator_names),
+        "fingertip_names": list(meta.fingertip_names),
+        "content_hash": digest,
+        "row_group": row_group,
+        "meta": meta_json(meta),
+    }
 
 
-def episode_table(stored: pa.Table) -> pa.Table:
+def episode_table(stored_table: pa.Table) -> pa.Table:
     """Return a stored table with the columns of `EPISODE_COLUMNS`, those that it lacks without values.
 
     Raises
@@ -203,9 +227,11 @@ def episode_table(stored: pa.Table) -> pa.Table:
     pyarrow.ArrowException
         When a column is of another type.
     """
-    lacking = {name for name in EPISODE_COLUMNS.names if name not in stored.column_names}
+    missing_columns = {name for name in EPISODE_COLUMNS.names if name not in stored_table.column_names}
     columns = [
-        pa.nulls(len(stored), field.type) if field.name in lacking else stored[field.name].cast(field.type)
+        pa.nulls(len(stored_table), field.type)
+        if field.name in missing_columns
+        else stored_table[field.name].cast(field.type)
         for field in EPISODE_COLUMNS
     ]
     return pa.table(columns, EPISODE_COLUMNS)
@@ -225,8 +251,8 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_ro
     if sum(counts) != steps.num_rows:
         raise ValueError(f"{steps.num_rows} rows where the episodes claim {sum(counts)}")
     layout = stored_layout(steps.schema)
-    dense = dense_layout(layout)
-    columns = {name: _decode_column(steps, name, shape) for name, shape in layout.items() if name not in dense}
+    dense_shapes = dense_layout(layout)
+    columns = {name: _decode_column(steps, name, shape) for name, shape in layout.items() if name not in dense_shapes}
     ends = np.cumsum(counts)
     return [
         RawEpisode(
@@ -236,13 +262,13 @@ def decode_group(steps: pa.Table, rows: Sequence[Mapping[str, object]], first_ro
             str(row["content_hash"]),
             first_row + int(end - count),
             count,
-            dense,
+            dense_shapes,
         )
         for row, count, end in zip(rows, counts, ends, strict=True)
     ]
 
 
-def stored_layout(schema: pa.Schema) -> Layout:
+def stored_layout(schema: pa.Schema) -> ColumnShapes:
     """Return each column's shape without the time axis, as the schema of `steps.parquet` tells it.
 
     Raises

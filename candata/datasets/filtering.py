@@ -14,7 +14,7 @@ import pyarrow as pa
 from candata.datasets import encode
 from candata.datasets.dataset import Dataset
 from candata.datasets.deriving import Finish, link_clouds, link_part, new_dataset, nothing_more, publish_first
-from candata.datasets.history import derived
+from candata.datasets.history import derived_lineage
 from candata.errors import DataError, MissingExtraError, UnknownNameError, UsageError, Where
 from candata.schema.manifest import VersionFile
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 COLUMNS = tuple(name for name in encode.EPISODE_COLUMNS.names if name not in ("row_group", "meta"))
 
 #: Nothing outside the table can be reached: no file, no network, no variable of Python's.
-_CLOSED: dict[str, str | bool | int | float | list[str]] = {
+_DATABASE_OPTIONS: dict[str, str | bool | int | float | list[str]] = {
     "enable_external_access": "false",
     "python_enable_replacements": "false",
     "autoload_known_extensions": "false",
@@ -55,14 +55,14 @@ FUNCTIONS = (
 )
 
 
-def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
+def matching_ids(dataset: Dataset, expression: str) -> tuple[str, ...]:
     """Return the ids of the episodes for which an expression holds, in the order of the dataset.
 
     Parameters
     ----------
     dataset : Dataset
         Version to choose from.
-    where : str
+    expression : str
         What stands after WHERE in SQL, over `COLUMNS`: `object = 'cup' and rows > 200`.
 
     Raises
@@ -77,70 +77,72 @@ def matching(dataset: Dataset, where: str) -> tuple[str, ...]:
     DataError
         When a part is damaged.
     """
-    return select(dataset.catalog(_named(where)), where)
+    return select(dataset.catalog(_used_columns(expression)), expression)
 
 
-def _named(where: str) -> list[str]:
+def _used_columns(expression: str) -> list[str]:
     """Return the columns whose names occur in an expression, and the id: reading all would take most of the time."""
-    words = {word.lower() for word in re.findall(r"\w+", where)}
+    words = {word.lower() for word in re.findall(r"\w+", expression)}
     return [name for name in COLUMNS if name == "id" or name in words]
 
 
-def select(catalog: pa.Table, where: str) -> tuple[str, ...]:
-    """Return the ids of the rows of a catalog for which an expression holds; see `matching`.
+def select(catalog: pa.Table, expression: str) -> tuple[str, ...]:
+    """Return the ids of the rows of a catalog for which an expression holds; see `matching_ids`.
 
     Raises
     ------
     UnknownNameError, UsageError, MissingExtraError
-        As for `matching`.
+        As for `matching_ids`.
     """
     try:
         import duckdb
     except ImportError:
         raise MissingExtraError("duckdb", "query") from None
-    _require_short(where)
+    _require_short(expression)
     try:
-        where.encode()  # bytes of the command line that are no text come as lone surrogates
-        with duckdb.connect(":memory:", config=_CLOSED) as database:
-            _require_expression(database, where)
-            chosen = database.from_arrow(catalog).filter(duckdb.SQLExpression(where)).project("id").fetchall()
+        expression.encode()  # bytes of the command line that are no text come as lone surrogates
+        with duckdb.connect(":memory:", config=_DATABASE_OPTIONS) as database:
+            _require_expression(database, expression)
+            rows = database.from_arrow(catalog).filter(duckdb.SQLExpression(expression)).project("id").fetchall()
     except (duckdb.Error, UnicodeError) as error:
-        raise _wrong(where, str(error)) from None
-    return tuple(row[0] for row in chosen)
+        raise _expression_error(expression, str(error)) from None
+    return tuple(row[0] for row in rows)
 
 
-def _require_short(where: str) -> None:
+def _require_short(expression: str) -> None:
     """Refuse what the parser would need minutes for."""
-    if len(where) > LIMIT_LENGTH:
-        raise UsageError("the filter is too long", expected=f"at most {LIMIT_LENGTH} characters", found=str(len(where)))
-    deepest = max(accumulate((char == "(") - (char == ")") for char in where), default=0)
+    if len(expression) > LIMIT_LENGTH:
+        raise UsageError(
+            "the filter is too long", expected=f"at most {LIMIT_LENGTH} characters", found=str(len(expression))
+        )
+    deepest = max(accumulate((char == "(") - (char == ")") for char in expression), default=0)
     if deepest > LIMIT_OPEN:
         raise _too_deep(str(deepest))
 
 
-def _require_expression(database: DuckDBPyConnection, where: str) -> None:
+def _require_expression(database: DuckDBPyConnection, expression: str) -> None:
     """Refuse all but one condition over the columns, by what the database's own parser makes of it."""
     try:
-        parsed = _parse(database, f"select id from catalog where {where}")
+        parse_tree = _parse(database, f"select id from catalog where {expression}")
     except RecursionError:
         raise _too_deep() from None
-    if parsed["error"]:
-        raise _wrong(where, f"Parser Error: {parsed['error_message']}")
-    trees = [statement["node"] for statement in parsed["statements"]]
+    if parse_tree["error"]:
+        raise _expression_error(expression, f"Parser Error: {parse_tree['error_message']}")
+    trees = [statement["node"] for statement in parse_tree["statements"]]
     bare = _parse(database, "select id from catalog where true")["statements"][0]["node"]
     condition = trees[0].pop("where_clause", None)
     if len(trees) != 1 or condition is None or trees[0] != {n: v for n, v in bare.items() if n != "where_clause"}:
-        raise _wrong(where, "more than a condition")
+        raise _expression_error(expression, "more than a condition")
     for node in _nodes(condition):
         kind, name = node["class"], str(node.get("function_name", "")).lower()
         if kind == "COLUMN_REF":
-            _require_column(node["column_names"], where)
+            _require_column(node["column_names"], expression)
         if kind not in _KINDS or (kind == "FUNCTION" and name not in FUNCTIONS):
             raise UsageError(
                 f"{name or kind.lower()} has no place in a filter",
                 expected="columns compared with values, so that the same episodes are chosen each time",
                 found=name or kind.lower(),
-                where=Where(path=f"filter {where[:200]}"),
+                where=Where(path=f"filter {expression[:200]}"),
                 fix=f"functions: {', '.join(n for n in FUNCTIONS if n.isidentifier())}; for a part drawn by chance, "
                 "the same each time: candata registry split DATASET NAME --seed 3",
             )
@@ -149,29 +151,29 @@ def _require_expression(database: DuckDBPyConnection, where: str) -> None:
 def _parse(database: DuckDBPyConnection, statement: str) -> dict[str, Any]:
     """Return the database's parse tree of a statement, or what its parser says against it."""
     ((text,),) = database.execute("select json_serialize_sql(?)", [statement]).fetchall()
-    parsed: dict[str, Any] = json.loads(text)
-    return parsed
+    parse_tree: dict[str, Any] = json.loads(text)
+    return parse_tree
 
 
 def _nodes(tree: Any) -> Iterator[dict[str, Any]]:
     """Yield the nodes of a parse tree that have a class."""
-    pending = [tree]
-    while pending:
-        part = pending.pop()
+    stack = [tree]
+    while stack:
+        part = stack.pop()
         if isinstance(part, dict) and "class" in part:
             yield part
         if isinstance(part, dict | list):
-            pending.extend(part.values() if isinstance(part, dict) else part)
+            stack.extend(part.values() if isinstance(part, dict) else part)
 
 
-def _require_column(names: Sequence[str], where: str) -> None:
+def _require_column(names: Sequence[str], expression: str) -> None:
     """Refuse a name that is no column of the catalog."""
     name = ".".join(names)
     if name.lower() in COLUMNS:
         return
-    unknown = UnknownNameError("column", name, COLUMNS, Where(path=f"filter {where}"))
-    fix = unknown.fix or f"text stands in single quotes: '{name}'"
-    raise UsageError(unknown.problem, expected=unknown.expected, found=unknown.found, where=unknown.where, fix=fix)
+    error = UnknownNameError("column", name, COLUMNS, Where(path=f"filter {expression}"))
+    fix = error.fix or f"text stands in single quotes: '{name}'"
+    raise UsageError(error.problem, expected=error.expected, found=error.found, where=error.where, fix=fix)
 
 
 def _too_deep(found: str = "more") -> UsageError:
@@ -179,19 +181,19 @@ def _too_deep(found: str = "more") -> UsageError:
     return UsageError("the filter is nested too deep", expected=f"at most {LIMIT_OPEN} open brackets", found=found)
 
 
-def _wrong(where: str, said: str) -> UsageError:
+def _expression_error(expression: str, message: str) -> UsageError:
     """Return what is wrong with an expression, from what the database said."""
-    first = said.split("\n", 1)[0].partition(": ")
+    head = message.split("\n", 1)[0].partition(": ")
     return UsageError(
         "the filter is no expression over the catalog",
         expected="one SQL condition, such as: object = 'cup' and rows > 200",
-        found=(first[2] or first[0])[:300],
-        where=Where(path=f"filter {where}"),
+        found=(head[2] or head[0])[:300],
+        where=Where(path=f"filter {expression}"),
         fix=f"columns: {', '.join(COLUMNS)}",
     )
 
 
-def filter_dataset(dataset: Dataset, where: str, out: Path, finish: Finish = nothing_more) -> VersionFile:
+def filter_dataset(dataset: Dataset, expression: str, out: Path, finish: Finish = nothing_more) -> VersionFile:
     """Return the version of a new dataset `out` that holds the episodes for which an expression holds.
 
     Parts are shared with the dataset, not rewritten: what the expression leaves out of a part that is kept still
@@ -201,8 +203,8 @@ def filter_dataset(dataset: Dataset, where: str, out: Path, finish: Finish = not
     ----------
     dataset : Dataset
         Version to choose from.
-    where : str
-        Expression, as for `matching`.
+    expression : str
+        Expression, as for `matching_ids`.
     out : Path
         Folder of the new dataset.
     finish : callable
@@ -211,23 +213,26 @@ def filter_dataset(dataset: Dataset, where: str, out: Path, finish: Finish = not
     Raises
     ------
     UnknownNameError, UsageError, MissingExtraError
-        As for `matching`, and when `out` stands.
+        As for `matching_ids`, and when `out` stands.
     DataError
         When no episode is left, or a part is damaged.
     """
-    kept = frozenset(matching(dataset, where))
-    if not kept:
+    chosen_ids = frozenset(matching_ids(dataset, expression))
+    if not chosen_ids:
         raise DataError(
-            "no episode is left", expected="at least 1", found=f"0 of {len(dataset)}",
-            where=Where(path=f"filter {where}"), fix="see what there is: candata inspect",
-        )  # fmt: skip
-    details = {"where": where, "episodes": len(kept), "of": len(dataset)}
+            "no episode is left",
+            expected="at least 1",
+            found=f"0 of {len(dataset)}",
+            where=Where(path=f"filter {expression}"),
+            fix="see what there is: candata inspect",
+        )
+    details = {"where": expression, "episodes": len(chosen_ids), "of": len(dataset)}
     with new_dataset(out, finish) as root:
-        entries, excluded = [], set()
+        entries, excluded_ids = [], set()
         for part in dataset.raw_parts():
-            held = {name for name, _ in part.manifest().episodes}
-            if held & kept:
+            part_ids = {name for name, _ in part.manifest().episodes}
+            if part_ids & chosen_ids:
                 entries.append(link_part(part, root))
-                excluded |= held - kept
+                excluded_ids |= part_ids - chosen_ids
         link_clouds(dataset, root)
-        return publish_first(root, entries, excluded, derived("filter", [dataset], details))
+        return publish_first(root, entries, excluded_ids, derived_lineage("filter", [dataset], details))

@@ -69,7 +69,7 @@ class Collection:
     @property
     def bytes(self) -> int:
         """Bytes freed."""
-        return sum(one.bytes for one in self.removed)
+        return sum(item.bytes for item in self.removed)
 
 
 @dataclass(frozen=True)
@@ -115,75 +115,77 @@ def collect_garbage(
     if grace_s < 0 or (keep is not None and keep < 1):
         raise UsageError("out of range", expected="grace >= 0, keep >= 1", found=f"grace {grace_s:g} s, keep {keep}")
     with durable.writing(root):
-        before = _clock(root) - grace_s
+        deadline = _clock(root) - grace_s
         versions = {version_path(root, number).name: read_version(root, number) for number in numbers(root)}
-        retired = _retire(root, keep, before, dry_run)
-        gone = {Path(one.path).name for one in retired}
-        reach = _reach(version for name, version in versions.items() if name not in gone)
-        found = [*_parts(root, reach), *_staging(root), *_catalogs(root, reach), *_caches(root, reach)]
-        removed = _collect(root, found, before, dry_run)
-        clouds, notes = _clouds(root, reach, {Path(one.path).name for one in removed})
-        removed += _collect(root, clouds, before, dry_run)
-    waiting = [one for one in [*found, *clouds] if one not in removed and (root / one.path).exists()]
-    return Collection((*retired, *removed), tuple(waiting), notes)
+        retired_versions = _retire(root, keep, deadline, dry_run)
+        retired_names = {Path(item.path).name for item in retired_versions}
+        reach = _reach(version for name, version in versions.items() if name not in retired_names)
+        candidates = [*_parts(root, reach), *_staging_leftovers(root), *_catalogs(root, reach), *_caches(root, reach)]
+        removed_items = _collect(root, candidates, deadline, dry_run)
+        clouds, notes = _clouds(root, reach, {Path(item.path).name for item in removed_items})
+        removed_items += _collect(root, clouds, deadline, dry_run)
+    waiting_items = [
+        item for item in [*candidates, *clouds] if item not in removed_items and (root / item.path).exists()
+    ]
+    return Collection((*retired_versions, *removed_items), tuple(waiting_items), notes)
 
 
 def collect_staging(root: Path, grace_s: float = GRACE_S) -> None:
     """Remove what stopped writers left in `root/staging`, once it is older than the grace period [s]."""
-    found = list(_staging(root))
-    if found:
-        _collect(root, found, _clock(root) - grace_s, dry_run=False)
+    leftovers = list(_staging_leftovers(root))
+    if leftovers:
+        _collect(root, leftovers, _clock(root) - grace_s, dry_run=False)
 
 
-def _collect(root: Path, found: list[Garbage], before: float, dry_run: bool) -> list[Garbage]:
-    """Remove what has not changed since `before`; return what went."""
+def _collect(root: Path, candidates: list[Garbage], deadline: float, dry_run: bool) -> list[Garbage]:
+    """Remove what has not changed since `deadline`; return what went."""
     if dry_run:
-        return [one for one in found if _changed(root / one.path) < before]
-    removed = []
-    for one in found:
-        with durable.removing(root):  # what is published meanwhile is seen here, or its publishing fails
-            if _changed(root / one.path) < before and _remove(root, [one], before):
-                removed.append(one)
-    return removed
+        return [item for item in candidates if _change_time(root / item.path) < deadline]
+    removed_items = []
+    for item in candidates:
+        with durable.removal_lock(root):  # what is published meanwhile is seen here, or its publishing fails
+            if _change_time(root / item.path) < deadline and _remove(root, [item], deadline):
+                removed_items.append(item)
+    return removed_items
 
 
 def _clock(root: Path) -> float:
     """Return the time by the clock of the file system, which stamps the files; the host's where it cannot be asked."""
     try:
-        with durable.staged(root) as folder:
+        with durable.staging_folder(root) as folder:
             return folder.stat().st_mtime
     except OSError:
         return time.time()
 
 
-def _retire(root: Path, keep: int | None, before: float, dry_run: bool) -> list[Garbage]:
+def _retire(root: Path, keep: int | None, deadline: float, dry_run: bool) -> list[Garbage]:
     """Return the versions that were, or would be, removed."""
     if dry_run or keep is None:
-        return _retired(root, keep, before)
-    with durable.removing(root):
-        retired = _retired(root, keep, before)
-        _remove(root, retired)
-    return retired
+        return _retired_versions(root, keep, deadline)
+    with durable.removal_lock(root):
+        retired_versions = _retired_versions(root, keep, deadline)
+        _remove(root, retired_versions)
+    return retired_versions
 
 
-def _retired(root: Path, keep: int | None, before: float) -> list[Garbage]:
+def _retired_versions(root: Path, keep: int | None, deadline: float) -> list[Garbage]:
     """Return the versions beyond the newest `keep` that no tag names and that were superseded before that time."""
-    found = numbers(root)
+    version_numbers = numbers(root)
     if keep is None:
         return []
-    tagged = {tag.version for tag in read_tags(root).values()}
+    tagged_numbers = {tag.version for tag in read_tags(root).values()}
     return [
         _garbage(root, "version", version_path(root, number))
-        for number, successor in itertools.pairwise(found[: len(found) - keep + 1])
-        if number not in tagged and _changed(version_path(root, successor)) < before
+        for number, successor in itertools.pairwise(version_numbers[: len(version_numbers) - keep + 1])
+        if number not in tagged_numbers and _change_time(version_path(root, successor)) < deadline
     ]
 
 
 def _reach(versions: Iterable[VersionFile]) -> _Reach:
     """Return what some versions need."""
-    kept = list(versions)
-    parts = {entry.id: entry for version in kept for entry in version.parts}
-    return _Reach(parts, frozenset(version.digest for version in kept))
+    kept_versions = list(versions)
+    parts = {entry.id: entry for version in kept_versions for entry in version.parts}
+    return _Reach(parts, frozenset(version.digest for version in kept_versions))
 
 
 def _parts(root: Path, reach: _Reach) -> Iterator[Garbage]:
@@ -193,11 +195,11 @@ def _parts(root: Path, reach: _Reach) -> Iterator[Garbage]:
             yield _garbage(root, "part", path)
 
 
-def _staging(root: Path) -> Iterator[Garbage]:
+def _staging_leftovers(root: Path) -> Iterator[Garbage]:
     """Yield what stopped writers left, in the dataset and in its cache."""
-    for home in (root / durable.STAGING, root / "cache" / durable.STAGING):
+    for home in (root / durable.STAGING_FOLDER, root / "cache" / durable.STAGING_FOLDER):
         for path in _entries(home):
-            if (_UUID.fullmatch(path.name) or path.name == durable.PULLING) and _own_folder(path):
+            if (_UUID.fullmatch(path.name) or path.name == durable.PULL_FOLDER) and _own_folder(path):
                 yield _garbage(root, "staging", path)
 
 
@@ -221,24 +223,24 @@ def _caches(root: Path, reach: _Reach) -> Iterator[Garbage]:
             yield _garbage(root, "cache", path)
 
 
-def _clouds(root: Path, reach: _Reach, gone: set[str]) -> tuple[list[Garbage], tuple[str, ...]]:
+def _clouds(root: Path, reach: _Reach, removed_names: set[str]) -> tuple[list[Garbage], tuple[str, ...]]:
     """Return clouds that no episode of a standing part names; none, and why, where a part cannot be read."""
     clouds = [path for path in _entries(root / "objects") if _HASHED_TABLE.fullmatch(path.name)]
     if not clouds:
         return [], ()
     if (root / "parts").is_symlink():
         return [], ("point clouds stay: the folder of the parts is a link, which is not followed",)
-    standing = {path.name for path in _entries(root / "parts") if (path / MANIFEST).is_file()} - gone
-    named: set[str] = set()
+    part_ids = {path.name for path in _entries(root / "parts") if (path / MANIFEST).is_file()} - removed_names
+    named_clouds: set[str] = set()
     try:
-        for part_id in standing | set(reach.parts):
+        for part_id in part_ids | set(reach.parts):
             entry = PartEntry(id=part_id, sha256="", rows=0, episodes=0)
             metas = RawPart(root, entry).table()["meta"].to_pylist()
-            named |= {parse_json(meta).get("point_cloud") for meta in metas}
+            named_clouds |= {parse_json(meta).get("point_cloud") for meta in metas}
     except (DataError, ValueError, AttributeError, TypeError) as error:
         reason = str(error).splitlines()[0]
         return [], (f"point clouds stay: a part that may name them cannot be read ({reason})",)
-    return [_garbage(root, "cloud", path) for path in clouds if path.stem not in named], ()
+    return [_garbage(root, "cloud", path) for path in clouds if path.stem not in named_clouds], ()
 
 
 def _entries(folder: Path) -> list[Path]:
@@ -253,18 +255,18 @@ def _own_folder(path: Path) -> bool:
 
 def _tree(path: Path) -> list[os.stat_result]:
     """Return the state of a file or folder and of all in it; what goes meanwhile is left out."""
-    below = [Path(home, name) for home, folders, files in os.walk(path) for name in folders + files]
-    found = []
-    for one in [path, *below]:
+    inner_paths = [Path(home, name) for home, folders, files in os.walk(path) for name in folders + files]
+    states = []
+    for entry in [path, *inner_paths]:
         try:
-            found.append(one.lstat())
+            states.append(entry.lstat())
         except FileNotFoundError:
             continue
-    return found
+    return states
 
 
-def _changed(path: Path) -> float:
-    """Return the last time at which anything in it changed; never, where it is gone."""
+def _change_time(path: Path) -> float:
+    """Return the last time at which a file, or anything in a folder, changed; infinity if it is gone."""
     return max((state.st_mtime for state in _tree(path)), default=float("inf"))
 
 
@@ -274,22 +276,22 @@ def _garbage(root: Path, kind: Kind, path: Path) -> Garbage:
     return Garbage(kind, path.relative_to(root).as_posix(), sum(state.st_size for state in files))
 
 
-def _remove(root: Path, garbage: Iterable[Garbage], before: float = float("inf")) -> bool:
-    """Take things out of the way, then delete them; return whether all of them went.
+def _remove(root: Path, garbage: Iterable[Garbage], deadline: float = float("inf")) -> bool:
+    """Return whether all of the garbage was removed: each item is moved aside first, then deleted.
 
     A part or cloud that somebody touched since it was judged is put back: it is being published, where folders cannot
     be locked.
     """
     went = True
-    with durable.staged(root) as folder:
-        for number, one in enumerate(garbage):
-            path, aside = root / one.path, folder / str(number)
+    with durable.staging_folder(root) as folder:
+        for number, item in enumerate(garbage):
+            path, moved_path = root / item.path, folder / str(number)
             try:
-                os.rename(path, aside)
+                os.rename(path, moved_path)
             except FileNotFoundError:
                 went = False
                 continue
-            if _changed(aside) >= before:
-                os.rename(aside, path)
+            if _change_time(moved_path) >= deadline:
+                os.rename(moved_path, path)
                 went = False
     return went

@@ -68,17 +68,17 @@ class Histogram:
         for start in range(0, len(values), ROWS):
             self._add(np.asarray(values[start : start + ROWS], float))
 
-    def _add(self, found: Array) -> None:
+    def _add(self, values: Array) -> None:
         """Take in some rows."""
-        self.zeros += (found == 0).sum(axis=0)
-        low, high = found.min(axis=0), found.max(axis=0)
+        self.zeros += (values == 0).sum(axis=0)
+        low, high = values.min(axis=0), values.max(axis=0)
         self.low, self.high = np.minimum(self.low, low), np.maximum(self.high, high)
-        for element in np.flatnonzero(self._outside(low, high)):
+        for element in np.flatnonzero(self._is_outside(low, high)):
             self._fit(int(element))
-        bins = np.floor((found - self.start) / self.width).astype(np.int64)
+        bins = np.floor((values - self.start) / self.width).astype(np.int64)
         np.add.at(self.counts.reshape(-1), (bins + BINS * np.arange(len(self.start))).ravel(), 1)
 
-    def _outside(self, low: Array, high: Array) -> NDArray[np.bool_]:
+    def _is_outside(self, low: Array, high: Array) -> NDArray[np.bool_]:
         """Return `(E,)`: where new values need another range."""
         return (self.width == 0) | (low < self.start) | (high >= self.start + BINS * self.width)
 
@@ -86,20 +86,24 @@ class Histogram:
         """Widen one element's bins until its least and largest value lie inside."""
         low, high = self.low[element], self.high[element]
         if self.width[element] == 0:
-            least = max(FINEST * max(abs(low), abs(high)), 1e-12)
-            self.width[element] = 2.0 ** np.ceil(np.log2(max((high - low) / FIRST_BINS, least)))
+            least_width = max(FINEST * max(abs(low), abs(high)), 1e-12)
+            self.width[element] = 2.0 ** np.ceil(np.log2(max((high - low) / FIRST_BINS, least_width)))
             self.start[element] = np.floor(low / self.width[element] - BINS // 4) * self.width[element]
         while not (self.start[element] <= low and high < self.start[element] + BINS * self.width[element]):
-            self._double(element, down=low < self.start[element])
+            self._double(element, is_downward=low < self.start[element])
 
-    def _double(self, element: int, down: bool) -> None:
+    def _double(self, element: int, is_downward: bool) -> None:
         """Double one element's bins, making room below or above."""
-        old, width = self.start[element], 2 * self.width[element]
-        start = (np.ceil(old / width + BINS / 2) - BINS) * width if down else np.floor(old / width) * width
-        target = np.floor((old + self.width[element] * np.arange(BINS) - start) / width).astype(np.int64)
-        merged = np.zeros(BINS, np.int64)
-        np.add.at(merged, target, self.counts[element])
-        self.counts[element], self.start[element], self.width[element] = merged, start, width
+        old_start, width = self.start[element], 2 * self.width[element]
+        start = (
+            (np.ceil(old_start / width + BINS / 2) - BINS) * width
+            if is_downward
+            else np.floor(old_start / width) * width
+        )
+        target = np.floor((old_start + self.width[element] * np.arange(BINS) - start) / width).astype(np.int64)
+        merged_counts = np.zeros(BINS, np.int64)
+        np.add.at(merged_counts, target, self.counts[element])
+        self.counts[element], self.start[element], self.width[element] = merged_counts, start, width
 
     def distribution(self, element: int) -> Distribution | None:
         """Return what was counted of one element, in few bars; None without a value."""
@@ -107,13 +111,13 @@ class Histogram:
         count = int(counts.sum())
         if not count:
             return None
-        below = np.cumsum(counts)
-        first = int(np.searchsorted(below, TAIL * count, side="right"))
-        last = int(np.searchsorted(below, (1 - TAIL) * count, side="left"))
-        group = max(1, -(-(last - first + 1) // BARS))
-        edges = first + group * np.arange(-(-(last - first + 1) // group) + 1)
-        held = np.concatenate([[0], below])
-        bars = np.diff(held[np.minimum(edges, BINS)])
+        cumulative = np.cumsum(counts)
+        first_bin = int(np.searchsorted(cumulative, TAIL * count, side="right"))
+        last_bin = int(np.searchsorted(cumulative, (1 - TAIL) * count, side="left"))
+        group = max(1, -(-(last_bin - first_bin + 1) // BARS))
+        edges = first_bin + group * np.arange(-(-(last_bin - first_bin + 1) // group) + 1)
+        counts_below = np.concatenate([[0], cumulative])
+        bars = np.diff(counts_below[np.minimum(edges, BINS)])
         return Distribution(
             count=count,
             low=float(self.low[element]),

@@ -44,7 +44,7 @@ def label_of(dataset: Dataset) -> str:
     return f"{dataset.name}@{dataset.digest}"
 
 
-def derived(operation: str, parents: Sequence[Dataset], details: Mapping[str, Any]) -> Lineage:
+def derived_lineage(operation: str, parents: Sequence[Dataset], details: Mapping[str, Any]) -> Lineage:
     """Return the lineage of what an operation makes of versions, theirs included.
 
     Parameters
@@ -56,11 +56,11 @@ def derived(operation: str, parents: Sequence[Dataset], details: Mapping[str, An
     details : mapping
         What decides the result, as plain data.
     """
-    told: set[str] = set()
+    seen_keys: set[str] = set()
     ancestry: dict[str, tuple[Lineage, ...]] = {}
     for parent in parents:
         if label_of(parent) not in ancestry:
-            ancestry[label_of(parent)] = _untold(parent.lineage, told)
+            ancestry[label_of(parent)] = _untold(parent.lineage, seen_keys)
     return Lineage(
         operation=operation,
         parents=tuple(ancestry),
@@ -70,21 +70,21 @@ def derived(operation: str, parents: Sequence[Dataset], details: Mapping[str, An
     )
 
 
-def _untold(lineage: Sequence[Lineage], told: set[str]) -> tuple[Lineage, ...]:
-    """Return a lineage without what `told` holds; `told` grows. Else a tree would double with each merge."""
-    return tuple(step.model_copy(update={"ancestry": _fresh(step.ancestry, told)}) for step in lineage)
+def _untold(lineage: Sequence[Lineage], seen_keys: set[str]) -> tuple[Lineage, ...]:
+    """Return a lineage without what `seen_keys` holds; `seen_keys` grows. Else a tree would double with each merge."""
+    return tuple(step.model_copy(update={"ancestry": _new_ancestry(step.ancestry, seen_keys)}) for step in lineage)
 
 
-def _fresh(ancestry: Mapping[str, tuple[Lineage, ...]], told: set[str]) -> dict[str, tuple[Lineage, ...]]:
+def _new_ancestry(ancestry: Mapping[str, tuple[Lineage, ...]], seen_keys: set[str]) -> dict[str, tuple[Lineage, ...]]:
     """Return the ancestors that were not told."""
-    fresh = {}
+    new_ancestry = {}
     for label, lineage in ancestry.items():
         text = "\n".join([label, *(step.model_dump_json() for step in lineage)])
         key = hashlib.sha256(text.encode()).hexdigest()
-        if key not in told:
-            told.add(key)
-            fresh[label] = _untold(lineage, told)
-    return fresh
+        if key not in seen_keys:
+            seen_keys.add(key)
+            new_ancestry[label] = _untold(lineage, seen_keys)
+    return new_ancestry
 
 
 def tree(dataset: Dataset) -> Origin:
@@ -106,10 +106,12 @@ def _origin(label: str, lineage: Sequence[Lineage] | None) -> Origin:
 def as_json(origin: Origin) -> dict[str, Any]:
     """Return the tree as plain data: `dataset`, `known`, and `steps` with their `parents`."""
     steps = [
-        {**step.record.model_dump(mode="json", exclude={"parents", "ancestry"}),
-         "parents": [as_json(parent) for parent in step.parents]}
+        {
+            **step.record.model_dump(mode="json", exclude={"parents", "ancestry"}),
+            "parents": [as_json(parent) for parent in step.parents],
+        }
         for step in origin.steps
-    ]  # fmt: skip
+    ]
     return {"dataset": origin.dataset, "known": origin.known, "steps": steps}
 
 
@@ -118,9 +120,9 @@ def lines(origin: Origin) -> Iterator[str]:
     name, _, digest = origin.dataset.rpartition("@")
     yield f"{name}@{digest[:12]}" + ("" if origin.known else "  (told elsewhere in this tree, or not recorded)")
     for number, step in enumerate(origin.steps):
-        last = number == len(origin.steps) - 1
-        yield f"{'└─' if last else '├─'} {_words(step.record)}"
-        stem = "   " if last else "│  "
+        is_last = number == len(origin.steps) - 1
+        yield f"{'└─' if is_last else '├─'} {_words(step.record)}"
+        stem = "   " if is_last else "│  "
         for place, parent in enumerate(step.parents):
             final = place == len(step.parents) - 1
             inner = lines(parent)
@@ -129,30 +131,30 @@ def lines(origin: Origin) -> Iterator[str]:
 
 
 #: Longest text of one fact in a line; `--json` has all of it.
-_LONGEST = 80
+_FACT_LIMIT = 80
 
 
 def _words(step: Lineage) -> str:
     """Return an operation and the facts of it that fit a line."""
     logs = [entry.get("log") for entry in step.details.get("logs", [])]
     facts = {name: value for name, value in step.details.items() if name != "logs"} | ({"log": logs[0]} if logs else {})
-    more = len(logs) - 1
-    told = [f"{name} {_short(value)}" for name, value in facts.items() if value not in (None, [], {}, "")]
-    told += [f"and {more} more"] if more > 0 else []
-    told += [f"seeds {', '.join(map(str, step.seeds))}"] if step.seeds else []
-    told += [f"config {step.config_digest[:12]}"] if step.config_digest else []
-    told += [f"revision {step.revision}"] if step.revision else []
-    told += [f"sealed {step.sealed[:12]}"] if step.sealed else []
-    told += [f"{tool} {version}" for tool, version in sorted(step.tools.items())]
-    return "; ".join([step.operation, *told])
+    more_logs = len(logs) - 1
+    parts = [f"{name} {_short_text(value)}" for name, value in facts.items() if value not in (None, [], {}, "")]
+    parts += [f"and {more_logs} more"] if more_logs > 0 else []
+    parts += [f"seeds {', '.join(map(str, step.seeds))}"] if step.seeds else []
+    parts += [f"config {step.config_digest[:12]}"] if step.config_digest else []
+    parts += [f"revision {step.revision}"] if step.revision else []
+    parts += [f"sealed {step.sealed[:12]}"] if step.sealed else []
+    parts += [f"{tool} {version}" for tool, version in sorted(step.tools.items())]
+    return "; ".join([step.operation, *parts])
 
 
-def _short(value: object) -> str:
+def _short_text(value: object) -> str:
     """Return a value in a few words."""
-    if isinstance(value, list) and all(isinstance(one, dict) and "name" in one for one in value):
-        value = ", ".join(_effect(one) for one in value)
+    if isinstance(value, list) and all(isinstance(setting, dict) and "name" in setting for setting in value):
+        value = ", ".join(_effect(setting) for setting in value)
     text = " ".join(str(value).split())
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _FACT_LIMIT else text[: _FACT_LIMIT - 3] + "..."
 
 
 def _effect(setting: Mapping[str, Any]) -> str:

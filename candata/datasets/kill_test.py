@@ -63,7 +63,7 @@ class KillResult:
     versions: int
 
     @property
-    def passed(self) -> bool:
+    def has_passed(self) -> bool:
         """Whether nothing was lost, doubled or damaged."""
         return self.acknowledged > 0 and not (self.lost or self.doubled or self.damage)
 
@@ -97,13 +97,13 @@ class _Process:
         """
         deadline = time.monotonic() + PATIENCE_S
         while len(self.acknowledged()) < count:
-            ended = self.process.poll() is not None
-            if ended or time.monotonic() > deadline:
-                told = "; ".join(line.strip() for line in self.errors.read_text().splitlines()[-6:]) or "nothing"
+            has_ended = self.process.poll() is not None
+            if has_ended or time.monotonic() > deadline:
+                error_text = "; ".join(line.strip() for line in self.errors.read_text().splitlines()[-6:]) or "nothing"
                 raise SetupError(
-                    f"a process of the kill test ({self.role}) {'ended by itself' if ended else 'does not go on'}",
+                    f"a process of the kill test ({self.role}) {'ended by itself' if has_ended else 'does not go on'}",
                     expected=f"{count} acknowledgements within {PATIENCE_S:g} s",
-                    found=f"{len(self.acknowledged())}; it said: {told}",
+                    found=f"{len(self.acknowledged())}; it said: {error_text}",
                     where=Where(path=str(self.log.parent)),
                 )
             time.sleep(0.005)
@@ -116,7 +116,7 @@ def kill_test(
     roles: Sequence[str] = ("append", "append", "append"),
     grace_s: float = 5.0,
     seed: int = 0,
-    progress: Callable[[int], None] = lambda done: None,
+    progress: Callable[[int], None] = lambda done_count: None,
 ) -> KillResult:
     """Return what is left of a scratch dataset whose writers are killed again and again, others writing on.
 
@@ -147,53 +147,53 @@ def kill_test(
     def start(role: str) -> _Process:
         return _Process(root, role, folder / f"{role}{next(counter)}.log", grace_s)
 
-    running, gone = [start(role) for role in roles], []
+    processes, victims = [start(role) for role in roles], []
     try:
         for kill in range(kills):
-            victim = running.pop(0)
+            victim = processes.pop(0)
             victim.wait_for(rng.randint(2, 6) if victim.role == "append" else 1)
             time.sleep(rng.uniform(0, 0.05))
             victim.kill()
-            gone.append(victim)
-            running.append(start(victim.role))
+            victims.append(victim)
+            processes.append(start(victim.role))
             progress(kill + 1)
-        for process in running:
+        for process in processes:
             process.wait_for(1)
     finally:
-        for process in running:
+        for process in processes:
             process.kill()
-    writers = [process for process in gone + running if process.role == "append"]
+    writers = [process for process in victims + processes if process.role == "append"]
     return _verdict(root, kills, {k: v for writer in writers for k, v in writer.acknowledged().items()})
 
 
-def _verdict(root: Path, kills: int, acknowledged: dict[str, str]) -> KillResult:
-    """Return what is found of what was acknowledged."""
+def _verdict(root: Path, kills: int, expected_hashes: dict[str, str]) -> KillResult:
+    """Return the result: the acknowledged episodes against those in the dataset."""
     dataset = open_dataset(root, partial=True)
-    found, damage = {}, []
+    hashes, damage = {}, []
     for name in dataset.ids:
         try:
-            found[name] = content_hash(dataset.episode(name))
+            hashes[name] = content_hash(dataset.episode(name))
         except DataError as error:
             damage.append(str(error.where))
-    listed: Counter[str] = Counter()
+    part_counts: Counter[str] = Counter()
     for part in dataset.raw_parts():
         try:
             manifest = part.manifest()
         except DataError as error:
             damage.append(str(error.where))
             continue
-        listed.update(name for name, _ in manifest.episodes)
+        part_counts.update(name for name, _ in manifest.episodes)
         problem = part.changed_file(manifest)
         damage += [str(problem.where)] if problem else []
-    lost = sum(found.get(name) != digest for name, digest in acknowledged.items())
-    doubled = sum(count > 1 for count in listed.values())
-    return KillResult(kills, len(acknowledged), lost, doubled, tuple(damage), dataset.version)
+    lost_count = sum(hashes.get(name) != digest for name, digest in expected_hashes.items())
+    doubled_count = sum(count > 1 for count in part_counts.values())
+    return KillResult(kills, len(expected_hashes), lost_count, doubled_count, tuple(damage), dataset.version)
 
 
 def main(root: str, role: str, name: str, grace_s: str = "5") -> None:
     """Play a role until the parent is gone; write `id hash` once each piece of work is done."""
     parent = os.getppid()
-    work = {"append": _appending, "compact": _compacting, "collect": _collecting}[role]
+    work = {"append": _append_loop, "compact": _compact_loop, "collect": _collect_loop}[role]
     for line in work(Path(root), name, float(grace_s)):
         sys.stdout.write(line + "\n")
         sys.stdout.flush()
@@ -201,23 +201,23 @@ def main(root: str, role: str, name: str, grace_s: str = "5") -> None:
             return
 
 
-def _appending(root: Path, name: str, _grace_s: float) -> Iterator[str]:
+def _append_loop(root: Path, name: str, _grace_s: float) -> Iterator[str]:
     """Append episodes one by one; yield each one's id and hash once it is published."""
     rng = np.random.default_rng(list(name.encode()))
     for number in itertools.count():
         arrays = {"time_ns": np.arange(50) * 12_500_000, "joint_position": rng.normal(size=(50, 15))}
         episode = Episode(EpisodeMeta(id=f"{name}-{number:04d}", source="sim", rate_hz=80), arrays)
-        for left in range(_TRIES - 1, -1, -1):
+        for tries_left in range(_TRIES - 1, -1, -1):
             try:
                 append(root, [episode], Lineage(operation="kill test"))
                 break
             except (DataError, SetupError):  # a grace period shorter than the writing: its part was collected
-                if not left:
+                if not tries_left:
                     raise
         yield f"{episode.meta.id} {content_hash(episode)}"
 
 
-def _compacting(root: Path, name: str, _grace_s: float) -> Iterator[str]:
+def _compact_loop(root: Path, name: str, _grace_s: float) -> Iterator[str]:
     """Compact again and again; where others leave it no time, or there is nothing yet, try again."""
     for number in itertools.count():
         with suppress(CandataError):
@@ -226,7 +226,7 @@ def _compacting(root: Path, name: str, _grace_s: float) -> Iterator[str]:
         time.sleep(0.02)
 
 
-def _collecting(root: Path, name: str, grace_s: float) -> Iterator[str]:
+def _collect_loop(root: Path, name: str, grace_s: float) -> Iterator[str]:
     """Collect garbage again and again, keeping one version."""
     for number in itertools.count():
         yield f"{name}-{number:04d} {collect_garbage(root, grace_s=grace_s, keep=1).bytes}"

@@ -25,7 +25,7 @@ Step = Callable[[Path], None]
 STEPS: Mapping[int, Step] = {}
 
 #: What a dataset consists of; catalogs, caches and staging are made again.
-_KEPT = (DATASET, "parts", "objects", "versions", "splits", "tags")
+_DATASET_ENTRIES = (DATASET, "parts", "objects", "versions", "splits", "tags")
 
 
 @dataclass(frozen=True)
@@ -67,37 +67,40 @@ def migrate_dataset(
         When `out` cannot be written.
     """
     root, home = Path(path), Path(out)
-    old = format_of(root)
-    if old > target:
+    old_format = format_of(root)
+    if old_format > target:
         raise DataError(
-            "the dataset has a newer format", expected=f"format {target} or an older one", found=f"format {old}",
-            where=Where(path=str(root / DATASET)), fix="install a newer candata",
-        )  # fmt: skip
-    if old == target:
-        return Migration(old, target, False)
-    _refuse(root, home, old, target, steps)
+            "the dataset has a newer format",
+            expected=f"format {target} or an older one",
+            found=f"format {old_format}",
+            where=Where(path=str(root / DATASET)),
+            fix="install a newer candata",
+        )
+    if old_format == target:
+        return Migration(old_format, target, False)
+    _refuse(root, home, old_format, target, steps)
     with durable.writing(home), draft_beside(home) as folder:
         draft = folder / "dataset"
         _copy(root, draft)
-        for version in range(old, target):
+        for version in range(old_format, target):
             steps[version](draft)
         _check(draft, root, target)
         durable.sync_tree(draft)
         place(draft, home)
-    return Migration(old, target, True)
+    return Migration(old_format, target, True)
 
 
-def _refuse(root: Path, home: Path, old: int, target: int, steps: Mapping[int, Step]) -> None:
+def _refuse(root: Path, home: Path, old_format: int, target: int, steps: Mapping[int, Step]) -> None:
     """Refuse a target that exists or lies in the source, and a format from which no step leads on."""
     refuse_standing(home)
     if home.resolve().is_relative_to(root.resolve()):
         raise UsageError("the new dataset would lie inside the old one", where=Where(path=str(home)))
-    missing = next((version for version in range(old, target) if version not in steps), None)
-    if missing is not None:
+    missing_format = next((version for version in range(old_format, target) if version not in steps), None)
+    if missing_format is not None:
         raise DataError(
             "no migration leads on from this format",
             expected=f"one of {', '.join(map(str, sorted(steps))) or 'none'}, or {target}",
-            found=f"format {missing}",
+            found=f"format {missing_format}",
             where=Where(path=str(root / DATASET)),
         )
 
@@ -105,11 +108,11 @@ def _refuse(root: Path, home: Path, old: int, target: int, steps: Mapping[int, S
 def _copy(root: Path, draft: Path) -> None:
     """Copy what a dataset consists of; links are refused, as they may lead anywhere."""
     draft.mkdir()
-    for name in _KEPT:
+    for name in _DATASET_ENTRIES:
         source = root / name
-        for one in [source, *(source.rglob("*") if source.is_dir() else ())]:
-            if one.is_symlink():
-                raise DataError("a link in the dataset", expected="files and folders", where=Where(path=str(one)))
+        for path in [source, *(source.rglob("*") if source.is_dir() else ())]:
+            if path.is_symlink():
+                raise DataError("a link in the dataset", expected="files and folders", where=Where(path=str(path)))
         if source.is_dir():
             shutil.copytree(source, draft / name)
         elif source.exists():
@@ -119,11 +122,11 @@ def _copy(root: Path, draft: Path) -> None:
 def _check(draft: Path, root: Path, target: int) -> None:
     """Refuse a result that is not of the target's format, or of which a version does not open."""
     try:
-        found = format_of(draft)
-        if found == FORMAT_VERSION:
+        new_format = format_of(draft)
+        if new_format == FORMAT_VERSION:
             for number in numbers(draft):
                 open_dataset(draft, number)
     except CandataError as error:
         raise DataError("the migration failed", found=error.problem, where=Where(path=str(root))) from None
-    if found != target or (numbers(root) and not version_path(draft, numbers(root)[-1]).is_file()):
-        raise DataError("the migration failed", expected=f"format {target}", found=f"format {found}")
+    if new_format != target or (numbers(root) and not version_path(draft, numbers(root)[-1]).is_file()):
+        raise DataError("the migration failed", expected=f"format {target}", found=f"format {new_format}")

@@ -20,7 +20,7 @@ _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt"
 
 def is_name(text: str) -> bool:
     """Return whether `text` may name a dataset, a remote, a tag or a split."""
-    return bool(_NAME.fullmatch(text)) and _plain(text)
+    return bool(_NAME.fullmatch(text)) and _is_file_name(text)
 
 
 def require_name(kind: str, text: str) -> str:
@@ -38,7 +38,7 @@ def require_name(kind: str, text: str) -> str:
     return text
 
 
-def require_hash(kind: str, text: str, where: str) -> str:
+def require_hash(kind: str, text: str, location: str) -> str:
     """Return `text`, which is a sha256 in hex.
 
     Raises
@@ -46,10 +46,10 @@ def require_hash(kind: str, text: str, where: str) -> str:
     DataError
         When it is not.
     """
-    return _require(_SHA256, f"the sha256 of {kind}", text, where)
+    return _require(_SHA256, f"the sha256 of {kind}", text, location)
 
 
-def require_part(text: str, where: str) -> str:
+def require_part(text: str, location: str) -> str:
     """Return `text`, which is the id of a part.
 
     Raises
@@ -57,17 +57,19 @@ def require_part(text: str, where: str) -> str:
     DataError
         When it is not.
     """
-    return _require(_PART, "the id of a part", text, where)
+    return _require(_PART, "the id of a part", text, location)
 
 
-def _require(pattern: re.Pattern[str], kind: str, text: str, where: str) -> str:
+def _require(pattern: re.Pattern[str], kind: str, text: str, location: str) -> str:
     """Return `text`, which matches."""
     if not pattern.fullmatch(text):
-        raise DataError(f"not {kind}", expected="hexadecimal digits", found=repr(text)[:200], where=Where(path=where))
+        raise DataError(
+            f"not {kind}", expected="hexadecimal digits", found=repr(text)[:200], where=Where(path=location)
+        )
     return text
 
 
-def require_files(paths: Iterable[str], where: str) -> None:
+def require_files(paths: Iterable[str], location: str) -> None:
     """Return nothing; the relative paths are plain, different in more than case, and no file is a folder too.
 
     Raises
@@ -75,26 +77,26 @@ def require_files(paths: Iterable[str], where: str) -> None:
     DataError
         When one is absolute, has `..`, backslashes, odd characters or a device's name, or two collide.
     """
-    seen: set[str] = set()
+    lower_names: set[str] = set()
     folders: set[str] = set()
     for path in paths:
         segments = path.split("/")
-        plain = len(segments) <= _DEPTH and all(_SEGMENT.fullmatch(s) and _plain(s) for s in segments)
+        is_plain = len(segments) <= _DEPTH and all(_SEGMENT.fullmatch(s) and _is_file_name(s) for s in segments)
         lower = path.lower()
-        if not plain or lower in seen:
+        if not is_plain or lower in lower_names:
             raise DataError(
-                "a file of the dataset has a name that cannot be kept" if not plain else "two files have one name",
+                "a file of the dataset has a name that cannot be kept" if not is_plain else "two files have one name",
                 expected="plain relative names, different in more than case",
                 found=repr(path)[:200],
-                where=Where(path=where),
+                where=Where(path=location),
                 fix="do not trust this copy; ask who made it",
             )
-        seen.add(lower)
+        lower_names.add(lower)
         folders.update("/".join(lower.split("/")[:depth]) for depth in range(1, len(segments)))
-    for path in seen & folders:
-        raise DataError("a file of the dataset is a folder too", found=repr(path)[:200], where=Where(path=where))
+    for path in lower_names & folders:
+        raise DataError("a file of the dataset is a folder too", found=repr(path)[:200], where=Where(path=location))
 
 
-def _plain(segment: str) -> bool:
+def _is_file_name(segment: str) -> bool:
     """Return whether a segment is a file's name on every system."""
     return not segment.endswith(".") and segment.split(".")[0].lower() not in _DEVICES

@@ -49,7 +49,7 @@ def write_part(path: str | Path, episodes: Iterable[Episode], producer: Mapping[
         When the folder of the dataset was moved away.
     """
     root = Path(path)
-    with durable.staged(root) as folder:
+    with durable.staging_folder(root) as folder:
         pairs, rows = _write_tables(folder, episodes)
         tables = [folder / STEPS, folder / EPISODES]
         manifest = PartFile(
@@ -82,15 +82,15 @@ def _commit(root: Path, folder: Path, manifest: PartFile) -> PartFile:
 def _write_tables(folder: Path, episodes: Iterable[Episode]) -> tuple[list[tuple[str, str]], int]:
     """Write both tables and the dense channels; return (id, content hash) pairs and the number of rows."""
     stream = iter(episodes)
-    first = next(stream, None)
-    if first is None:
+    first_episode = next(stream, None)
+    if first_episode is None:
         raise UsageError("nothing to write: no episodes", expected="at least 1 episode", fix="check the source")
-    layout = encode.layout_of(first)
+    layout = encode.layout_of(first_episode)
     schema = encode.steps_schema(layout)
     table: list[dict[str, object]] = []
     stores = [dense.Writer(folder, name, shape) for name, shape in encode.dense_layout(layout).items()]
     with pq.ParquetWriter(folder / STEPS, schema, **encode.parquet_options(schema)) as writer:
-        for number, group in enumerate(_groups(itertools.chain([first], stream))):
+        for number, group in enumerate(_groups(itertools.chain([first_episode], stream))):
             _check_group(group, layout, {str(row["id"]) for row in table})
             batches = [encode.steps_batch(episode, schema) for episode in group]
             steps = pa.Table.from_batches(batches)
@@ -112,24 +112,24 @@ def _groups(episodes: Iterator[Episode]) -> Iterator[list[Episode]]:
         yield group
 
 
-def _check_group(group: list[Episode], layout: encode.Layout, seen: set[str]) -> None:
+def _check_group(group: list[Episode], layout: encode.ColumnShapes, known_ids: set[str]) -> None:
     """Refuse an id that comes twice and an episode whose channels differ from the part's."""
     for episode in group:
-        where = Where(episode=episode.meta.id)
-        if episode.meta.id in seen:
-            raise DataError("episode id comes twice in one part", expected="unique ids", where=where)
-        seen.add(episode.meta.id)
+        location = Where(episode=episode.meta.id)
+        if episode.meta.id in known_ids:
+            raise DataError("episode id comes twice in one part", expected="unique ids", where=location)
+        known_ids.add(episode.meta.id)
         if encode.layout_of(episode) != layout:
             raise DataError(
                 "episodes of one part differ in their channels",
                 expected=_layout_text(layout),
                 found=_layout_text(encode.layout_of(episode)),
-                where=where,
+                where=location,
                 fix="write one part for each set of channels; append does so by itself",
             )
 
 
-def _layout_text(layout: encode.Layout) -> str:
+def _layout_text(layout: encode.ColumnShapes) -> str:
     """Return `name (shape), ...`."""
     return ", ".join(f"{name} {('T', *shape)}" for name, shape in layout.items())
 
@@ -164,7 +164,7 @@ def hold(root: Path, part_id: str) -> None:
     try:
         durable.touch(folder)
     except FileNotFoundError:
-        raise durable.damaged(folder / MANIFEST, "no such file") from None
+        raise durable.damaged_error(folder / MANIFEST, "no such file") from None
 
 
 def entry_of(root: Path, part_id: str) -> PartEntry:
@@ -208,8 +208,8 @@ class RawPart:
 
     def relative(self, path: Path | str | None) -> str:
         """Return a path below the dataset as seen from it, another one as it is."""
-        given = Path(path or self.folder)
-        return str(given.relative_to(self.root) if given.is_relative_to(self.root) else given)
+        full_path = Path(path or self.folder)
+        return str(full_path.relative_to(self.root) if full_path.is_relative_to(self.root) else full_path)
 
     def manifest(self) -> PartFile:
         """Return `part.json`, which must be the one the version was published with.
@@ -221,12 +221,12 @@ class RawPart:
         """
         path = self.folder / MANIFEST
         data = durable.read_bytes(path)
-        found = hashlib.sha256(data).hexdigest()
-        if found != self.entry.sha256:
-            raise durable.damaged(path, f"sha256 {found[:12]}", f"sha256 {self.entry.sha256[:12]}")
+        digest = hashlib.sha256(data).hexdigest()
+        if digest != self.entry.sha256:
+            raise durable.damaged_error(path, f"sha256 {digest[:12]}", f"sha256 {self.entry.sha256[:12]}")
         return durable.read_record(PartFile, path, data)
 
-    def layout(self) -> encode.Layout:
+    def layout(self) -> encode.ColumnShapes:
         """Return each column's shape without the time axis, which all episodes of the part share.
 
         Raises
@@ -238,7 +238,7 @@ class RawPart:
         try:
             return encode.stored_layout(pq.read_schema(path))
         except UNREADABLE as error:
-            raise durable.damaged(path, durable.reason(error)) from None
+            raise durable.damaged_error(path, durable.reason(error)) from None
 
     def table(self) -> pa.Table:
         """Return the rows of `episodes.parquet`.
@@ -252,7 +252,7 @@ class RawPart:
         try:
             return encode.episode_table(read_parquet(path))
         except UNREADABLE as error:
-            raise durable.damaged(path, durable.reason(error)) from None
+            raise durable.damaged_error(path, durable.reason(error)) from None
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the rows of `episodes.parquet`, each with at least id, rows, row group, hash and record.
@@ -266,15 +266,17 @@ class RawPart:
         try:
             rows = self.table().to_pylist()
         except UNREADABLE as error:
-            raise durable.damaged(path, durable.reason(error)) from None
+            raise durable.damaged_error(path, durable.reason(error)) from None
         for row in rows:
-            lacking = [name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None]
-            if lacking:
-                raise durable.damaged(path, f"an episode without {', '.join(lacking)}")
+            missing_columns = [
+                name for name in ("id", "rows", "row_group", "content_hash", "meta") if row[name] is None
+            ]
+            if missing_columns:
+                raise durable.damaged_error(path, f"an episode without {', '.join(missing_columns)}")
         return rows
 
     def group(self, number: int, rows: list[dict[str, Any]] | None = None) -> list[encode.RawEpisode]:
-        """Return the episodes of one row group as the tables hold them; `whole` adds what lies in Zarr stores.
+        """Return the episodes of one row group as the tables hold them; `with_dense` adds what lies in Zarr stores.
 
         `rows` are those of `rows()`, if at hand.
 
@@ -287,12 +289,12 @@ class RawPart:
         path = self.folder / STEPS
         try:
             steps = read_parquet(path, group=number)
-            before = sum(int(row["rows"]) for row in rows if row["row_group"] < number)
-            return encode.decode_group(steps, [row for row in rows if row["row_group"] == number], before)
+            first_row = sum(int(row["rows"]) for row in rows if row["row_group"] < number)
+            return encode.decode_group(steps, [row for row in rows if row["row_group"] == number], first_row)
         except UNREADABLE as error:
-            raise durable.damaged(path, durable.reason(error)) from None
+            raise durable.damaged_error(path, durable.reason(error)) from None
 
-    def whole(self, episode: encode.RawEpisode) -> encode.RawEpisode:
+    def with_dense(self, episode: encode.RawEpisode) -> encode.RawEpisode:
         """Return an episode of `group` with its dense channels.
 
         Raises
@@ -300,11 +302,13 @@ class RawPart:
         DataError
             When a store is missing or does not decode; names it.
         """
-        if not episode.dense:
+        if not episode.dense_shapes:
             return episode
         rows = slice(episode.first_row, episode.first_row + episode.rows)
-        read = {name: dense.read(self.folder, name, rows, shape) for name, shape in episode.dense.items()}
-        return dataclasses.replace(episode, arrays={**episode.arrays, **read})
+        dense_arrays = {
+            name: dense.read(self.folder, name, rows, shape) for name, shape in episode.dense_shapes.items()
+        }
+        return dataclasses.replace(episode, arrays={**episode.arrays, **dense_arrays})
 
     def episodes(self) -> Iterator[encode.RawEpisode]:
         """Yield the episodes as stored, at most the tables of 8 held at a time.
@@ -316,18 +320,18 @@ class RawPart:
         """
         rows = self.rows()
         for number in sorted({row["row_group"] for row in rows}):
-            yield from map(self.whole, self.group(number, rows))
+            yield from map(self.with_dense, self.group(number, rows))
 
     def changed_file(self, manifest: PartFile) -> DataError | None:
         """Return what is wrong with the bytes of the part's files; reads all of them."""
         for entry in manifest.files:
             path = self.folder / entry.path
             try:
-                found = durable.file_sha256(path)
+                digest = durable.file_sha256(path)
             except OSError as error:
-                return durable.damaged(path, durable.reason(error))
-            if found != entry.sha256:
-                return durable.damaged(path, f"sha256 {found[:12]}", f"sha256 {entry.sha256[:12]}")
+                return durable.damaged_error(path, durable.reason(error))
+            if digest != entry.sha256:
+                return durable.damaged_error(path, f"sha256 {digest[:12]}", f"sha256 {entry.sha256[:12]}")
         return None
 
     def size_problem(self, manifest: PartFile) -> DataError | None:
@@ -335,7 +339,7 @@ class RawPart:
         for entry in manifest.files:
             path = self.folder / entry.path
             if not path.is_file():
-                return durable.damaged(path, "no such file")
+                return durable.damaged_error(path, "no such file")
             if path.stat().st_size != entry.bytes:
-                return durable.damaged(path, f"{path.stat().st_size} bytes", f"{entry.bytes} bytes")
+                return durable.damaged_error(path, f"{path.stat().st_size} bytes", f"{entry.bytes} bytes")
         return None

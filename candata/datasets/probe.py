@@ -61,21 +61,23 @@ def probe_folder(
     root = Path(path)
     if not root.is_dir():
         raise UsageError("not a folder", expected="an existing folder", where=Where(path=str(root)))
-    done: list[Probe] = []
+    probes: list[Probe] = []
     progress("space")
-    done.append(_space(root))
+    probes.append(_space(root))
     try:
         with _scratch(root) as folder:
-            done.append(Probe("write", True, "folders and files can be made and removed"))
+            probes.append(Probe("write", True, "folders and files can be made and removed"))
             for name, probe in _PROBES.items():
                 progress(name)
-                done.append(_tried(name, probe, folder))
-            sound = all(one.ok for one in done if one.name in _NEEDED)
+                probes.append(_run_probe(name, probe, folder))
+            is_sound = all(result.ok for result in probes if result.name in _REQUIRED_PROBES)
             progress("kill test")
-            done.append(_kill(folder, kills, sound))
+            probes.append(_kill(folder, kills, is_sound))
     except OSError as error:
-        done.append(Probe("write", False, durable.reason(error), "ask for the right to write, or take another folder"))
-    return tuple(done)
+        probes.append(
+            Probe("write", False, durable.reason(error), "ask for the right to write, or take another folder")
+        )
+    return tuple(probes)
 
 
 @contextmanager
@@ -89,36 +91,36 @@ def _scratch(root: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _tried(name: str, probe: Callable[[Path], tuple[bool, str, str]], folder: Path) -> Probe:
+def _run_probe(name: str, probe: Callable[[Path], tuple[bool, str, str]], folder: Path) -> Probe:
     """Return what a probe finds in a folder of its own; what the system raises is a finding too."""
     home = folder / name.replace(" ", "-")
     home.mkdir()
     try:
-        ok, found, fix = probe(home)
+        ok, finding, fix = probe(home)
     except OSError as error:
         return Probe(name, False, durable.reason(error), "keep datasets on a local disk, or ask who runs the share")
-    return Probe(name, ok, found, "" if ok else fix)
+    return Probe(name, ok, finding, "" if ok else fix)
 
 
 def _space(root: Path) -> Probe:
     """Return the free space."""
     usage = shutil.disk_usage(root)
-    found = f"{usage.free / 1e9:.1f} GB free of {usage.total / 1e9:.1f} GB"
-    enough = usage.free >= LEAST_FREE_BYTES
-    return Probe("space", enough, found, "" if enough else f"free at least {LEAST_FREE_BYTES / 1e9:g} GB")
+    free_text = f"{usage.free / 1e9:.1f} GB free of {usage.total / 1e9:.1f} GB"
+    is_enough = usage.free >= LEAST_FREE_BYTES
+    return Probe("space", is_enough, free_text, "" if is_enough else f"free at least {LEAST_FREE_BYTES / 1e9:g} GB")
 
 
 def _rename_file(home: Path) -> tuple[bool, str, str]:
     """Replace a file again and again while another thread reads it: it must always be whole."""
-    target, texts, seen, stop = home / "target", {b"a" * 65536, b"b" * 65536}, set(), threading.Event()
+    target, texts, contents, stop = home / "target", {b"a" * 65536, b"b" * 65536}, set(), threading.Event()
     target.write_bytes(min(texts))
 
     def read() -> None:
         while not stop.is_set():
             try:
-                seen.add(target.read_bytes())
+                contents.add(target.read_bytes())
             except FileNotFoundError:
-                seen.add(b"")
+                contents.add(b"")
 
     reader = threading.Thread(target=read)
     reader.start()
@@ -129,7 +131,7 @@ def _rename_file(home: Path) -> tuple[bool, str, str]:
     finally:
         stop.set()
         reader.join()
-    ok = seen <= texts
+    ok = contents <= texts
     return ok, "a replaced file is never missing or half" if ok else "a file was missing or half", "use a local disk"
 
 
@@ -139,19 +141,23 @@ def _rename_folder(home: Path) -> tuple[bool, str, str]:
         (home / name).mkdir()
         (home / name / "file").write_text(name)
     os.rename(home / "one", home / "three")
-    moved = not (home / "one").exists() and (home / "three" / "file").read_text() == "one"
+    is_moved = not (home / "one").exists() and (home / "three" / "file").read_text() == "one"
     try:
         os.rename(home / "two", home / "three")
-        refused = False
+        is_refused = False
     except OSError:
-        refused = (home / "three" / "file").read_text() == "one"
-    found = "a folder is renamed whole; a taken name is refused"
-    return moved and refused, found if moved and refused else "a folder was replaced or came in pieces", _LOCAL
+        is_refused = (home / "three" / "file").read_text() == "one"
+    summary = "a folder is renamed whole; a taken name is refused"
+    return (
+        is_moved and is_refused,
+        summary if is_moved and is_refused else "a folder was replaced or came in pieces",
+        _LOCAL,
+    )
 
 
 def _exclusive(home: Path) -> tuple[bool, str, str]:
     """Link several drafts to one name at once: one must win."""
-    won, start = [], threading.Barrier(_RACERS)
+    winners, start = [], threading.Barrier(_RACERS)
     problems: list[OSError] = []
 
     def race(number: int) -> None:
@@ -159,7 +165,7 @@ def _exclusive(home: Path) -> tuple[bool, str, str]:
         start.wait()
         try:
             os.link(home / f"draft{number}", home / "taken")
-            won.append(number)
+            winners.append(number)
         except FileExistsError:
             return
         except OSError as error:
@@ -174,8 +180,8 @@ def _exclusive(home: Path) -> tuple[bool, str, str]:
         return False, "this file system has no hard links, which publishing a version needs", _LOCAL
     if problems:
         raise problems[0]
-    ok = len(won) == 1 and (home / "taken").read_text() == str(won[0])
-    return ok, f"of {_RACERS} who linked one name at once, {len(won)} got it", _LOCAL
+    ok = len(winners) == 1 and (home / "taken").read_text() == str(winners[0])
+    return ok, f"of {_RACERS} who linked one name at once, {len(winners)} got it", _LOCAL
 
 
 def _fsync(home: Path) -> tuple[bool, str, str]:
@@ -198,25 +204,25 @@ def _clock(home: Path) -> tuple[bool, str, str]:
     path = home / "file"
     path.write_bytes(b"")
     skew_s = path.stat().st_mtime - time.time()
-    found = f"the file system is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this host"
-    return abs(skew_s) <= LARGEST_SKEW_S, found, "set both clocks by NTP"
+    summary = f"the file system is {abs(skew_s):.1f} s {'ahead of' if skew_s > 0 else 'behind'} this host"
+    return abs(skew_s) <= LARGEST_SKEW_S, summary, "set both clocks by NTP"
 
 
-def _kill(folder: Path, kills: int, sound: bool) -> Probe:
+def _kill(folder: Path, kills: int, is_sound: bool) -> Probe:
     """Kill writers again and again, and count."""
-    if not kills or not sound:
-        return Probe("kill test", None, "left out" if sound else "left out: the folder lacks what it needs")
+    if not kills or not is_sound:
+        return Probe("kill test", None, "left out" if is_sound else "left out: the folder lacks what it needs")
     home = folder / "kill-test"
     home.mkdir()
     try:
         result = kill_test(home, kills=kills)
     except (CandataError, OSError) as error:
         return Probe("kill test", False, " ".join(str(error).split()), "see what the process said")
-    found = (
+    summary = (
         f"{result.kills} kills, 3 writers at once: {result.acknowledged} episodes acknowledged, {result.lost} lost, "
         f"{result.doubled} doubled, {len(result.damage)} files damaged"
     )
-    return Probe("kill test", result.passed, found, "" if result.passed else _LOCAL)
+    return Probe("kill test", result.has_passed, summary, "" if result.has_passed else _LOCAL)
 
 
 _PROBES = {
@@ -226,4 +232,4 @@ _PROBES = {
     "fsync": _fsync,
     "clock": _clock,
 }
-_NEEDED = ("write", "rename of folders", "exclusive creation")
+_REQUIRED_PROBES = ("write", "rename of folders", "exclusive creation")

@@ -13,29 +13,29 @@ from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.arrivals import (
-    arriving,
+    arrival_folder,
     check,
-    diverged,
+    diverged_error,
     keep,
     leave_nothing,
+    missing_part_ids,
     other_split,
     split_path,
-    waiting,
 )
 from candata.datasets.names import require_name
 from candata.datasets.parts import RawPart, part_folder
-from candata.datasets.pull_plan import Plan, number_of, plan_of
+from candata.datasets.pull_plan import PullPlan, number_of, plan_of
 from candata.datasets.remotes import (
     Bar,
     Store,
-    corrupted,
+    corrupted_error,
     move,
     no_bar,
     object_key,
     read_remote_version,
     remote_numbers,
 )
-from candata.datasets.versions import DATASET, newest, numbers, read_dataset_file, read_version, refuse_foreign
+from candata.datasets.versions import DATASET, newest_version, numbers, read_dataset_file, read_version, refuse_foreign
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.manifest import VersionFile
 
@@ -44,7 +44,7 @@ _SPARE_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True)
-class Pulled:
+class PullResult:
     """What a pull did.
 
     Attributes
@@ -94,8 +94,8 @@ def pull(
     out: str | Path,
     version: int | str | None = None,
     bar: Bar = no_bar,
-    checking: Bar = no_bar,
-) -> Pulled:
+    check_bar: Bar = no_bar,
+) -> PullResult:
     """Return what was fetched so that `out` holds a version of a dataset, by default the newest.
 
     Nothing is believed that the remote claims: each file is hashed as it arrives, each episode of a part that arrives
@@ -112,7 +112,7 @@ def pull(
         Folder: missing, empty, or one that this dataset was pulled to before.
     version : int or str, optional
         Number, start of the digest, or tag.
-    bar, checking : callable
+    bar, check_bar : callable
         Show the progress in bytes of fetching and of checking.
 
     Raises
@@ -131,30 +131,37 @@ def pull(
     require_name("dataset", name)
     plan = plan_of(store, name, number_of(store, name, version))
     _require_fits(root, store, name, plan)
-    made = not root.exists()
+    is_new_folder = not root.exists()
     durable.ensure_folder(root)
-    with durable.alone(root):  # a second pull waits, and finds what the first has fetched
-        todo = [one for one in _missing(root, plan) if not _stands(one)]
-        _require_room(root, sum(one.bytes for one in todo))
+    with durable.exclusive_lock(root):  # a second pull waits, and finds what the first has fetched
+        todo = [entry for entry in _missing_files(root, plan) if not _stands(entry)]
+        _require_room(root, sum(entry.bytes for entry in todo))
         _fetch(store, name, root, todo, bar)
         try:
-            check(store, name, root, plan, checking)
+            check(store, name, root, plan, check_bar)
         except DataError:
-            leave_nothing(root, made)
+            leave_nothing(root, is_new_folder)
             raise
         notes = keep(root, plan)
-    published = plan.record.version
-    return Pulled(
-        path=root, version=published.number, digest=published.digest, episodes=plan.episodes, objects=len(todo),
-        bytes=sum(one.bytes for one in todo), standing=_count(plan) - len(todo), splits=tuple(plan.splits),
-        tags=tuple(sorted(plan.tags)), notes=notes,
-    )  # fmt: skip
+    pulled_version = plan.record.version
+    return PullResult(
+        path=root,
+        version=pulled_version.number,
+        digest=pulled_version.digest,
+        episodes=plan.episodes,
+        objects=len(todo),
+        bytes=sum(entry.bytes for entry in todo),
+        standing=_count(plan) - len(todo),
+        splits=tuple(plan.splits),
+        tags=tuple(sorted(plan.tags)),
+        notes=notes,
+    )
 
 
-def _require_fits(root: Path, store: Store, name: str, plan: Plan) -> None:
+def _require_fits(root: Path, store: Store, name: str, plan: PullPlan) -> None:
     """Refuse a folder that holds something else, another history, or another split of a name that is asked for."""
     refuse_foreign(root)
-    for folder in ("parts", "versions", "objects", "splits", "tags", durable.STAGING):
+    for folder in ("parts", "versions", "objects", "splits", "tags", durable.STAGING_FOLDER):
         if (root / folder).is_symlink():
             raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(root / folder)))
     if (root / DATASET).exists():
@@ -174,41 +181,49 @@ def _require_fits(root: Path, store: Store, name: str, plan: Plan) -> None:
 
 def _require_history(root: Path, store: Store, name: str, version: VersionFile) -> None:
     """Refuse a folder whose versions are not those of the remote."""
-    here, there = numbers(root), remote_numbers(store, name)
-    common = sorted(set(here) & set(there))
-    if common:
-        known = version if version.number == common[-1] else read_remote_version(store, name, common[-1]).version
-        if read_version(root, common[-1]) != known:
-            raise diverged(root, known, read_version(root, common[-1]))
-    last = newest(root)
-    if last and not common and (last.number + 1, last.digest) != (version.number, version.parent):
-        raise diverged(root, version, last)
+    local_numbers, their_numbers = numbers(root), remote_numbers(store, name)
+    common_numbers = sorted(set(local_numbers) & set(their_numbers))
+    if common_numbers:
+        expected_version = (
+            version
+            if version.number == common_numbers[-1]
+            else read_remote_version(store, name, common_numbers[-1]).version
+        )
+        if read_version(root, common_numbers[-1]) != expected_version:
+            raise diverged_error(root, expected_version, read_version(root, common_numbers[-1]))
+    newest_local = newest_version(root)
+    if (
+        newest_local
+        and not common_numbers
+        and (newest_local.number + 1, newest_local.digest) != (version.number, version.parent)
+    ):
+        raise diverged_error(root, version, newest_local)
 
 
-def _missing(root: Path, plan: Plan) -> list[_File]:
+def _missing_files(root: Path, plan: PullPlan) -> list[_File]:
     """Return the files that the folder lacks."""
-    wait = waiting(root)
+    wait = arrival_folder(root)
     files = [
         _File(part_folder(wait, part_id) / file.path, file.bytes, file.sha256)
-        for part_id in arriving(root, plan)
+        for part_id in missing_part_ids(root, plan)
         for file in plan.parts[part_id][1].files
     ]
     files += [_File(wait / c.path, c.bytes, c.sha256) for c in plan.record.clouds if not (root / c.path).is_file()]
-    lacking = {name: file for name, file in plan.splits.items() if not split_path(root, name).exists()}
-    return files + [_File(split_path(wait, name), file.bytes, file.sha256) for name, file in lacking.items()]
+    missing_splits = {name: file for name, file in plan.splits.items() if not split_path(root, name).exists()}
+    return files + [_File(split_path(wait, name), file.bytes, file.sha256) for name, file in missing_splits.items()]
 
 
-def _count(plan: Plan) -> int:
+def _count(plan: PullPlan) -> int:
     """Return how many files the version has, manifests left out."""
     return sum(len(part.files) for _, part in plan.parts.values()) + len(plan.record.clouds) + len(plan.splits)
 
 
-def _stands(one: _File) -> bool:
+def _stands(entry: _File) -> bool:
     """Return whether an earlier pull has fetched a file whole."""
-    target = one.target
-    if target.is_symlink() or not target.is_file() or target.stat().st_size != one.bytes:
+    target = entry.target
+    if target.is_symlink() or not target.is_file() or target.stat().st_size != entry.bytes:
         return False
-    return durable.file_sha256(target) == one.sha256
+    return durable.file_sha256(target) == entry.sha256
 
 
 def _require_room(root: Path, size: int) -> None:
@@ -216,51 +231,60 @@ def _require_room(root: Path, size: int) -> None:
     free = shutil.disk_usage(root).free
     if size + _SPARE_BYTES > free:
         raise SetupError(
-            "the disk has no room for this", expected=f"{(size + _SPARE_BYTES) / 1e6:.0f} MB",
-            found=f"{free / 1e6:.0f} MB free", where=Where(path=str(root)), fix="make room, or choose another folder",
-        )  # fmt: skip
+            "the disk has no room for this",
+            expected=f"{(size + _SPARE_BYTES) / 1e6:.0f} MB",
+            found=f"{free / 1e6:.0f} MB free",
+            where=Where(path=str(root)),
+            fix="make room, or choose another folder",
+        )
 
 
 def _fetch(store: Store, name: str, root: Path, todo: list[_File], bar: Bar) -> None:
     """Fetch files, a few at a time."""
     move(
-        lambda advance: (partial(_fetch_one, store, object_key(name, one.sha256), root, one, advance) for one in todo),
-        sum(one.bytes for one in todo),
+        lambda advance: (
+            partial(_fetch_one, store, object_key(name, entry.sha256), root, entry, advance) for entry in todo
+        ),
+        sum(entry.bytes for entry in todo),
         bar,
     )
 
 
-def _fetch_one(store: Store, key: str, root: Path, one: _File, advance: Callable[[int], None]) -> None:
+def _fetch_one(store: Store, key: str, root: Path, entry: _File, advance: Callable[[int], None]) -> None:
     """Fetch one file; it appears under its name only when it has its hash."""
-    one.target.parent.mkdir(parents=True, exist_ok=True)
-    if not one.target.parent.resolve().is_relative_to(root.resolve()):
-        raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(one.target.parent)))
-    draft = durable.ensure_below(root, waiting(root)) / uuid.uuid4().hex  # no part can take what a killed pull left
+    entry.target.parent.mkdir(parents=True, exist_ok=True)
+    if not entry.target.parent.resolve().is_relative_to(root.resolve()):
+        raise UsageError("a folder of the dataset leads out of it", where=Where(path=str(entry.target.parent)))
+    draft = (
+        durable.ensure_below(root, arrival_folder(root)) / uuid.uuid4().hex
+    )  # no part can take what a killed pull left
     try:
         with draft.open("xb") as file:
-            digest = _copy(store, key, one.bytes, file.write, advance)
+            digest = _copy(store, key, entry.bytes, file.write, advance)
             file.flush()
             os.fsync(file.fileno())
-        if digest != one.sha256:
-            raise corrupted(store, key, f"sha256 {digest[:12]}")
-        draft.replace(one.target)
+        if digest != entry.sha256:
+            raise corrupted_error(store, key, f"sha256 {digest[:12]}")
+        draft.replace(entry.target)
     finally:
         draft.unlink(missing_ok=True)
 
 
 def _copy(store: Store, key: str, size: int, write: Callable[[bytes], int], advance: Callable[[int], None]) -> str:
     """Return the sha256 of an object that was written out; refuse one of another size."""
-    digest, found = hashlib.sha256(), 0
+    digest, byte_count = hashlib.sha256(), 0
     try:
         for chunk in store.read(key):
-            found += len(chunk)
-            if found > size:
+            byte_count += len(chunk)
+            if byte_count > size:
                 break
             digest.update(chunk)
             write(chunk)
             advance(len(chunk))
     except FileNotFoundError:
-        raise corrupted(store, key, "no such object") from None
-    if found != size:
-        raise corrupted(store, key, f"{'more than ' if found > size else ''}{min(found, size)} bytes of {size}")
+        raise corrupted_error(store, key, "no such object") from None
+    if byte_count != size:
+        raise corrupted_error(
+            store, key, f"{'more than ' if byte_count > size else ''}{min(byte_count, size)} bytes of {size}"
+        )
     return digest.hexdigest()

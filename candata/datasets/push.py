@@ -35,7 +35,7 @@ from candata.schema.registry import RemoteVersion
 
 
 @dataclass(frozen=True)
-class Pushed:
+class PushResult:
     """What a push did.
 
     Attributes
@@ -68,7 +68,7 @@ class _Object:
     sha256: str
 
 
-def push(path: str | Path, store: Store, name: str, bar: Bar = no_bar, move_tags: bool = False) -> Pushed:
+def push(path: str | Path, store: Store, name: str, bar: Bar = no_bar, move_tags: bool = False) -> PushResult:
     """Return what was sent so that the remote holds every version, split and tag of a dataset.
 
     A push that was killed is invisible, and goes on where it stopped when it is started again.
@@ -100,60 +100,64 @@ def push(path: str | Path, store: Store, name: str, bar: Bar = no_bar, move_tags
     head = durable.encode_record(read_dataset_file(root))
     open_dataset(root)  # refuses an empty or incomplete one in its own words
     versions = {number: read_version(root, number) for number in numbers(root)}
-    missing = _missing(store, name, versions, root)
-    records = {number: _record(root, versions[number]) for number in missing}
-    wanted = _objects(root, versions.values(), records.values()) | _splits(root)
-    present = store.sizes(f"{name}/objects")
-    todo = [one for one in wanted.values() if present.get(one.sha256) != one.bytes]
+    missing_numbers = _missing_versions(store, name, versions, root)
+    records = {number: _record(root, versions[number]) for number in missing_numbers}
+    objects = _objects(root, versions.values(), records.values()) | _splits(root)
+    remote_sizes = store.sizes(f"{name}/objects")
+    todo = [entry for entry in objects.values() if remote_sizes.get(entry.sha256) != entry.bytes]
     store.tidy(name)
     _send(store, name, todo, bar)
     store.create(f"{name}/{DATASET}", head)
     for number, record in records.items():
         _publish(store, name, number, record, root)
-    return Pushed(
-        versions=tuple(missing),
+    return PushResult(
+        versions=tuple(missing_numbers),
         splits=tuple(_push_splits(root, store, name)),
         tags=tuple(_push_tags(root, store, name, move_tags)),
         objects=len(todo),
-        bytes=sum(one.bytes for one in todo),
-        standing=len(wanted) - len(todo),
+        bytes=sum(entry.bytes for entry in todo),
+        standing=len(objects) - len(todo),
         newest=versions[max(versions)],
     )
 
 
-def _missing(store: Store, name: str, versions: dict[int, VersionFile], root: Path) -> list[int]:
+def _missing_versions(store: Store, name: str, versions: dict[int, VersionFile], root: Path) -> list[int]:
     """Return the versions that the remote lacks, ascending; refuse a remote with another history."""
-    there = remote_numbers(store, name)
-    missing = sorted(versions.keys() - set(there))
-    common = sorted(versions.keys() & set(there))
-    if common:
-        _require_same(store, name, versions[common[-1]], root)
-    elif there and not _follows(store, name, versions[missing[0]], there):
-        raise _diverged(store, name, root, f"versions {there[0]} to {there[-1]}", f"version {missing[0]}")
-    return missing
+    their_numbers = remote_numbers(store, name)
+    missing_numbers = sorted(versions.keys() - set(their_numbers))
+    common_numbers = sorted(versions.keys() & set(their_numbers))
+    if common_numbers:
+        _require_same(store, name, versions[common_numbers[-1]], root)
+    elif their_numbers and not _follows(store, name, versions[missing_numbers[0]], their_numbers):
+        raise _diverged_error(
+            store, name, root, f"versions {their_numbers[0]} to {their_numbers[-1]}", f"version {missing_numbers[0]}"
+        )
+    return missing_numbers
 
 
-def _follows(store: Store, name: str, version: VersionFile, there: list[int]) -> bool:
+def _follows(store: Store, name: str, version: VersionFile, their_numbers: list[int]) -> bool:
     """Return whether a version comes right after the newest of the remote."""
-    if version.number != there[-1] + 1:
+    if version.number != their_numbers[-1] + 1:
         return False
-    return read_remote_version(store, name, there[-1]).version.digest == version.parent
+    return read_remote_version(store, name, their_numbers[-1]).version.digest == version.parent
 
 
 def _require_same(store: Store, name: str, version: VersionFile, root: Path) -> None:
     """Refuse a remote whose version of this number is another."""
-    found = read_remote_version(store, name, version.number).version
-    if found != version:
+    remote_version = read_remote_version(store, name, version.number).version
+    if remote_version != version:
         label = f"version {version.number}, digest"
-        raise _diverged(store, name, root, f"{label} {found.digest[:12]}", f"{label} {version.digest[:12]}")
+        raise _diverged_error(
+            store, name, root, f"{label} {remote_version.digest[:12]}", f"{label} {version.digest[:12]}"
+        )
 
 
-def _diverged(store: Store, name: str, root: Path, there: str, here: str) -> DataError:
+def _diverged_error(store: Store, name: str, root: Path, remote_text: str, local_text: str) -> DataError:
     """Return the error for two histories under one name, with the way out."""
     return DataError(
         "the remote has another history of this dataset: nothing was published",
-        expected=f"{there} (on the remote)",
-        found=f"{here} (in {root})",
+        expected=f"{remote_text} (on the remote)",
+        found=f"{local_text} (in {root})",
         where=Where(path=f"{store.url}/{name}"),
         fix=f"pull {name} to a copy, add yours to it (`candata registry merge {root} --out COPY --append`) and push "
         "the copy; or push under another name with --name",
@@ -166,7 +170,7 @@ def _record(root: Path, version: VersionFile) -> RemoteVersion:
     for sha in clouds_of(open_dataset(root, version.number)):
         path = cloud_path(root, sha)
         if not path.is_file():
-            raise durable.damaged(path, "no such file")
+            raise durable.damaged_error(path, "no such file")
         relative = path.relative_to(root).as_posix()
         entries.append(FileEntry(path=relative, bytes=path.stat().st_size, sha256=durable.file_sha256(path)))
     return RemoteVersion(version=version, clouds=tuple(entries))
@@ -175,9 +179,9 @@ def _record(root: Path, version: VersionFile) -> RemoteVersion:
 def _objects(root: Path, versions: Iterable[VersionFile], records: Iterable[RemoteVersion]) -> dict[str, _Object]:
     """Return every file of all versions, those the remote has too: one that lost bytes there is sent again."""
     parts = {entry.sha256: entry for version in versions for entry in version.parts}
-    found = {one.sha256: one for entry in parts.values() for one in _part_objects(RawPart(root, entry))}
+    objects = {file.sha256: file for entry in parts.values() for file in _part_objects(RawPart(root, entry))}
     clouds = {cloud.sha256: cloud for record in records for cloud in record.clouds}
-    return found | {sha: _Object(root / cloud.path, cloud.bytes, sha) for sha, cloud in clouds.items()}
+    return objects | {sha: _Object(root / cloud.path, cloud.bytes, sha) for sha, cloud in clouds.items()}
 
 
 def _part_objects(part: RawPart) -> Iterator[_Object]:
@@ -193,34 +197,35 @@ def _part_objects(part: RawPart) -> Iterator[_Object]:
 def _splits(root: Path) -> dict[str, _Object]:
     """Return the files of the splits, by their hash."""
     paths = sorted((root / "splits").glob("*.json"))
-    found = [_Object(path, path.stat().st_size, durable.file_sha256(path)) for path in paths]
-    return {one.sha256: one for one in found}
+    files = [_Object(path, path.stat().st_size, durable.file_sha256(path)) for path in paths]
+    return {file.sha256: file for file in files}
 
 
 def _send(store: Store, name: str, todo: list[_Object], bar: Bar) -> None:
     """Send files, a few at a time."""
     move(
         lambda advance: (
-            partial(store.write, object_key(name, one.sha256), _checked(one, advance), one.bytes) for one in todo
+            partial(store.write, object_key(name, entry.sha256), _checked_bytes(entry, advance), entry.bytes)
+            for entry in todo
         ),
-        sum(one.bytes for one in todo),
+        sum(entry.bytes for entry in todo),
         bar,
     )
 
 
-def _checked(one: _Object, advance: Callable[[int], None]) -> Iterator[bytes]:
+def _checked_bytes(entry: _Object, advance: Callable[[int], None]) -> Iterator[bytes]:
     """Yield a file's bytes; raise at its end when they are not what the dataset promises, so that nothing is kept."""
     digest = hashlib.sha256()
     try:
-        with one.path.open("rb") as file:
+        with entry.path.open("rb") as file:
             while chunk := file.read(CHUNK_BYTES):
                 digest.update(chunk)
                 yield chunk
                 advance(len(chunk))
     except OSError as error:
-        raise durable.damaged(one.path, durable.reason(error)) from None
-    if digest.hexdigest() != one.sha256:
-        raise durable.damaged(one.path, f"sha256 {digest.hexdigest()[:12]}", f"sha256 {one.sha256[:12]}")
+        raise durable.damaged_error(entry.path, durable.reason(error)) from None
+    if digest.hexdigest() != entry.sha256:
+        raise durable.damaged_error(entry.path, f"sha256 {digest.hexdigest()[:12]}", f"sha256 {entry.sha256[:12]}")
 
 
 def _publish(store: Store, name: str, number: int, record: RemoteVersion, root: Path) -> None:
@@ -238,9 +243,10 @@ def _push_splits(root: Path, store: Store, name: str) -> Iterator[str]:
             yield path.stem
         elif read_key(store, key) != durable.encode_record(entry):
             raise DataError(
-                f"another split is called {path.stem} on the remote", where=Where(path=f"{store.url}/{key}"),
+                f"another split is called {path.stem} on the remote",
+                where=Where(path=f"{store.url}/{key}"),
                 fix="save yours under another name: a split that models were trained on must not change",
-            )  # fmt: skip
+            )
 
 
 def _push_tags(root: Path, store: Store, name: str, move: bool) -> Iterator[str]:
@@ -251,13 +257,13 @@ def _push_tags(root: Path, store: Store, name: str, move: bool) -> Iterator[str]
         if store.create(key, data):
             yield tag_name
             continue
-        found = parse(TagFile, store, key, read_key(store, key) or b"")
-        if found == tag:
+        remote_tag = parse(TagFile, store, key, read_key(store, key) or b"")
+        if remote_tag == tag:
             continue
         if not move:
             raise UsageError(
                 f"the tag {tag_name} names another version on the remote",
-                expected=f"version {found.version}, digest {found.digest[:12]}",
+                expected=f"version {remote_tag.version}, digest {remote_tag.digest[:12]}",
                 found=f"version {tag.version}, digest {tag.digest[:12]}",
                 where=Where(path=f"{store.url}/{key}"),
                 fix="push with --move-tags",

@@ -22,9 +22,9 @@ def registry_path() -> Path:
 
     Source: XDG base directory specification.
     """
-    own = os.environ.get("CANDATA_REGISTRY")
+    override = os.environ.get("CANDATA_REGISTRY")
     data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")
-    return Path(own) if own else data / "candata" / "registry.json"
+    return Path(override) if override else data / "candata" / "registry.json"
 
 
 def read_registry(path: Path | None = None) -> RegistryFile:
@@ -92,9 +92,11 @@ def change_registry(change: Callable[[RegistryFile], RegistryFile], path: Path |
             return registry
     except OSError as error:
         raise SetupError(
-            "the registry cannot be written", found=durable.reason(error), where=Where(path=str(file)),
+            "the registry cannot be written",
+            found=durable.reason(error),
+            where=Where(path=str(file)),
             fix="make its folder writable, or name another file in CANDATA_REGISTRY",
-        ) from None  # fmt: skip
+        ) from None
 
 
 def _replace(file: Path, data: bytes) -> None:
@@ -127,9 +129,11 @@ def add_dataset(name: str, folder: str | Path) -> RegistryFile:
     def change(registry: RegistryFile) -> RegistryFile:
         if registry.datasets.get(name, str(root)) != str(root):
             raise UsageError(
-                f"the name {name} is taken", expected=str(root), found=registry.datasets[name],
+                f"the name {name} is taken",
+                expected=str(root),
+                found=registry.datasets[name],
                 fix=f"choose another name, or first: candata registry remove {name}",
-            )  # fmt: skip
+            )
         return registry.model_copy(update={"datasets": dict(sorted({**registry.datasets, name: str(root)}.items()))})
 
     return change_registry(change)
@@ -165,9 +169,11 @@ def add_remote(name: str, entry: RemoteEntry) -> RegistryFile:
     def change(registry: RegistryFile) -> RegistryFile:
         if registry.remotes.get(name, entry) != entry:
             raise UsageError(
-                f"the remote {name} stands already", expected=entry.url, found=registry.remotes[name].url,
+                f"the remote {name} stands already",
+                expected=entry.url,
+                found=registry.remotes[name].url,
                 fix=f"choose another name, or first: candata registry remotes remove {name}",
-            )  # fmt: skip
+            )
         return registry.model_copy(update={"remotes": dict(sorted({**registry.remotes, name: entry}.items()))})
 
     return change_registry(change)
@@ -221,17 +227,19 @@ def resolve(text: str) -> tuple[Path, int | str | None]:
     DataError
         When the registry is damaged and `text` is no path.
     """
-    found = _folder(text)
-    if found is not None:
-        return found, None
+    folder = _folder(text)
+    if folder is not None:
+        return folder, None
     head, at, tail = text.rpartition("@")
-    if at and head and tail and (found := _folder(head)) is not None:
-        return found, int(tail) if tail.isdigit() and len(tail) < 6 else tail
+    if at and head and tail and (folder := _folder(head)) is not None:
+        return folder, int(tail) if tail.isdigit() and len(tail) < 6 else tail
     name = head if at and head else text
-    known = () if Path(name).exists() or os.sep in name or not is_name(name) else read_registry().datasets
-    if not known:
+    known_names = () if Path(name).exists() or os.sep in name or not is_name(name) else read_registry().datasets
+    if not known_names:
         return Path(name), None  # opening it says what is wrong with it
-    raise UnknownNameError("dataset (no such folder, no such name)", name, known, Where(path=str(registry_path())))
+    raise UnknownNameError(
+        "dataset (no such folder, no such name)", name, known_names, Where(path=str(registry_path()))
+    )
 
 
 def _folder(text: str) -> Path | None:
@@ -241,9 +249,9 @@ def _folder(text: str) -> Path | None:
     if not is_name(text):
         return None
     try:
-        registered = read_registry().datasets.get(text)
+        registered_path = read_registry().datasets.get(text)
     except CandataError:
         if Path(text).exists():
             return None
         raise
-    return Path(registered) if registered is not None else None
+    return Path(registered_path) if registered_path is not None else None

@@ -26,7 +26,7 @@ class FolderStore:
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """Address of the remote."""
         return str(self._root)
 
     def folders(self) -> list[str]:
@@ -42,7 +42,7 @@ class FolderStore:
         except (FileNotFoundError, NotADirectoryError):
             return {}
         except OSError as error:
-            raise self._failed(error, prefix) from None
+            raise self._failure(error, prefix) from None
 
     def read(self, key: str) -> Iterator[bytes]:
         """Yield the bytes of a file; raises FileNotFoundError where there is none."""
@@ -53,7 +53,7 @@ class FolderStore:
             self._require_there(key)
             raise FileNotFoundError(key) from None
         except OSError as error:
-            raise self._failed(error, key) from None
+            raise self._failure(error, key) from None
         try:
             if not stat.S_ISREG(os.fstat(handle).st_mode):
                 raise FileNotFoundError(key)
@@ -67,7 +67,7 @@ class FolderStore:
         try:
             return os.read(handle, CHUNK_BYTES)
         except OSError as error:
-            raise self._failed(error, key) from None
+            raise self._failure(error, key) from None
 
     def write(self, key: str, chunks: Iterable[bytes], size: int) -> None:
         """Keep a file, whole or not at all; one that stands is replaced."""
@@ -75,7 +75,7 @@ class FolderStore:
         self._require_there(key)
         try:
             durable.ensure_folder(target.parent)
-            with durable.staged(self._dataset(key)) as folder:
+            with durable.staging_folder(self._dataset(key)) as folder:
                 with (folder / target.name).open("wb") as draft:
                     for chunk in chunks:
                         draft.write(chunk)
@@ -83,7 +83,7 @@ class FolderStore:
                 (folder / target.name).replace(target)
             durable.sync(target.parent)
         except OSError as error:
-            raise self._failed(error, key) from None
+            raise self._failure(error, key) from None
         self._require_there(key)
 
     def create(self, key: str, data: bytes) -> bool:
@@ -91,18 +91,18 @@ class FolderStore:
         self._require_there(key)
         try:
             durable.ensure_folder((self._root / key).parent)
-            made = durable.create_once(self._dataset(key), self._root / key, data)
+            is_created = durable.create_once(self._dataset(key), self._root / key, data)
         except OSError as error:
-            raise self._failed(error, key) from None
+            raise self._failure(error, key) from None
         self._require_there(key)
-        return made
+        return is_created
 
     def tidy(self, name: str) -> None:
         """Remove what killed pushes of the dataset `name` left, once it is a week old."""
         try:
             collect_staging(self._root / name)
         except OSError as error:
-            raise self._failed(error, name) from None
+            raise self._failure(error, name) from None
 
     def _dataset(self, key: str) -> Path:
         """Return the folder that holds everything of the key's dataset, and what is being written."""
@@ -112,16 +112,19 @@ class FolderStore:
         """Refuse to go on once the folder has gone: what stands in its place then is a mount point, on another disk."""
         if _identity(self._root) != self._identity:
             raise SetupError(
-                "the folder of the remote has gone", where=Where(path=f"{self.url}/{key}"),
+                "the folder of the remote has gone",
+                where=Where(path=f"{self.url}/{key}"),
                 fix="mount the share again, then run this again: what was moved so far counts",
-            )  # fmt: skip
+            )
 
-    def _failed(self, error: OSError, key: str) -> SetupError:
+    def _failure(self, error: OSError, key: str) -> SetupError:
         """Return the error for a folder that cannot be used."""
         return SetupError(
-            "the folder of the remote cannot be used", found=durable.reason(error),
-            where=Where(path=f"{self.url}/{key}"), fix="check that it is mounted and may be written",
-        )  # fmt: skip
+            "the folder of the remote cannot be used",
+            found=durable.reason(error),
+            where=Where(path=f"{self.url}/{key}"),
+            fix="check that it is mounted and may be written",
+        )
 
 
 def _identity(folder: Path) -> tuple[int, int] | None:

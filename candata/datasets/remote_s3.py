@@ -36,15 +36,17 @@ class S3Store:
             raise MissingExtraError("obstore", "remote") from None
         if not entry.anonymous and not any(os.environ.get(name) for name in CREDENTIALS):
             raise SetupError(
-                "no credentials for S3", expected=f"one of {', '.join(CREDENTIALS)} in the environment",
-                where=Where(path=entry.url), fix="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
-            )  # fmt: skip
+                "no credentials for S3",
+                expected=f"one of {', '.join(CREDENTIALS)} in the environment",
+                where=Where(path=entry.url),
+                fix="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY",
+            )
         parts = urlsplit(entry.url)
         self._url = entry.url.rstrip("/")
         options: dict[str, Any] = {"region": entry.region or os.environ.get("AWS_REGION") or "us-east-1"}
         options |= {"endpoint": entry.endpoint} if entry.endpoint else {}
         options |= {"skip_signature": True} if entry.anonymous else {}
-        with self._told(""):
+        with self._translated_errors(""):
             self._bucket = Bucket(
                 parts.netloc,
                 prefix=parts.path.strip("/") or None,
@@ -56,31 +58,33 @@ class S3Store:
 
     @property
     def url(self) -> str:
-        """Where it is."""
+        """Address of the remote."""
         return self._url
 
     def folders(self) -> list[str]:
         """Return the names of the folders at its root, sorted."""
         import obstore
 
-        with self._told(""):
-            found = obstore.list_with_delimiter(self._bucket)["common_prefixes"]
-        return sorted(prefix.rstrip("/").rsplit("/", 1)[-1] for prefix in found)
+        with self._translated_errors(""):
+            prefixes = obstore.list_with_delimiter(self._bucket)["common_prefixes"]
+        return sorted(prefix.rstrip("/").rsplit("/", 1)[-1] for prefix in prefixes)
 
     def sizes(self, prefix: str) -> dict[str, int]:
         """Return the files in a folder by name, with their size in bytes."""
         import obstore
 
         head = f"{prefix}/"
-        with self._told(prefix):
-            found = {meta["path"]: meta["size"] for batch in obstore.list(self._bucket, prefix) for meta in batch}
-        return {path[len(head) :]: size for path, size in found.items() if path.startswith(head)}
+        with self._translated_errors(prefix):
+            size_by_path = {
+                meta["path"]: meta["size"] for batch in obstore.list(self._bucket, prefix) for meta in batch
+            }
+        return {path[len(head) :]: size for path, size in size_by_path.items() if path.startswith(head)}
 
     def read(self, key: str) -> Iterator[bytes]:
         """Yield the bytes of a file; raises FileNotFoundError where there is none."""
         import obstore
 
-        with self._told(key):
+        with self._translated_errors(key):
             for chunk in obstore.get(self._bucket, key).stream(min_chunk_size=CHUNK_BYTES):
                 yield bytes(chunk)
 
@@ -88,10 +92,10 @@ class S3Store:
         """Keep a file, whole or not at all; one that stands is replaced."""
         import obstore
 
-        whole = b"".join(chunks) if size <= _WHOLE_BYTES else None
-        with self._told(key):
-            if whole is not None:
-                obstore.put(self._bucket, key, whole, use_multipart=False)
+        content = b"".join(chunks) if size <= _WHOLE_BYTES else None
+        with self._translated_errors(key):
+            if content is not None:
+                obstore.put(self._bucket, key, content, use_multipart=False)
             else:
                 obstore.put(self._bucket, key, iter(chunks), chunk_size=_WHOLE_BYTES, max_concurrency=2)
 
@@ -100,7 +104,7 @@ class S3Store:
         import obstore
         from obstore.exceptions import AlreadyExistsError
 
-        with self._told(key):
+        with self._translated_errors(key):
             try:
                 obstore.put(self._bucket, key, data, mode="create")
             except AlreadyExistsError:
@@ -111,22 +115,24 @@ class S3Store:
         """Do nothing: what is half sent cannot be seen on S3; the bucket's own rules end broken uploads."""
 
     @contextmanager
-    def _told(self, key: str) -> Iterator[None]:
+    def _translated_errors(self, key: str) -> Iterator[None]:
         """Turn what obstore raises into errors of ours, in one line; a missing file stays FileNotFoundError."""
         from obstore.exceptions import BaseError, NotSupportedError, PermissionDeniedError, UnauthenticatedError
 
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError, PermissionError) as error:
-            raise self._failed("the store refuses access", error, key, "check the credentials and the bucket") from None
+            raise self._failure(
+                "the store refuses access", error, key, "check the credentials and the bucket"
+            ) from None
         except (NotSupportedError, NotImplementedError) as error:
             fix = "use a store that knows conditional writes (If-None-Match), which publishing needs"
-            raise self._failed("the store cannot do this", error, key, fix) from None
+            raise self._failure("the store cannot do this", error, key, fix) from None
         except BaseError as error:
             fix = "check address, endpoint, region and network; what was moved so far counts"
-            raise self._failed("the remote cannot be used", error, key, fix) from None
+            raise self._failure("the remote cannot be used", error, key, fix) from None
 
-    def _failed(self, problem: str, error: BaseException, key: str, fix: str) -> SetupError:
+    def _failure(self, problem: str, error: BaseException, key: str, fix: str) -> SetupError:
         """Return the error for a store that cannot be used."""
         return SetupError(problem, found=_one_line(error), where=Where(path=f"{self._url}/{key}"), fix=fix)
 

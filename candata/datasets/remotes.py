@@ -56,27 +56,27 @@ def move(tasks: Callable[[Callable[[int], None]], Iterable[Callable[[], object]]
     bar : callable
         Shows the progress in bytes.
     """
-    ended = Event()
+    has_ended = Event()
     with bar(total) as advance, ThreadPoolExecutor(MOVERS) as pool:
 
-        def told(count: int) -> None:
-            if ended.is_set():
-                raise _Ended
+        def report(count: int) -> None:
+            if has_ended.is_set():
+                raise _TransferEnded
             advance(count)
 
-        jobs = [pool.submit(task) for task in tasks(told)]
+        jobs = [pool.submit(task) for task in tasks(report)]
         try:
             for job in jobs:
                 job.result()
         except BaseException:
-            ended.set()
+            has_ended.set()
             raise
         finally:
             for job in jobs:
                 job.cancel()
 
 
-class _Ended(Exception):
+class _TransferEnded(Exception):
     """Ends a task beside one that failed; nobody hears it."""
 
 
@@ -85,7 +85,7 @@ class Store(Protocol):
 
     @property
     def url(self) -> str:
-        """Where it is, for messages; holds no credential."""
+        """Address of the remote, for messages; holds no credential."""
 
     def folders(self) -> list[str]:
         """Return the names of the folders at its root, sorted."""
@@ -145,8 +145,8 @@ def check_remote(entry: RemoteEntry) -> RemoteEntry:
                 fix="set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY in the environment",
             )
     parts = urlsplit(entry.url) if "://" in entry.url else None
-    wrong = parts and (parts.scheme not in ("s3", "file") or (parts.scheme == "s3" and not parts.netloc))
-    if wrong or not entry.url or (parts and parts.scheme == "file" and parts.netloc not in ("", "localhost")):
+    is_wrong = parts and (parts.scheme not in ("s3", "file") or (parts.scheme == "s3" and not parts.netloc))
+    if is_wrong or not entry.url or (parts and parts.scheme == "file" and parts.netloc not in ("", "localhost")):
         raise UsageError(
             "not the address of a remote", expected="a folder, file:///folder, or s3://bucket/prefix", found=entry.url
         )
@@ -173,9 +173,11 @@ def read_key(store: Store, key: str, limit: int = LIMIT_BYTES) -> bytes | None:
             data += chunk
             if len(data) > limit:
                 raise DataError(
-                    "a file of the remote is too large", expected=f"{limit} bytes at most", where=_at(store, key),
+                    "a file of the remote is too large",
+                    expected=f"{limit} bytes at most",
+                    where=_at(store, key),
                     fix="if it is yours: run candata compact on the dataset and push it under another name",
-                )  # fmt: skip
+                )
     except FileNotFoundError:
         return None
     return bytes(data)
@@ -191,9 +193,9 @@ def read_object(store: Store, name: str, sha256: str, limit: int = LIMIT_BYTES) 
     """
     key = object_key(name, sha256)
     data = read_key(store, key, limit)
-    found = None if data is None else hashlib.sha256(data).hexdigest()
-    if data is None or found != sha256:
-        raise corrupted(store, key, "no such object" if found is None else f"sha256 {found[:12]}")
+    digest = None if data is None else hashlib.sha256(data).hexdigest()
+    if data is None or digest != sha256:
+        raise corrupted_error(store, key, "no such object" if digest is None else f"sha256 {digest[:12]}")
     return data
 
 
@@ -208,12 +210,12 @@ def parse(kind: type[SomeRecord], store: Store, key: str, data: bytes) -> SomeRe
     try:
         return durable.decode_record(kind, data, key)
     except ValueError as error:
-        raise corrupted(store, key, f"no valid JSON: {error}") from None
+        raise corrupted_error(store, key, f"no valid JSON: {error}") from None
     except UsageError as error:
-        raise corrupted(store, key, error.problem) from None
+        raise corrupted_error(store, key, error.problem) from None
 
 
-def corrupted(store: Store, key: str, found: str) -> DataError:
+def corrupted_error(store: Store, key: str, found: str) -> DataError:
     """Return the error for a file of a remote that is not what was pushed."""
     return DataError(
         "the remote is damaged: nothing of this file was kept",
@@ -255,8 +257,8 @@ def read_remote_version(store: Store, name: str, number: int) -> RemoteVersion:
     key = version_key(name, number)
     data = read_key(store, key)
     if data is None:
-        raise corrupted(store, key, "no such file")
+        raise corrupted_error(store, key, "no such file")
     record = parse(RemoteVersion, store, key, data)
     if record.version.number != number:
-        raise corrupted(store, key, f"version {record.version.number}")
+        raise corrupted_error(store, key, f"version {record.version.number}")
     return record

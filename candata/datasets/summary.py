@@ -75,9 +75,9 @@ class _Range:
         self.episodes += 1
         self.rows += len(values)
         self.invalid += int((~valid).sum())
-        kept = values[valid]
-        if kept.size:
-            self.low, self.high = min(self.low, float(kept.min())), max(self.high, float(kept.max()))
+        valid_values = values[valid]
+        if valid_values.size:
+            self.low, self.high = min(self.low, float(valid_values.min())), max(self.high, float(valid_values.max()))
 
     def summary(self, name: str) -> ChannelSummary:
         """Return the range so far."""
@@ -97,25 +97,25 @@ class _Touch:
     """Running counts of contact: rows in touch and rows in all by label, rows by phase."""
 
     rows: Counter[str] = field(default_factory=Counter)
-    touched: Counter[str] = field(default_factory=Counter)
+    touch_rows: Counter[str] = field(default_factory=Counter)
     phases: Counter[str] = field(default_factory=Counter)
 
     def add(self, episode: Episode) -> None:
         """Take in one episode."""
         for label, flags in touches(episode).items():
             self.rows[label] += len(flags)
-            self.touched[label] += int(flags.sum())
-            if label == ANY:
+            self.touch_rows[label] += int(flags.sum())
+            if label == ANY_FINGERTIP:
                 self.phases.update(contact_phases(flags, episode.meta.rate_hz).tolist())
 
     def shares(self) -> dict[str, float]:
         """Return the share of rows in touch by label."""
-        return {label: self.touched[label] / rows for label, rows in self.rows.items()}
+        return {label: self.touch_rows[label] / rows for label, rows in self.rows.items()}
 
     def phase_shares(self) -> dict[str, float] | None:
         """Return the share of rows by phase; None where contact is not known."""
-        known = sum(self.phases.values())
-        return {name: self.phases[name] / known for name in CONTACT_PHASES} if known else None
+        row_count = sum(self.phases.values())
+        return {name: self.phases[name] / row_count for name in CONTACT_PHASES} if row_count else None
 
 
 def summarise(
@@ -171,7 +171,7 @@ def summarise(
         objects=dict(counts["object"]),
         tasks=dict(counts["task"]),
         channels=tuple(ranges[name].summary(name) for name in CHANNELS if name in ranges),
-        contact_share=shares.pop(ANY, None),
+        contact_share=shares.pop(ANY_FINGERTIP, None),
         fingertip_contact_shares=shares,
         phases=touch.phase_shares(),
         lineage=dataset.lineage,
@@ -179,7 +179,7 @@ def summarise(
 
 
 #: Label of the touch of any fingertip.
-ANY = ""
+ANY_FINGERTIP = ""
 
 
 def touches(episode: Episode) -> dict[str, NDArray[np.bool_]]:
@@ -187,11 +187,11 @@ def touches(episode: Episode) -> dict[str, NDArray[np.bool_]]:
 
     Rows without a valid value count as no touch.
     """
-    found: dict[str, NDArray[np.bool_]] = {}
+    touch_by_label: dict[str, NDArray[np.bool_]] = {}
     if "fingertip_contact" in episode:
         flags = episode["fingertip_contact"] & episode.valid("fingertip_contact")[:, None]
-        found = dict(zip(fingertip_labels(episode.meta, flags.shape[1]), flags.T, strict=True))
-        found[ANY] = np.asarray(flags.any(axis=1))
+        touch_by_label = dict(zip(fingertip_labels(episode.meta, flags.shape[1]), flags.T, strict=True))
+        touch_by_label[ANY_FINGERTIP] = np.asarray(flags.any(axis=1))
     if "contact" in episode:
-        found[ANY] = episode["contact"] & episode.valid("contact")
-    return found
+        touch_by_label[ANY_FINGERTIP] = episode["contact"] & episode.valid("contact")
+    return touch_by_label

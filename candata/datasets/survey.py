@@ -10,8 +10,8 @@ import numpy as np
 from candata.datasets.dataset import Dataset
 from candata.datasets.elements import Element, columns, elements
 from candata.datasets.histograms import Distribution, Histogram
-from candata.datasets.summary import ANY, Summary, summarise, touches
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX
+from candata.datasets.summary import ANY_FINGERTIP, Summary, summarise, touches
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 
 #: Different sets of elements (other joints, other fingertips) of one channel that get histograms of their own.
@@ -24,11 +24,11 @@ class ChannelDistribution:
 
     channel: str
     element: Element
-    found: Distribution | None
+    distribution: Distribution | None
 
 
 @dataclass(frozen=True)
-class Shown:
+class ExampleEpisode:
     """An episode to show whole, and why it was chosen; dense channels are left out."""
 
     reason: str
@@ -45,7 +45,7 @@ class Survey:
         Counts, ranges, contact, lineage.
     distributions : tuple of ChannelDistribution
         By channel in the schema's order; of `time_ns` the steps from row to row, in ms.
-    shown : tuple of Shown
+    examples : tuple of ExampleEpisode
         The first episode by id, the longest, and the one with the largest share of rows in contact.
     sets_left_out : int
         Sets of elements without histograms, as there were too many different ones.
@@ -53,7 +53,7 @@ class Survey:
 
     summary: Summary
     distributions: tuple[ChannelDistribution, ...]
-    shown: tuple[Shown, ...]
+    examples: tuple[ExampleEpisode, ...]
     sets_left_out: int
 
 
@@ -76,14 +76,14 @@ def survey(dataset: Dataset, progress: Callable[[], None] = lambda: None, ids: S
     DataError
         When a part is damaged; names the file.
     """
-    bins, chosen = _Bins(), _Chosen()
+    bins, picker = _Bins(), _ExamplePicker()
 
     def watch(episode: Episode) -> None:
         bins.add(episode)
-        chosen.add(episode)
+        picker.add(episode)
 
     summary = summarise(dataset, progress, ids, watch)
-    return Survey(summary, bins.distributions(), chosen.shown(), len(bins.left_out))
+    return Survey(summary, bins.distributions(), picker.examples(), len(bins.left_out))
 
 
 _Key = tuple[str, tuple[Element, ...]]
@@ -103,8 +103,8 @@ class _Bins:
             if name == "time_ns" or name.endswith(VALID_SUFFIX) or CHANNELS[name].dtype == "bool":
                 continue
             values, rows = columns(episode, name)
-            kept = values[np.repeat(episode.valid(name), rows)]
-            self._add((name, elements(episode.meta, name, episode[name].shape[1:])), kept)
+            valid_values = values[np.repeat(episode.valid(name), rows)]
+            self._add((name, elements(episode.meta, name, episode[name].shape[1:])), valid_values)
 
     def _add(self, key: _Key, values: np.ndarray) -> None:
         """Take in one channel of one episode."""
@@ -126,32 +126,34 @@ class _Bins:
 
 
 @dataclass
-class _Chosen:
+class _ExamplePicker:
     """The episodes that are best by each rule so far; ties go to the first."""
 
-    best: dict[str, tuple[float, Episode]] = field(default_factory=dict)
+    best_by_rule: dict[str, tuple[float, Episode]] = field(default_factory=dict)
 
     def add(self, episode: Episode) -> None:
         """Take in one episode."""
-        touch = touches(episode).get(ANY)
+        touch = touches(episode).get(ANY_FINGERTIP)
         scores = {"the first": 0.0, "the longest": float(episode.time_s[-1])}
         if touch is not None and touch.any():
             scores["the most contact"] = float(touch.mean())
         for rule, score in scores.items():
-            if rule not in self.best or score > self.best[rule][0]:
-                self.best[rule] = (score, _light(episode))
+            if rule not in self.best_by_rule or score > self.best_by_rule[rule][0]:
+                self.best_by_rule[rule] = (score, _light(episode))
 
-    def shown(self) -> tuple[Shown, ...]:
+    def examples(self) -> tuple[ExampleEpisode, ...]:
         """Return the chosen episodes, each once with all that it is."""
         reasons: dict[str, list[str]] = {}
-        episodes = {episode.meta.id: episode for _, episode in self.best.values()}
-        for rule, (_, episode) in self.best.items():
+        episodes = {episode.meta.id: episode for _, episode in self.best_by_rule.values()}
+        for rule, (_, episode) in self.best_by_rule.items():
             reasons.setdefault(episode.meta.id, []).append(rule)
-        return tuple(Shown(" and ".join(rules), episodes[name]) for name, rules in reasons.items())
+        return tuple(ExampleEpisode(" and ".join(rules), episodes[name]) for name, rules in reasons.items())
 
 
 def _light(episode: Episode) -> Episode:
     """Return an episode without its dense channels, which are large and not drawn."""
-    if not any(name.removesuffix(VALID_SUFFIX) in DENSE for name in episode.arrays):
+    if not any(name.removesuffix(VALID_SUFFIX) in DENSE_CHANNELS for name in episode.arrays):
         return episode
-    return Episode(episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE})
+    return Episode(
+        episode.meta, {n: a for n, a in episode.arrays.items() if n.removesuffix(VALID_SUFFIX) not in DENSE_CHANNELS}
+    )

@@ -39,34 +39,34 @@ def set_tag(path: str | Path, name: str, version: int | str | None = None, move:
     if name.isdigit() or re.fullmatch(r"[0-9a-f]{6,}", name):
         raise UsageError("a tag must not read as a version or a digest", found=name, fix="choose another name")
     read_dataset_file(root)
-    with durable.publishing(root):
+    with durable.publish_lock(root):
         return _set(root, name, version, move)
 
 
 def _set(root: Path, name: str, version: int | str | None, move: bool) -> TagFile:
     """Return the tag, which now names a version that stands."""
-    found = find_version(root, version)
-    tag = TagFile(name=name, version=found.number, digest=found.digest)
+    named_version = find_version(root, version)
+    tag = TagFile(name=name, version=named_version.number, digest=named_version.digest)
     data = durable.encode_record(tag)
     if durable.create_once(root, tag_path(root, name), data):
         return tag
-    standing = read_tags(root)[name]
-    if standing != tag and not move:
+    existing_tag = read_tags(root)[name]
+    if existing_tag != tag and not move:
         raise UsageError(
             f"the tag {name} names another version",
             expected=f"version {tag.version}, digest {tag.digest[:12]}",
-            found=f"version {standing.version}, digest {standing.digest[:12]}",
+            found=f"version {existing_tag.version}, digest {existing_tag.digest[:12]}",
             where=Where(path=str(root)),
             fix="move it with --move",
         )
-    if standing != tag:
+    if existing_tag != tag:
         _replace(root, name, data)
     return tag
 
 
 def _replace(root: Path, name: str, data: bytes) -> None:
     """Put a new file in the place of a tag's, whole."""
-    with durable.staged(root) as folder:
+    with durable.staging_folder(root) as folder:
         draft = folder / f"{name}.json"
         draft.write_bytes(data)
         durable.sync(draft)
@@ -83,8 +83,8 @@ def delete_tag(path: str | Path, name: str) -> None:
         When there is no such tag; lists those there are.
     """
     root = Path(path)
-    known = read_tags(root)
-    if name not in known:
-        raise UnknownNameError("tag", name, known, Where(path=str(root)))
+    tags = read_tags(root)
+    if name not in tags:
+        raise UnknownNameError("tag", name, tags, Where(path=str(root)))
     tag_path(root, name).unlink(missing_ok=True)
     durable.sync(root / "tags")

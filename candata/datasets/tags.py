@@ -21,8 +21,8 @@ def read_tags(root: Path) -> dict[str, TagFile]:
     DataError
         When a tag's file is damaged, or holds a tag of another name; names it.
     """
-    found = {path.stem: durable.read_record(TagFile, path) for path in sorted((root / "tags").glob("*.json"))}
-    for name, tag in found.items():
+    tags = {path.stem: durable.read_record(TagFile, path) for path in sorted((root / "tags").glob("*.json"))}
+    for name, tag in tags.items():
         if tag.name != name:
-            raise durable.damaged(tag_path(root, name), f"a tag {tag.name!r}", f"a tag {name!r}")
-    return found
+            raise durable.damaged_error(tag_path(root, name), f"a tag {tag.name!r}", f"a tag {name!r}")
+    return tags

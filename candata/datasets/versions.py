@@ -68,12 +68,12 @@ def refuse_foreign(root: Path) -> None:
         raise UsageError("not a folder", expected="a folder", found="a file", where=Where(path=str(root)))
     if not root.is_dir():
         return
-    others = sorted(p.name for p in root.iterdir() if p.name not in (durable.STAGING, DATASET))
-    if others and not (root / DATASET).exists():  # asked last: another process may just have made it
+    foreign_names = sorted(p.name for p in root.iterdir() if p.name not in (durable.STAGING_FOLDER, DATASET))
+    if foreign_names and not (root / DATASET).exists():  # asked last: another process may just have made it
         raise UsageError(
             "the folder is not empty and no dataset",
             expected="an empty or missing folder, or a dataset",
-            found=", ".join(others[:5]),
+            found=", ".join(foreign_names[:5]),
             where=Where(path=str(root)),
             fix="choose another folder",
         )
@@ -89,15 +89,15 @@ def read_dataset_file(root: Path) -> DatasetFile:
     DataError
         When the file is damaged, or of a newer or older format.
     """
-    found = format_of(root)
-    if found != FORMAT_VERSION:
-        newer = found > FORMAT_VERSION
+    format_version = format_of(root)
+    if format_version != FORMAT_VERSION:
+        is_newer = format_version > FORMAT_VERSION
         raise DataError(
-            f"the dataset has {'a newer' if newer else 'an older'} format",
+            f"the dataset has {'a newer' if is_newer else 'an older'} format",
             expected=f"format {FORMAT_VERSION}",
-            found=f"format {found}",
+            found=f"format {format_version}",
             where=Where(path=str(root / DATASET)),
-            fix="install a newer candata" if newer else f"candata migrate {root} --out NEW",
+            fix="install a newer candata" if is_newer else f"candata migrate {root} --out NEW",
         )
     return durable.read_record(DatasetFile, root / DATASET)
 
@@ -121,12 +121,12 @@ def format_of(root: Path) -> int:
             fix="check the path",
         )
     try:
-        found = parse_json(durable.read_bytes(path))["format_version"]
+        format_version = parse_json(durable.read_bytes(path))["format_version"]
     except (ValueError, KeyError, TypeError) as error:
-        raise durable.damaged(path, f"no format version: {durable.reason(error)}") from None
-    if not isinstance(found, int) or isinstance(found, bool):
-        raise durable.damaged(path, f"format version {found!r}", "a whole number")
-    return found
+        raise durable.damaged_error(path, f"no format version: {durable.reason(error)}") from None
+    if not isinstance(format_version, int) or isinstance(format_version, bool):
+        raise durable.damaged_error(path, f"format version {format_version!r}", "a whole number")
+    return format_version
 
 
 def numbers(root: Path) -> list[int]:
@@ -150,10 +150,10 @@ def read_version(root: Path, number: int) -> VersionFile:
     return durable.read_record(VersionFile, version_path(root, number))
 
 
-def newest(root: Path) -> VersionFile | None:
+def newest_version(root: Path) -> VersionFile | None:
     """Return the newest version, None when there is none."""
-    found = numbers(root)
-    return read_version(root, found[-1]) if found else None
+    version_numbers = numbers(root)
+    return read_version(root, version_numbers[-1]) if version_numbers else None
 
 
 def find_version(root: Path, version: int | str | None) -> VersionFile:
@@ -166,33 +166,37 @@ def find_version(root: Path, version: int | str | None) -> VersionFile:
     UsageError
         When there is no such version, or several.
     """
-    found = numbers(root)
-    if not found:
+    version_numbers = numbers(root)
+    if not version_numbers:
         raise DataError(
-            "empty dataset", expected="at least 1 version", where=Where(path=str(root / "versions")),
+            "empty dataset",
+            expected="at least 1 version",
+            where=Where(path=str(root / "versions")),
             fix="add episodes: candata import, candata generate-sim; what was stopped goes on when run again",
-        )  # fmt: skip
-    if version is None or version in found:
-        return read_version(root, found[-1] if version is None else int(version))
-    digests = {n: read_version(root, n).digest for n in found} if isinstance(version, str) else {}
+        )
+    if version is None or version in version_numbers:
+        return read_version(root, version_numbers[-1] if version is None else int(version))
+    digests = {n: read_version(root, n).digest for n in version_numbers} if isinstance(version, str) else {}
     matches = [n for n, d in digests.items() if len(str(version)) >= 6 and d.startswith(str(version))]
     tag = None if matches else read_tags(root).get(str(version))
     if tag:
-        return _tagged(root, tag)
+        return _tagged_version(root, tag)
     if len({digests[n] for n in matches}) != 1:
         raise UsageError(
             f"{'several versions' if matches else 'no version'} {version}",
-            expected=f"a number from {found[0]} to {found[-1]}, the start of a digest, or a tag",
+            expected=f"a number from {version_numbers[0]} to {version_numbers[-1]}, the start of a digest, or a tag",
             where=Where(path=str(root / "versions")),
         )
     return read_version(root, matches[-1])
 
 
-def _tagged(root: Path, tag: TagFile) -> VersionFile:
+def _tagged_version(root: Path, tag: TagFile) -> VersionFile:
     """Return the version that a tag names, which must still be the one it was given to."""
     version = read_version(root, tag.version)
     if version.digest != tag.digest:
-        raise durable.damaged(tag_path(root, tag.name), f"digest {tag.digest[:12]}", f"digest {version.digest[:12]}")
+        raise durable.damaged_error(
+            tag_path(root, tag.name), f"digest {tag.digest[:12]}", f"digest {version.digest[:12]}"
+        )
     return version
 
 
@@ -215,8 +219,8 @@ def members_of(root: Path, version: VersionFile) -> dict[str, str]:
     DataError
         When a part is damaged.
     """
-    excluded = frozenset(version.exclusions)
-    return {name: digest for name, digest in index_of(root, version.parts).items() if name not in excluded}
+    excluded_ids = frozenset(version.exclusions)
+    return {name: digest for name, digest in index_of(root, version.parts).items() if name not in excluded_ids}
 
 
 def digest_of(index: dict[str, str]) -> str:
@@ -249,8 +253,8 @@ def publish(path: str | Path, part_ids: Iterable[str], lineage: Lineage) -> Vers
     """
     root = Path(path)
     read_dataset_file(root)
-    new = [entry_of(root, part_id) for part_id in dict.fromkeys(part_ids)]
-    return advance(root, lambda base: _next(root, base, new, lineage))
+    new_entries = [entry_of(root, part_id) for part_id in dict.fromkeys(part_ids)]
+    return advance(root, lambda base: _next_version(root, base, new_entries, lineage))
 
 
 def advance(root: Path, change: Callable[[VersionFile | None], VersionFile]) -> VersionFile:
@@ -275,16 +279,16 @@ def advance(root: Path, change: Callable[[VersionFile | None], VersionFile]) -> 
         When the file system has no hard links, or the dataset was moved away.
     """
     while True:
-        base = newest(root)
+        base = newest_version(root)
         version = change(base)
         if version is base:
             return version
-        added = {entry.id for entry in version.parts} - {entry.id for entry in (base.parts if base else ())}
-        if create_version(root, version, added):
+        new_ids = {entry.id for entry in version.parts} - {entry.id for entry in (base.parts if base else ())}
+        if create_version(root, version, new_ids):
             return version
 
 
-def create_version(root: Path, version: VersionFile, added: Iterable[str]) -> bool:
+def create_version(root: Path, version: VersionFile, new_ids: Iterable[str]) -> bool:
     """Create a version's file unless one stands; return whether this call made it.
 
     Parameters
@@ -293,7 +297,7 @@ def create_version(root: Path, version: VersionFile, added: Iterable[str]) -> bo
         Dataset.
     version : VersionFile
         The version.
-    added : iterable of str
+    new_ids : iterable of str
         Parts that no version has named yet: they are held, so that garbage collection leaves them.
 
     Raises
@@ -303,40 +307,40 @@ def create_version(root: Path, version: VersionFile, added: Iterable[str]) -> bo
     SetupError
         When the file system has no hard links, or the dataset was moved away.
     """
-    with durable.publishing(root):
-        for part_id in added:
+    with durable.publish_lock(root):
+        for part_id in new_ids:
             hold(root, part_id)
         return durable.create_once(root, version_path(root, version.number), durable.encode_record(version))
 
 
-def _next(root: Path, base: VersionFile | None, new: list[PartEntry], lineage: Lineage) -> VersionFile:
+def _next_version(root: Path, base: VersionFile | None, new_entries: list[PartEntry], lineage: Lineage) -> VersionFile:
     """Return the version after `base` with the parts that add something; `base` itself if none does."""
     index = index_of(root, base.parts) if base else {}
-    added = []
-    for entry in new:
-        fresh = _fresh(root, entry, index)
-        if fresh:
-            added.append(entry)
-            index |= fresh
-    if base and not added:
+    added_entries = []
+    for entry in new_entries:
+        new_episodes = _new_episodes(root, entry, index)
+        if new_episodes:
+            added_entries.append(entry)
+            index |= new_episodes
+    if base and not added_entries:
         return base
-    if not added:
+    if not added_entries:
         raise UsageError("nothing to publish", expected="at least 1 part", where=Where(path=str(root)))
     earlier = base.lineage if base else ()
-    excluded = base.exclusions if base else ()
+    exclusions = base.exclusions if base else ()
     return VersionFile(
         number=base.number + 1 if base else 1,
         parent=base.digest if base else None,
-        parts=(*(base.parts if base else ()), *added),
-        exclusions=excluded,
-        digest=digest_of({name: digest for name, digest in index.items() if name not in excluded}),
+        parts=(*(base.parts if base else ()), *added_entries),
+        exclusions=exclusions,
+        digest=digest_of({name: digest for name, digest in index.items() if name not in exclusions}),
         lineage=earlier if lineage in earlier else (*earlier, lineage),
     )
 
 
-def _fresh(root: Path, entry: PartEntry, index: dict[str, str]) -> dict[str, str]:
+def _new_episodes(root: Path, entry: PartEntry, index: dict[str, str]) -> dict[str, str]:
     """Return the episodes of a part that `index` lacks; refuse one that stands with another content."""
-    fresh = {}
+    new_episodes = {}
     for name, digest in RawPart(root, entry).manifest().episodes:
         if index.get(name, digest) != digest:
             raise DataError(
@@ -347,8 +351,8 @@ def _fresh(root: Path, entry: PartEntry, index: dict[str, str]) -> dict[str, str
                 fix="give the new episode another id, or write to another dataset",
             )
         if name not in index:
-            fresh[name] = digest
-    return fresh
+            new_episodes[name] = digest
+    return new_episodes
 
 
 def pending_parts(path: str | Path) -> tuple[PartFile, ...]:
@@ -363,9 +367,11 @@ def pending_parts(path: str | Path) -> tuple[PartFile, ...]:
     """
     root = Path(path)
     read_dataset_file(root)
-    waiting = {p.parent.name for p in (root / "parts").glob("*/part.json")}
+    pending_ids = {p.parent.name for p in (root / "parts").glob("*/part.json")}
     for number in reversed(numbers(root)):
-        if not waiting:
+        if not pending_ids:
             break
-        waiting -= {entry.id for entry in read_version(root, number).parts}
-    return tuple(durable.read_record(PartFile, root / "parts" / part_id / "part.json") for part_id in sorted(waiting))
+        pending_ids -= {entry.id for entry in read_version(root, number).parts}
+    return tuple(
+        durable.read_record(PartFile, root / "parts" / part_id / "part.json") for part_id in sorted(pending_ids)
+    )

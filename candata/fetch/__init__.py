@@ -10,7 +10,7 @@ from candata.schema.episode import Episode
 
 
 @dataclass(frozen=True)
-class Fetched:
+class FetchedEpisodes:
     """Checked data at hand.
 
     Attributes
@@ -29,7 +29,7 @@ class Fetched:
 
 
 @dataclass(frozen=True)
-class Source:
+class PublicDataset:
     """A public data set.
 
     Attributes
@@ -52,5 +52,5 @@ class Source:
     summary: str
     origin: str
     licence: str
-    from_folder: Callable[[Path], Fetched]
-    download: Callable[[Path, Callable[[str], None]], Fetched]
+    from_folder: Callable[[Path], FetchedEpisodes]
+    download: Callable[[Path, Callable[[str], None]], FetchedEpisodes]

@@ -14,26 +14,26 @@ _CHUNK_BYTES = 1 << 16
 _SAY_EVERY_BYTES = 1 << 20
 
 
-def require_sha256(path: Path, expected: str, fix: str) -> None:
-    """Raise unless the file is there and has the `expected` sha256.
+def require_sha256(path: Path, sha256: str, fix: str) -> None:
+    """Raise unless the file is there and has this sha256.
 
     Raises
     ------
     DataError
         When it is missing, unreadable or another file; `fix` says what to do.
     """
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     try:
         with path.open("rb") as file:
-            found = hashlib.file_digest(file, "sha256").hexdigest()
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        raise DataError(f"{path.name} is missing", found=error.strerror, where=where, fix=fix) from None
-    if found != expected:
+        raise DataError(f"{path.name} is missing", found=error.strerror, where=location, fix=fix) from None
+    if digest != sha256:
         raise DataError(
             f"{path.name} is not the published file",
-            expected=f"sha256 {expected}",
-            found=f"sha256 {found}",
-            where=where,
+            expected=f"sha256 {sha256}",
+            found=f"sha256 {digest}",
+            where=location,
             fix=fix,
         )
 
@@ -94,12 +94,12 @@ def download(url: str, target: Path, say: Callable[[str], None], timeout_s: floa
 
 def _copy(answer, file, say: Callable[[str], None]) -> None:  # type: ignore[no-untyped-def]
     """Copy an answer to a file, with a line every MiB."""
-    done = 0
+    byte_count = 0
     while chunk := answer.read(_CHUNK_BYTES):
         file.write(chunk)
-        if (done + len(chunk)) // _SAY_EVERY_BYTES > done // _SAY_EVERY_BYTES:
-            say(f"  {(done + len(chunk)) / 1e6:.1f} MB")
-        done += len(chunk)
-    announced = answer.headers.get("Content-Length")
-    if announced is not None and done < int(announced):
-        raise http.client.IncompleteRead(b"", int(announced) - done)
+        if (byte_count + len(chunk)) // _SAY_EVERY_BYTES > byte_count // _SAY_EVERY_BYTES:
+            say(f"  {(byte_count + len(chunk)) / 1e6:.1f} MB")
+        byte_count += len(chunk)
+    content_length = answer.headers.get("Content-Length")
+    if content_length is not None and byte_count < int(content_length):
+        raise http.client.IncompleteRead(b"", int(content_length) - byte_count)

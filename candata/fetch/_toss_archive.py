@@ -29,24 +29,24 @@ def checked_tosses(archive: Path, folder: str, tree: str, licence_sha256: str) -
     DataError
         When the archive is damaged, lacks the licence, or holds other data.
     """
-    where = Where(path=str(archive))
+    location = Where(path=str(archive))
     tosses, licence = _members(archive, folder)
-    found = git_tree_hash(tosses)
-    if found != tree:
+    tree_hash = git_tree_hash(tosses)
+    if tree_hash != tree:
         raise DataError(
             f"{folder} is not the published folder",
             expected=f"git tree {tree}",
-            found=f"git tree {found}, {len(tosses)} files",
-            where=where,
+            found=f"git tree {tree_hash}, {len(tosses)} files",
+            where=location,
             fix="delete the file and fetch again",
         )
     if hashlib.sha256(licence).hexdigest() != licence_sha256:
-        raise DataError("the licence file is missing or another one", expected="LICENSE", where=where)
+        raise DataError("the licence file is missing or another one", expected="LICENSE", where=location)
     return {name.removesuffix(".pt"): content for name, content in tosses.items()}, licence.decode()
 
 
-def cached(cache: Path, revision: str, say: Callable[[str], None], url: str) -> Path:
-    """Return the archive of a revision; one that is in the cache is not asked for again.
+def archive_of(cache: Path, revision: str, say: Callable[[str], None], url: str) -> Path:
+    """Return the archive of a revision, downloaded unless it is in the cache.
 
     Raises
     ------

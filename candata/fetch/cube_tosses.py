@@ -11,9 +11,9 @@ from pathlib import Path
 
 from numpy.typing import NDArray
 
-from candata.fetch import Fetched, Source
+from candata.fetch import FetchedEpisodes, PublicDataset
 from candata.fetch._files import require_sha256
-from candata.fetch._toss_archive import LICENCE_SHA256, RATE_HZ, cached, checked_tosses, columns_of
+from candata.fetch._toss_archive import LICENCE_SHA256, RATE_HZ, archive_of, checked_tosses, columns_of
 from candata.formats.table import episodes, map_digest, read_mapped
 from candata.schema.scene import TableMap
 
@@ -45,7 +45,7 @@ MAP = TableMap(
 _FRAME = ("qw", "qx", "qy", "qz", "px", "py", "pz", "wx", "wy", "wz", "vx", "vy", "vz")
 
 
-def from_folder(folder: Path) -> Fetched:
+def from_folder(folder: Path) -> FetchedEpisodes:
     """Return the tosses in a prepared folder: `tosses.parquet` and `LICENSE.txt`, hashes checked.
 
     Raises
@@ -57,10 +57,10 @@ def from_folder(folder: Path) -> Fetched:
     require_sha256(licence, LICENCE_SHA256, f"put the LICENSE of {SOURCE.origin} beside the data")
     require_sha256(table, TABLE_SHA256, "get the folder again, or download: leave out --from")
     notice = licence.read_text(encoding="utf-8")
-    return Fetched(read_mapped(MAP, table), map_digest(MAP, TREE), notice)
+    return FetchedEpisodes(read_mapped(MAP, table), map_digest(MAP, TREE), notice)
 
 
-def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_SHA256) -> Fetched:
+def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_SHA256) -> FetchedEpisodes:
     """Return the tosses in an archive of the repository, checked against git's hash of the folder.
 
     Raises
@@ -69,10 +69,10 @@ def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_
         When the archive is damaged, lacks the licence, or holds other data.
     """
     tosses, notice = checked_tosses(archive, FOLDER, tree, licence_sha256)
-    return Fetched(episodes(MAP, toss_columns(tosses), Path(MAP.file)), map_digest(MAP, tree), notice)
+    return FetchedEpisodes(episodes(MAP, toss_columns(tosses), Path(MAP.file)), map_digest(MAP, tree), notice)
 
 
-def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> Fetched:
+def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> FetchedEpisodes:
     """Return the tosses from their public repository; an archive that is in the cache is not asked for again.
 
     Raises
@@ -82,7 +82,7 @@ def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> Fetche
     DataError
         When what came is not the published data.
     """
-    return from_archive(cached(cache, REVISION, say, url))
+    return from_archive(archive_of(cache, REVISION, say, url))
 
 
 def toss_columns(tosses: Mapping[str, bytes]) -> dict[str, NDArray]:
@@ -96,7 +96,7 @@ def toss_columns(tosses: Mapping[str, bytes]) -> dict[str, NDArray]:
     return columns_of(tosses, _FRAME)
 
 
-SOURCE = Source(
+SOURCE = PublicDataset(
     name="cube_tosses",
     summary="550 real tosses of an acrylic cube onto a table, 148 Hz",
     origin=f"github.com/DAIRLab/dair_pll, {FOLDER} at {REVISION[:8]}",

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.fetch import Fetched, Source
+from candata.fetch import FetchedEpisodes, PublicDataset
 from candata.fetch._files import require_sha256
-from candata.fetch._toss_archive import LICENCE_SHA256, RATE_HZ, cached, checked_tosses, columns_of
+from candata.fetch._toss_archive import LICENCE_SHA256, RATE_HZ, archive_of, checked_tosses, columns_of
 from candata.formats.table import episodes, map_digest, read_mapped
 from candata.schema.scene import TableMap
 
@@ -46,7 +46,7 @@ MAP = TableMap(
 _FRAME = ("qw", "qx", "qy", "qz", "px", "py", "pz", "hinge", "wx", "wy", "wz", "vx", "vy", "vz", "hinge_rate")
 
 
-def from_folder(folder: Path) -> Fetched:
+def from_folder(folder: Path) -> FetchedEpisodes:
     """Return the tosses in a prepared folder: `elbow_tosses.parquet` and `LICENSE.txt`, hashes checked.
 
     Raises
@@ -57,10 +57,10 @@ def from_folder(folder: Path) -> Fetched:
     licence, table = Path(folder) / "LICENSE.txt", Path(folder) / MAP.file
     require_sha256(licence, LICENCE_SHA256, f"put the LICENSE of {SOURCE.origin} beside the data")
     require_sha256(table, TABLE_SHA256, "get the folder again, or download: leave out --from")
-    return Fetched(read_mapped(MAP, table), map_digest(MAP, TREE), licence.read_text(encoding="utf-8"))
+    return FetchedEpisodes(read_mapped(MAP, table), map_digest(MAP, TREE), licence.read_text(encoding="utf-8"))
 
 
-def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_SHA256) -> Fetched:
+def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_SHA256) -> FetchedEpisodes:
     """Return the tosses in an archive of the repository, checked against git's hash of the folder.
 
     Raises
@@ -69,10 +69,10 @@ def from_archive(archive: Path, tree: str = TREE, licence_sha256: str = LICENCE_
         When the archive is damaged, lacks the licence, or holds other data.
     """
     tosses, notice = checked_tosses(archive, FOLDER, tree, licence_sha256)
-    return Fetched(episodes(MAP, toss_columns(tosses), Path(MAP.file)), map_digest(MAP, tree), notice)
+    return FetchedEpisodes(episodes(MAP, toss_columns(tosses), Path(MAP.file)), map_digest(MAP, tree), notice)
 
 
-def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> Fetched:
+def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> FetchedEpisodes:
     """Return the tosses from their public repository; an archive that is in the cache is not asked for again.
 
     Raises
@@ -82,7 +82,7 @@ def fetch(cache: Path, say: Callable[[str], None], url: str = ARCHIVE) -> Fetche
     DataError
         When what came is not the published data.
     """
-    return from_archive(cached(cache, REVISION, say, url))
+    return from_archive(archive_of(cache, REVISION, say, url))
 
 
 def toss_columns(tosses: Mapping[str, bytes]) -> dict[str, NDArray]:
@@ -95,16 +95,16 @@ def toss_columns(tosses: Mapping[str, bytes]) -> dict[str, NDArray]:
     """
     columns = columns_of(tosses, _FRAME)
     for number in np.unique(columns["episode"]):
-        own = columns["episode"] == number
-        columns["hinge"][own] = np.unwrap(columns["hinge"][own])
-        turns = np.stack([columns[q][own] for q in _FRAME[:4]], axis=1)
+        in_toss = columns["episode"] == number
+        columns["hinge"][in_toss] = np.unwrap(columns["hinge"][in_toss])
+        turns = np.stack([columns[q][in_toss] for q in _FRAME[:4]], axis=1)
         sign = np.cumprod(np.where((turns[1:] * turns[:-1]).sum(1) < 0, -1, 1))
         for k, q in enumerate(_FRAME[:4]):
-            columns[q][own] = turns[:, k] * np.concatenate([[1], sign])
+            columns[q][in_toss] = turns[:, k] * np.concatenate([[1], sign])
     return columns
 
 
-SOURCE = Source(
+SOURCE = PublicDataset(
     name="elbow_tosses",
     summary="541 real tosses of two hinged links onto a table, 148 Hz",
     origin=f"github.com/DAIRLab/dair_pll, {FOLDER} at {REVISION[:8]}",

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from candata.errors import DataError, Where
-from candata.fetch import Fetched, Source
+from candata.fetch import FetchedEpisodes, PublicDataset
 from candata.fetch._files import download, require_sha256
 from candata.schema.episode import Episode, EpisodeMeta
 
@@ -33,7 +33,7 @@ _HAND = ("HandPinky", "HandRing", "HandMiddle", "HandIndex", "HandThumbBend", "H
 JOINTS = tuple(f"{side}{part}" for parts in (_ARM, _HAND) for side in ("Left", "Right") for part in parts)
 
 
-def from_folder(folder: Path) -> Fetched:
+def from_folder(folder: Path) -> FetchedEpisodes:
     """Return the episodes in a folder laid out as the repository: `data/chunk-000/` and the licence, hashes checked.
 
     Raises
@@ -46,10 +46,10 @@ def from_folder(folder: Path) -> Fetched:
     require_sha256(licence, LICENCE_SHA256, f"put the LICENSE of {SOURCE.origin} beside the data")
     files = [folder / DATA / _file(index) for index in range(EPISODES)]
     _require_data(files)
-    return Fetched(_episodes(files), DATA_SHA256, licence.read_text(encoding="utf-8"))
+    return FetchedEpisodes(_episodes(files), DATA_SHA256, licence.read_text(encoding="utf-8"))
 
 
-def fetch(cache: Path, say: Callable[[str], None], raw: str = RAW) -> Fetched:
+def fetch(cache: Path, say: Callable[[str], None], raw: str = RAW) -> FetchedEpisodes:
     """Return the episodes from their public repository; files that are in the cache are not asked for again.
 
     Raises
@@ -80,12 +80,12 @@ def _require_data(files: list[Path]) -> None:
                 f"{path.name} is missing", where=Where(path=str(path)), fix=f"all {EPISODES} episodes are needed"
             )
         lines.append(f"{hashlib.sha256(path.read_bytes()).hexdigest()}\n")
-    found = hashlib.sha256("".join(lines).encode()).hexdigest()
-    if found != DATA_SHA256:
+    digest = hashlib.sha256("".join(lines).encode()).hexdigest()
+    if digest != DATA_SHA256:
         raise DataError(
             "the episodes are not the published files",
             expected=f"sha256 {DATA_SHA256}",
-            found=f"sha256 {found}",
+            found=f"sha256 {digest}",
             where=Where(path=str(files[0].parent)),
             fix="delete the folder and fetch again",
         )
@@ -116,11 +116,11 @@ def _episodes(files: list[Path]) -> Iterator[Episode]:
 
 def _matrix(table: pa.Table, column: str) -> np.ndarray:
     """Return `(T, 26) float64` of a column of lists."""
-    flat = table.column(column).combine_chunks().flatten()
-    return flat.to_numpy(zero_copy_only=False).astype(float).reshape(table.num_rows, len(JOINTS))
+    values = table.column(column).combine_chunks().flatten()
+    return values.to_numpy(zero_copy_only=False).astype(float).reshape(table.num_rows, len(JOINTS))
 
 
-SOURCE = Source(
+SOURCE = PublicDataset(
     name="g1_inspire_pick",
     summary="20 real picks of a bottle by a Unitree G1 with Inspire hands, joints and commands, 30 Hz",
     origin=f"github.com/YifanTian07/G1-policy-train at {REVISION[:8]}",

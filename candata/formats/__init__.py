@@ -13,17 +13,17 @@ from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
 
-def _silent(line: str) -> None:
+def _ignore_line(line: str) -> None:
     """Say nothing."""
 
 
-def _dropped(points: NDArray) -> None:
+def _ignore_cloud(points: NDArray) -> None:
     """Keep no cloud."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """What an import was told beside its source.
+    """The settings of an import beside its source.
 
     Attributes
     ----------
@@ -47,13 +47,13 @@ class Reading:
     scene: str | None = None
     object: str | None = None
     task: str | None = None
-    note: Callable[[str], None] = field(default=_silent, compare=False)
-    cloud: Callable[[NDArray], None] = field(default=_dropped, compare=False)
+    note: Callable[[str], None] = field(default=_ignore_line, compare=False)
+    cloud: Callable[[NDArray], None] = field(default=_ignore_cloud, compare=False)
 
 
 @dataclass(frozen=True)
 class Writing:
-    """What an export is told beside the episodes.
+    """The settings of an export beside the episodes.
 
     Attributes
     ----------
@@ -73,13 +73,13 @@ class Writing:
     digest: str
     lineage: tuple[Lineage, ...] = ()
     variant: str | None = None
-    note: Callable[[str], None] = field(default=_silent, compare=False)
+    note: Callable[[str], None] = field(default=_ignore_line, compare=False)
     cloud: Callable[[str], NDArray] | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
 class Format:
-    """What a format's file offers.
+    """A format: its name, and how it is read and written.
 
     Attributes
     ----------

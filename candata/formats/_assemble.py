@@ -15,7 +15,7 @@ from candata.schema.contact import fingertip_contact
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 
 #: Largest number the schema's float32 holds; beyond it are only the fill values of other formats.
-LARGEST = float(np.finfo(np.float32).max)
+LARGEST_NUMBER = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Gathered:
+class EpisodeArrays:
     """Arrays of an episode, what its contact flags came from, and the number of invalid rows by channel."""
 
     arrays: dict[str, NDArray]
@@ -50,8 +50,8 @@ class Gathered:
 
 
 def gather(
-    time_ns: NDArray[np.int64], blocks: Iterable[Block], rows: NDArray[np.intp], where: Where, allow_gaps: bool
-) -> Gathered:
+    time_ns: NDArray[np.int64], blocks: Iterable[Block], rows: NDArray[np.intp], location: Where, allow_gaps: bool
+) -> EpisodeArrays:
     """Return the arrays of an episode: gaps marked, flags as bool, missing contact channels derived.
 
     Parameters
@@ -62,7 +62,7 @@ def gather(
         The channels.
     rows : ndarray
         `(T,)` numbers of the rows in the file, for messages.
-    where : Where
+    location : Where
         File and episode, for messages.
     allow_gaps : bool
         Mark values that are not finite as invalid instead of refusing them.
@@ -75,20 +75,20 @@ def gather(
     arrays: dict[str, NDArray] = {"time_ns": time_ns}
     invalid: dict[str, int] = {}
     for block in blocks:
-        here = dataclasses.replace(where, channel=block.channel)
+        channel_location = dataclasses.replace(location, channel=block.channel)
         values = block.values
-        gaps = ~(np.abs(values) <= LARGEST)
+        gaps = ~(np.abs(values) <= LARGEST_NUMBER)
         if gaps.any():
             if not allow_gaps:
-                raise _gap_error(block, gaps, rows, here)
+                raise _gap_error(block, gaps, rows, channel_location)
             values = np.where(gaps, np.nan, values)
             arrays[block.channel + VALID_SUFFIX] = np.asarray(~gaps.any(axis=1))
             invalid[block.channel] = int(gaps.any(axis=1).sum())
-        arrays[block.channel] = _typed(block.channel, values, here).reshape(len(rows), *block.shape)
-    return Gathered(arrays, derive_contact(arrays, invalid), invalid)
+        arrays[block.channel] = _typed(block.channel, values, channel_location).reshape(len(rows), *block.shape)
+    return EpisodeArrays(arrays, derive_contact(arrays, invalid), invalid)
 
 
-def checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: object) -> Episode:
+def checked_episode(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: object) -> Episode:
     """Return the episode; what is wrong with it is said with the file's name.
 
     Raises
@@ -99,12 +99,12 @@ def checked(meta: EpisodeMeta, arrays: Mapping[str, NDArray], path: object) -> E
     try:
         return Episode(meta, arrays)
     except DataError as error:
-        where = dataclasses.replace(error.where, path=str(path))
+        location = dataclasses.replace(error.where, path=str(path))
         facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
-        raise DataError(error.problem, where=where, **facts) from None
+        raise DataError(error.problem, where=location, **facts) from None
 
 
-def _gap_error(block: Block, gaps: NDArray, rows: NDArray, where: Where) -> DataError:
+def _gap_error(block: Block, gaps: NDArray, rows: NDArray, location: Where) -> DataError:
     """Return the error of a channel that holds values which are not finite."""
     row, column = (int(i) for i in np.argwhere(gaps)[0])
     return DataError(
@@ -112,23 +112,23 @@ def _gap_error(block: Block, gaps: NDArray, rows: NDArray, where: Where) -> Data
         expected="finite numbers",
         found=f"a gap in column {block.columns[column]}, row {rows[row]} of the file "
         f"({int(gaps.any(axis=1).sum())} such rows in the episode)",
-        where=dataclasses.replace(where, index=row),
+        where=dataclasses.replace(location, index=row),
         fix="import with --allow-gaps: such rows are kept and marked invalid",
     )
 
 
-def _typed(channel: str, values: NDArray, where: Where) -> NDArray:
+def _typed(channel: str, values: NDArray, location: Where) -> NDArray:
     """Return the values as the channel's kind; flags must be 0 or 1 (a gap is False)."""
     if CHANNELS[channel].dtype != "bool":
         return values
-    odd = np.argwhere(np.isfinite(values) & (values != 0) & (values != 1))
-    if len(odd):
-        row, column = (int(i) for i in odd[0])
+    misfits = np.argwhere(np.isfinite(values) & (values != 0) & (values != 1))
+    if len(misfits):
+        row, column = (int(i) for i in misfits[0])
         raise DataError(
             f"{channel} is no flag",
             expected="0 or 1",
             found=f"{values[row, column]:g}",
-            where=dataclasses.replace(where, index=row),
+            where=dataclasses.replace(location, index=row),
         )
     return values == 1
 
@@ -154,8 +154,8 @@ def derive_contact(arrays: dict[str, NDArray], invalid: dict[str, int]) -> Conta
     return rule
 
 
-def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, derived: str) -> None:
+def _inherit(arrays: dict[str, NDArray], invalid: dict[str, int], origin: str, derived_channel: str) -> None:
     """Mark a derived channel invalid where the one it comes from is."""
     if origin in invalid:
-        arrays[derived + VALID_SUFFIX] = arrays[origin + VALID_SUFFIX]
-        invalid[derived] = invalid[origin]
+        arrays[derived_channel + VALID_SUFFIX] = arrays[origin + VALID_SUFFIX]
+        invalid[derived_channel] = invalid[origin]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from candata.errors import Where
 from candata.formats import Reading
-from candata.formats._assemble import checked, gather
+from candata.formats._assemble import checked_episode, gather
 from candata.formats._features import Pick, blocks, names_of
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.exchange import FeatureMap
@@ -21,11 +21,11 @@ def mapped_episode(
     identity: str,
     time_ns: NDArray[np.int64],
     arrays: Mapping[str, NDArray],
-    made: Sequence[Pick],
+    channel_picks: Sequence[Pick],
     mapping: FeatureMap,
     reading: Reading,
     path: Path,
-    **own: Any,
+    **file_facts: Any,
 ) -> Episode:
     """Return one checked episode.
 
@@ -37,15 +37,15 @@ def mapped_episode(
         `(T,) int64 [ns]`.
     arrays : mapping of str to ndarray
         Each feature as `(T, width)`.
-    made : sequence of Pick
+    channel_picks : sequence of Pick
         How each channel is made.
     mapping : FeatureMap
-        The map that `made` comes from.
+        The map that `channel_picks` comes from.
     reading : Reading
         What the import was told; comes before the map.
     path : Path
         File, for messages.
-    **own
+    **file_facts
         What the file itself says: `rate_hz`, and `task` where it names one.
 
     Raises
@@ -53,10 +53,13 @@ def mapped_episode(
     DataError
         When a value is not finite, or the arrays make no episode.
     """
-    where = Where(path=str(path), episode=identity)
-    found = gather(time_ns, blocks(made, arrays), np.arange(len(time_ns)), where, reading.allow_gaps)
-    told = {
-        name: getattr(reading, name) or getattr(mapping, name) or own.get(name) for name in ("scene", "object", "task")
+    location = Where(path=str(path), episode=identity)
+    episode_arrays = gather(
+        time_ns, blocks(channel_picks, arrays), np.arange(len(time_ns)), location, reading.allow_gaps
+    )
+    stated_facts = {
+        name: getattr(reading, name) or getattr(mapping, name) or file_facts.get(name)
+        for name in ("scene", "object", "task")
     }
     fields: dict[str, Any] = {
         "id": identity,
@@ -64,9 +67,9 @@ def mapped_episode(
         "force": mapping.force,
         "action": mapping.action,
     }
-    fields |= {"contact_rule": found.rule, "invalid_counts": found.invalid}
-    meta = EpisodeMeta.model_validate(own | told | fields | names_of(made))
-    return checked(meta, found.arrays, path)
+    fields |= {"contact_rule": episode_arrays.rule, "invalid_counts": episode_arrays.invalid}
+    meta = EpisodeMeta.model_validate(file_facts | stated_facts | fields | names_of(channel_picks))
+    return checked_episode(meta, episode_arrays.arrays, path)
 
 
 def even_time_ns(rows: int, rate_hz: float) -> NDArray[np.int64]:

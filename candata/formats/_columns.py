@@ -143,16 +143,16 @@ def numbers(values: NDArray, column: str, path: Path, flags: bool = False) -> ND
     """
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
-    flat = values.ravel()
-    if flags and all(isinstance(v, str) and v.strip().casefold() in _FLAG_WORDS for v in flat if v is not None):
-        words = [np.nan if v is None else _FLAG_WORDS[v.strip().casefold()] for v in flat]
+    cells = values.ravel()
+    if flags and all(isinstance(v, str) and v.strip().casefold() in _FLAG_WORDS for v in cells if v is not None):
+        words = [np.nan if v is None else _FLAG_WORDS[v.strip().casefold()] for v in cells]
         return np.array(words, float).reshape(values.shape)
-    index, value = next(((i, v) for i, v in enumerate(flat) if not _is_number(v)), (0, flat[0]))
+    index, value = next(((i, v) for i, v in enumerate(cells) if not _is_number(v)), (0, cells[0]))
     raise DataError(
         f"column {column} does not hold numbers",
         expected="numbers",
         found=f"{value!r} ({values.dtype})",
-        where=Where(path=str(path), index=index // max(1, flat.size // len(values))),
+        where=Where(path=str(path), index=index // max(1, cells.size // len(values))),
     )
 
 
@@ -168,11 +168,11 @@ def _is_number(value: object) -> bool:
 def _parquet(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the columns of a Parquet file."""
     with pa.parquet.ParquetFile(path) as file:
-        wanted = _resolve(names, entries, file.schema_arrow.names, path)
-        claimed = file.metadata.num_rows * len(wanted) * _NUMBER_BYTES
+        column_names = _resolve(names, entries, file.schema_arrow.names, path)
+        claimed = file.metadata.num_rows * len(column_names) * _NUMBER_BYTES
         require_memory(claimed, "the table", Where(path=str(path)))
         require_bounded(path, claimed, path.stat().st_size)
-        return _from_arrow(file.read(columns=wanted), wanted, path)
+        return _from_arrow(file.read(columns=column_names), column_names, path)
 
 
 def _csv(path: Path, names: list[str], entries: list[str]) -> Columns:
@@ -187,17 +187,17 @@ def _csv(path: Path, names: list[str], entries: list[str]) -> Columns:
             where=Where(path=str(path)),
             fix="give columns by number, from 0, such as `time_s: 0` and `joint_position: [1, 2]`, or add a first line",
         )
-    wanted = _resolve(names, entries, list(layout.names), path)
-    return _from_arrow(read_csv(path, layout, wanted), wanted, path)
+    column_names = _resolve(names, entries, list(layout.names), path)
+    return _from_arrow(read_csv(path, layout, column_names), column_names, path)
 
 
 def _npz(path: Path, names: list[str], entries: list[str]) -> Columns:
     """Return the arrays of an npz file; axes behind the first become one."""
     require_arrays(path, [])
     with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-        wanted = _resolve(names, entries, list(arrays), path)
-        require_arrays(path, wanted)
-        columns = {name: arrays[name] for name in wanted}
+        column_names = _resolve(names, entries, list(arrays), path)
+        require_arrays(path, column_names)
+        columns = {name: arrays[name] for name in column_names}
     for name, values in columns.items():
         if values.ndim == 0 or values.dtype.kind in "cV" or values.dtype == np.dtype("M8"):
             raise DataError(
@@ -210,10 +210,10 @@ def _npz(path: Path, names: list[str], entries: list[str]) -> Columns:
     return {name: values if values.ndim < 2 else values.reshape(len(values), -1) for name, values in columns.items()}
 
 
-def _from_arrow(table: pa.Table, wanted: list[str], path: Path) -> Columns:
+def _from_arrow(table: pa.Table, column_names: list[str], path: Path) -> Columns:
     """Return arrow columns as numpy arrays; nulls become NaN, NaT or None."""
     columns = {}
-    for name in wanted:
+    for name in column_names:
         values = table[name].combine_chunks()
         if _is_list(values.type):
             columns[name] = _from_lists(values, name, np.arange(len(values)), Where(path=str(path)))
@@ -238,63 +238,63 @@ def _is_list(kind: pa.DataType) -> bool:
     return pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
 
 
-def _from_lists(values: pa.Array, name: str, rows: NDArray[np.int64], where: Where) -> NDArray:
+def _from_lists(values: pa.Array, name: str, rows: NDArray[np.int64], location: Where) -> NDArray:
     """Return `(T, k)` what the lists of each row hold, inner lists row-major; a row without a list is NaN or None.
 
     `rows (T,)` are the numbers of the rows in the table, for messages.
     """
-    present = values.is_valid().to_numpy(zero_copy_only=False)
+    has_list = values.is_valid().to_numpy(zero_copy_only=False)
     lengths = pc.list_value_length(values).drop_null().to_numpy(zero_copy_only=False)
     if len(set(lengths.tolist())) > 1:
-        usual = int(np.bincount(lengths).argmax())
-        odd = int(np.argmax(lengths != usual))
+        usual_length = int(np.bincount(lengths).argmax())
+        odd_row = int(np.argmax(lengths != usual_length))
         raise DataError(
             f"column {name} holds lists of several lengths",
-            expected=f"{usual} values, as in most rows",
-            found=f"{lengths[odd]} values",
-            where=replace(where, index=int(rows[present][odd])),
+            expected=f"{usual_length} values, as in most rows",
+            found=f"{lengths[odd_row]} values",
+            where=replace(location, index=int(rows[has_list][odd_row])),
         )
     inner = values.flatten()
     if _is_list(inner.type):
-        flat = _from_lists(inner, name, np.repeat(rows[present], lengths), where)
+        inner_values = _from_lists(inner, name, np.repeat(rows[has_list], lengths), location)
     else:
-        flat = _from_values(inner)
-    filled = flat.reshape(len(lengths), -1) if len(lengths) else np.zeros((0, 0))
-    if present.all():
-        return filled
-    missing = None if filled.dtype.kind == "O" else np.nan
-    everywhere = np.full((len(present), filled.shape[1]), missing, np.result_type(filled, type(missing)))
-    everywhere[present] = filled
-    return everywhere
+        inner_values = _from_values(inner)
+    matrix = inner_values.reshape(len(lengths), -1) if len(lengths) else np.zeros((0, 0))
+    if has_list.all():
+        return matrix
+    fill_value = None if matrix.dtype.kind == "O" else np.nan
+    result = np.full((len(has_list), matrix.shape[1]), fill_value, np.result_type(matrix, type(fill_value)))
+    result[has_list] = matrix
+    return result
 
 
-def _resolve(names: list[str], entries: list[str], known: list[str], path: Path) -> list[str]:
+def _resolve(names: list[str], entries: list[str], known_names: list[str], path: Path) -> list[str]:
     """Return the columns that names and entries mean; raises when one is missing or stands twice."""
-    wanted = list(dict.fromkeys([*names, *(split_entry(entry, known)[0] for entry in entries)]))
-    twice = [name for name in wanted if known.count(name) > 1]
-    if twice:
+    column_names = list(dict.fromkeys([*names, *(split_entry(entry, known_names)[0] for entry in entries)]))
+    repeated_names = [name for name in column_names if known_names.count(name) > 1]
+    if repeated_names:
         raise DataError(
-            f"the table has several columns {', '.join(twice)}",
+            f"the table has several columns {', '.join(repeated_names)}",
             expected="each name once",
             where=Where(path=str(path)),
             fix="rename the columns in the table",
         )
-    missing = [name for name in wanted if name not in known]
-    if not missing:
-        return wanted
-    near = {name: _nearest(name, known) for name in missing}
-    hints = [f"{name} -> {' or '.join(matches)}" for name, matches in near.items() if matches]
+    missing_names = [name for name in column_names if name not in known_names]
+    if not missing_names:
+        return column_names
+    matches_by_name = {name: _nearest_names(name, known_names) for name in missing_names}
+    hints = [f"{name} -> {' or '.join(matches)}" for name, matches in matches_by_name.items() if matches]
     raise DataError(
-        f"the table has no column {', '.join(missing)}",
-        expected=", ".join(missing),
-        found=f"columns {', '.join(known)}",
+        f"the table has no column {', '.join(missing_names)}",
+        expected=", ".join(missing_names),
+        found=f"columns {', '.join(known_names)}",
         where=Where(path=str(path)),
         fix=f"did you mean {'; '.join(hints)}?" if hints else "correct the column names in the map",
     )
 
 
-def _nearest(name: str, known: list[str]) -> list[str]:
+def _nearest_names(name: str, known_names: list[str]) -> list[str]:
     """Return the names that differ in case or space alone, else up to three that look alike."""
-    plain = name.strip().casefold()
-    equal = [other for other in known if other.strip().casefold() == plain]
-    return equal or difflib.get_close_matches(name, known, n=3)
+    key = name.strip().casefold()
+    equal_names = [candidate for candidate in known_names if candidate.strip().casefold() == key]
+    return equal_names or difflib.get_close_matches(name, known_names, n=3)

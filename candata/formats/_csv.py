@@ -28,7 +28,7 @@ _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text table is written.
+    """The form of a text table.
 
     Attributes
     ----------
@@ -62,41 +62,41 @@ def dialect(path: Path) -> Dialect:
     DataError
         When the file is empty, is no UTF-8 text, or has commas both between values and in numbers.
     """
-    where = Where(path=str(path))
-    lines = _head(path, where)
+    location = Where(path=str(path))
+    lines = _head(path, location)
     start = next(
         (i for i, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(_COMMENT_MARKS)), -1
     )
     if start < 0:
-        raise DataError("the table is empty", expected="a first line with the names of columns", where=where)
+        raise DataError("the table is empty", expected="a first line with the names of columns", where=location)
     rows = [line for line in lines[start : start + _HEAD_LINES] if line.strip()]
     delimiter = _delimiter(rows)
-    first, values = _fields(rows[0], delimiter), [_fields(row, delimiter) for row in rows[1:]]
+    header, values = _fields(rows[0], delimiter), [_fields(row, delimiter) for row in rows[1:]]
     decimal = (
-        "," if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(v) for row in [first, *values] for v in row) else "."
+        "," if delimiter != "," and any(_DECIMAL_COMMA.fullmatch(v) for row in [header, *values] for v in row) else "."
     )
-    if delimiter == "," and values and all(len(row) == 2 * len(first) for row in values):
+    if delimiter == "," and values and all(len(row) == 2 * len(header) for row in values):
         raise DataError(
             "commas stand between values and in numbers",
             expected="another delimiter beside decimal commas, such as `;`",
-            found=f"{len(first)} names and {len(values[0])} values a row",
-            where=where,
+            found=f"{len(header)} names and {len(values[0])} values a row",
+            where=location,
             fix="write the file with `;` between values, or with decimal points",
         )
-    counted = len(first) >= _COUNTED_COLUMNS and first == [str(i) for i in range(len(first))]
-    if counted or not all(_is_number(value, decimal) for value in first):
-        return Dialect(tuple(first), True, delimiter, decimal, start + 1, rows[0])
-    names = _names_in_comment(lines[:start], delimiter, len(first))
-    numbered = tuple(map(str, range(len(first))))
-    return Dialect(names or numbered, bool(names), delimiter, decimal, start, rows[0])
+    is_counted = len(header) >= _COUNTED_COLUMNS and header == [str(i) for i in range(len(header))]
+    if is_counted or not all(_is_number(value, decimal) for value in header):
+        return Dialect(tuple(header), True, delimiter, decimal, start + 1, rows[0])
+    names = _names_in_comment(lines[:start], delimiter, len(header))
+    column_numbers = tuple(map(str, range(len(header))))
+    return Dialect(names or column_numbers, bool(names), delimiter, decimal, start, rows[0])
 
 
-def read_csv(path: Path, layout: Dialect, wanted: list[str]) -> pa.Table:
-    """Return the `wanted` columns of a text table that is written as `layout` says."""
+def read_csv(path: Path, layout: Dialect, column_names: list[str]) -> pa.Table:
+    """Return these columns of a text table that is written as `layout` says."""
     source: Path | pa.BufferReader = path
     delimiter = layout.delimiter
     if delimiter == _SPACES:
-        source, delimiter = pa.BufferReader(_tabbed(path)), "\t"
+        source, delimiter = pa.BufferReader(_with_tabs(path)), "\t"
     size = path.stat().st_size
     return pa.csv.read_csv(
         source,
@@ -104,11 +104,11 @@ def read_csv(path: Path, layout: Dialect, wanted: list[str]) -> pa.Table:
             block_size=min(max(size, 1 << 20), _BLOCK_BYTES), skip_rows=layout.first_row, column_names=layout.names
         ),
         parse_options=pa.csv.ParseOptions(delimiter=delimiter, invalid_row_handler=_skip_comment),
-        convert_options=pa.csv.ConvertOptions(include_columns=wanted, decimal_point=layout.decimal),
+        convert_options=pa.csv.ConvertOptions(include_columns=column_names, decimal_point=layout.decimal),
     )
 
 
-def _head(path: Path, where: Where) -> list[str]:
+def _head(path: Path, location: Where) -> list[str]:
     """Return the first lines of a text file."""
     with path.open("rb") as file:
         raw = file.read(_HEAD_BYTES)
@@ -123,14 +123,14 @@ def _head(path: Path, where: Where) -> list[str]:
             "the table is no text",
             expected="a text file in UTF-8",
             found="other bytes, or another encoding",
-            where=where,
+            where=location,
             fix="save the table as CSV in UTF-8, or give the file the ending of what it is",
         )
     return text.splitlines()
 
 
 def _delimiter(rows: list[str]) -> str:
-    """Return what stands between values: what cuts all rows alike, else what the first row holds most of."""
+    """Return the delimiter: the mark that cuts all rows alike, else the one that the first row holds most of."""
     for mark in (*_DELIMITERS, _SPACES):
         counts = {len(_fields(row, mark)) for row in rows}
         if len(counts) == 1 and counts != {1}:
@@ -166,11 +166,11 @@ def _names_in_comment(comments: list[str], delimiter: str, count: int) -> tuple[
     return ()
 
 
-def _tabbed(path: Path) -> bytes:
+def _with_tabs(path: Path) -> bytes:
     """Return a file's bytes with one tab for each run of spaces between values."""
     return b"\n".join(b"\t".join(line.split()) for line in path.read_bytes().splitlines())
 
 
 def _skip_comment(row: pa.csv.InvalidRow) -> str:
-    """Return that a row of another length is left out if it is a comment."""
+    """Return `skip` for a row of another length that is a comment, else `error`."""
     return "skip" if row.text.lstrip().startswith(_COMMENT_MARKS) else "error"

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from candata.formats import Writing
 from candata.formats._diffusion_policy_read import SIDECAR
-from candata.formats._packing import Survey, filled, flat, packed_state, state_names, survey
-from candata.formats._sidecar import exported, sidecar, text
+from candata.formats._packing import ColumnSurvey, as_matrix, filled_columns, packed_state, state_names, survey
+from candata.formats._sidecar import exported_episode, sidecar, text
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode
@@ -30,25 +30,25 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
     DataError
         When the episodes differ in rate, or in number or names of joints, actuators or fingertips.
     """
-    found = survey(episodes)
+    column_survey = survey(episodes)
     root = zarr.open_group(store=str(folder / FOLDER), mode="w", zarr_format=2)
     data, meta = root.create_group("data"), root.create_group("meta")
-    kept: list[ExportedEpisode] = []
+    sidecar_entries: list[ExportedEpisode] = []
     ends: list[int] = []
     buffers: dict[str, _Column] = {}
     for episode in episodes:
-        for key, values in _arrays(episode, found):
+        for key, values in _arrays(episode, column_survey):
             if key not in buffers:
-                buffers[key] = _Column(_create(data, key, values, found.rows))
+                buffers[key] = _Column(_create(data, key, values, column_survey.rows))
             buffers[key].add(values)
-        kept.append(exported(episode))
+        sidecar_entries.append(exported_episode(episode))
         ends.append((ends[-1] if ends else 0) + len(episode))
     for column in buffers.values():
         column.flush()
     meta.create_array("episode_ends", data=np.array(ends, np.int64), compressors=None)
-    keys = {name: key_of(name) for name in found.columns}
-    root.attrs[SIDECAR] = text(sidecar(writing, keys, found.clouds, kept))
-    for line in found.notes:
+    keys = {name: key_of(name) for name in column_survey.columns}
+    root.attrs[SIDECAR] = text(sidecar(writing, keys, column_survey.clouds, sidecar_entries))
+    for line in column_survey.notes:
         writing.note(line)
 
 
@@ -57,13 +57,13 @@ def key_of(column: str) -> str:
     return f"valid_{column.removesuffix(VALID_SUFFIX)}" if column.endswith(VALID_SUFFIX) else column
 
 
-def _arrays(episode: Episode, found: Survey) -> Iterator[tuple[str, NDArray]]:
+def _arrays(episode: Episode, column_survey: ColumnSurvey) -> Iterator[tuple[str, NDArray]]:
     """Yield every array of an episode, the packed `state` first."""
-    own = filled(episode, found)
-    if state_names(found):
-        yield "state", packed_state(own, found)
-    for name, values in own.items():
-        yield key_of(name), values if values.ndim > 1 else flat(values)
+    columns = filled_columns(episode, column_survey)
+    if state_names(column_survey):
+        yield "state", packed_state(columns, column_survey)
+    for name, values in columns.items():
+        yield key_of(name), values if values.ndim > 1 else as_matrix(values)
 
 
 def _create(group: zarr.Group, key: str, values: NDArray, rows: int) -> zarr.Array:
@@ -88,10 +88,10 @@ class _Column:
         self._rows += len(values)
         length = self._array.chunks[0]
         if self._rows >= length:
-            whole = np.concatenate(self._held)
-            cut = len(whole) // length * length
-            self._write(whole[:cut])
-            self._held, self._rows = [whole[cut:]], len(whole) - cut
+            rows = np.concatenate(self._held)
+            full_rows = len(rows) // length * length
+            self._write(rows[:full_rows])
+            self._held, self._rows = [rows[full_rows:]], len(rows) - full_rows
 
     def flush(self) -> None:
         """Write the rest."""

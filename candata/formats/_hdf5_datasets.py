@@ -22,8 +22,8 @@ def names_in(group: Any) -> list[str]:
 
     names = []
     for key in group:
-        inside = group.id.links.get_info(key.encode()).type == h5py.h5l.TYPE_HARD
-        folder = group.get(key) if inside and group.get(key, getclass=True) is h5py.Group else None
+        is_hard_link = group.id.links.get_info(key.encode()).type == h5py.h5l.TYPE_HARD
+        folder = group.get(key) if is_hard_link and group.get(key, getclass=True) is h5py.Group else None
         names += [key] if folder is None else [f"{key}/{name}" for name in folder]
     return names
 
@@ -55,23 +55,23 @@ def open_dataset(group: Any, key: str, path: Path) -> Any:
     steps = key.split("/")
     if not all(_is_there(group, "/".join(steps[: k + 1]), path) for k in range(len(steps))):
         return None
-    found = group[key]
-    if not isinstance(found, h5py.Dataset) or not found.shape or found.dtype.kind not in "fiub":
+    dataset = group[key]
+    if not isinstance(dataset, h5py.Dataset) or not dataset.shape or dataset.dtype.kind not in "fiub":
         return None
-    plan = found.id.get_create_plist()
+    plan = dataset.id.get_create_plist()
     if plan.get_external_count() or plan.get_layout() == h5py.h5d.VIRTUAL:
-        raise _outside(group, key, path)
+        raise _outside_error(group, key, path)
     filters = [plan.get_filter(k) for k in range(plan.get_nfilters())]
-    lacking = [(code, name) for code, _, _, name in filters if not h5py.h5z.filter_avail(code)]
-    if lacking:
+    missing_filters = [(code, name) for code, _, _, name in filters if not h5py.h5z.filter_avail(code)]
+    if missing_filters:
         raise DataError(
-            f"{found.name} is packed by a filter that is not installed",
+            f"{dataset.name} is packed by a filter that is not installed",
             expected="filters that HDF5 brings",
-            found=", ".join(f"filter {code} ({name.decode(errors='replace')})" for code, name in lacking),
+            found=", ".join(f"filter {code} ({name.decode(errors='replace')})" for code, name in missing_filters),
             where=Where(path=str(path)),
             fix="leave the dataset out of the map, or unpack it where the filter is installed: h5repack -f NONE",
         )
-    return found
+    return dataset
 
 
 def load(dataset: Any, path: Path) -> NDArray:
@@ -106,11 +106,11 @@ def _is_there(group: Any, name: str, path: Path) -> bool:
             raise
         return False
     if kind == h5py.h5l.TYPE_EXTERNAL:
-        raise _outside(group, name, path)
+        raise _outside_error(group, name, path)
     return True
 
 
-def _outside(group: Any, name: str, path: Path) -> DataError:
+def _outside_error(group: Any, name: str, path: Path) -> DataError:
     """Return the error of values that lie in other files, which may be anyone's."""
     return DataError(
         "the file takes values from other files",

@@ -26,9 +26,9 @@ from candata.schema.text_bounds import TextError, decode_text, read_bounded
 INFO = "meta/info.json"
 SIDECAR = "meta/candata.json"
 #: Layouts that are read: per-episode files, and files of many episodes.
-PER_EPISODE, SHARED = ("v2.0", "v2.1"), ("v3.0",)
+PER_EPISODE, SHARED_FILES = ("v2.0", "v2.1"), ("v3.0",)
 #: Columns that every LeRobot set has.
-BOOKKEEPING = ("timestamp", "frame_index", "episode_index", "index", "task_index")
+BOOKKEEPING_COLUMNS = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 _NUMBERS = re.compile(r"(float|int|uint)\d+|bool")
 _PLACE = re.compile(r"\{(\w+)(?::(\d{1,2})d)?\}")
 
@@ -91,9 +91,9 @@ class Folder:
     def features(self) -> tuple[Feature, ...]:
         """Features that hold numbers, without the bookkeeping."""
         return tuple(
-            Feature(name, _width(one), _names(one))
-            for name, one in self.info.features.items()
-            if name not in BOOKKEEPING and is_numbers(one) and _width(one)
+            Feature(name, _width(info), _names(info))
+            for name, info in self.info.features.items()
+            if name not in BOOKKEEPING_COLUMNS and is_numbers(info) and _width(info)
         )
 
 
@@ -109,7 +109,7 @@ def open_folder(root: Path) -> Folder:
     """
     root = Path(root)
     info = _info(root)
-    if info.codebase_version in SHARED:
+    if info.codebase_version in SHARED_FILES:
         entries = tuple(_shared_entries(root, info))
     else:
         entries = tuple(_per_episode_entries(root, info))
@@ -131,7 +131,7 @@ def read_text(path: Path) -> str:
         When it is missing, no text, a Git LFS pointer, or too large.
     """
     if not path.is_file():
-        raise missing(path)
+        raise missing_error(path)
     refuse_pointer(path)
     try:
         return decode_text(read_bounded(path, MOST_BYTES))
@@ -148,20 +148,20 @@ def read_table(path: Path, columns: Sequence[str], optional: Sequence[str] = ())
         When it is missing, damaged, a Git LFS pointer, lacks a column, or claims more than fits into memory.
     """
     if not path.is_file():
-        raise missing(path)
+        raise missing_error(path)
     refuse_pointer(path)
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            known = file.schema_arrow.names
-            lacking = [name for name in columns if name not in known]
-            if not lacking:
-                taken = [*columns, *(name for name in optional if name in known)]
-                require_memory(_claimed_bytes(path, taken), path.name, Where(path=str(path)))
-                return file.read(columns=taken, use_threads=False)
+            known_names = file.schema_arrow.names
+            missing_columns = [name for name in columns if name not in known_names]
+            if not missing_columns:
+                column_names = [*columns, *(name for name in optional if name in known_names)]
+                require_memory(_claimed_bytes(path, column_names), path.name, Where(path=str(path)))
+                return file.read(columns=column_names, use_threads=False)
     except (pa.ArrowException, OSError, ValueError, KeyError, OverflowError, MemoryError) as error:
         raise unreadable(path, error) from None
     raise DataError(
-        f"the table lacks {', '.join(lacking)}",
+        f"the table lacks {', '.join(missing_columns)}",
         expected=", ".join(columns),
         where=Where(path=str(path)),
         fix="the folder is incomplete or was changed; get it again from its source",
@@ -175,7 +175,7 @@ def _claimed_bytes(path: Path, columns: Sequence[str]) -> int:
     return 8 * sum(max(chunk.values, 0) for chunk in chunks if f"{chunk.column}.".startswith(starts))
 
 
-def missing(path: Path) -> DataError:
+def missing_error(path: Path) -> DataError:
     """Return the error of a file that is not there."""
     return DataError(
         f"{path.name} is missing",
@@ -187,10 +187,10 @@ def missing(path: Path) -> DataError:
 
 def unreadable(path: Path, error: Exception) -> DataError:
     """Return the error of a file that cannot be read."""
-    found = (str(error).splitlines() or [""])[0] or type(error).__name__
+    message = (str(error).splitlines() or [""])[0] or type(error).__name__
     return DataError(
         f"{path.name} cannot be read",
-        found=found[:200],
+        found=message[:200],
         where=Where(path=str(path)),
         fix="the file is damaged or incomplete; get it again from its source",
     )
@@ -201,10 +201,10 @@ def _info(root: Path) -> Info:
     path = root / INFO
     value = json_of(read_text(path), path)
     version = value.get("codebase_version") if isinstance(value, dict) else None
-    if version not in PER_EPISODE + SHARED:
+    if version not in PER_EPISODE + SHARED_FILES:
         raise DataError(
             "unknown LeRobot codebase_version",
-            expected=f"one of {', '.join(PER_EPISODE + SHARED)}",
+            expected=f"one of {', '.join(PER_EPISODE + SHARED_FILES)}",
             found=repr(version)[:80],
             where=Where(path=str(path)),
             fix="convert it with lerobot's own scripts, or read it with a newer candata",
@@ -228,46 +228,46 @@ def _shared_entries(root: Path, info: Info) -> Iterator[Entry]:
     """Yield the episodes of the layout with files of many episodes."""
     tables = sorted((root / "meta" / "episodes").glob("*/*.parquet"))
     if not tables and info.total_episodes:
-        raise missing(root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
+        raise missing_error(root / "meta" / "episodes" / "chunk-000" / "file-000.parquet")
     columns = ("episode_index", "length", "data/chunk_index", "data/file_index")
     for path in tables:
         for number, value in enumerate(read_table(path, columns, optional=("tasks",)).to_pylist()):
             index, rows, tasks = _fields(value, f"{path}, row {number}")
             places = {"chunk_index": value["data/chunk_index"], "file_index": value["data/file_index"]}
             if not all(isinstance(n, int) and n >= 0 for n in places.values()):
-                raise _ragged(f"episode {index} has no file", path, found=repr(places))
+                raise _inconsistent_error(f"episode {index} has no file", path, found=repr(places))
             yield Entry(index, rows, tasks, _file(root, info.data_path, places))
 
 
 def _fields(value: Any, place: str) -> tuple[int, int, tuple[str, ...]]:
     """Return number, rows and tasks of an episode's record; a set may name no tasks."""
-    found = value if isinstance(value, dict) else {}
-    index, rows, tasks = found.get("episode_index"), found.get("length"), found.get("tasks") or ()
-    whole = [isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 2**40 for n in (index, rows)]
-    if not all(whole) or not isinstance(tasks, list | tuple) or not all(isinstance(t, str) for t in tasks):
-        raise _ragged(
+    record = value if isinstance(value, dict) else {}
+    index, rows, tasks = record.get("episode_index"), record.get("length"), record.get("tasks") or ()
+    is_whole = [isinstance(n, int) and not isinstance(n, bool) and 0 <= n < 2**40 for n in (index, rows)]
+    if not all(is_whole) or not isinstance(tasks, list | tuple) or not all(isinstance(t, str) for t in tasks):
+        raise _inconsistent_error(
             "a record of an episode is not valid",
             place,
             "episode_index and length as whole numbers, tasks as a list of texts, if any",
             repr(value)[:200],
         )
-    return int(found["episode_index"]), int(found["length"]), tuple(tasks)
+    return int(record["episode_index"]), int(record["length"]), tuple(tasks)
 
 
 def _file(root: Path, template: str, places: dict[str, int]) -> Path:
     """Return the file that a path template names; it lies inside the folder."""
-    where = Where(path=str(root / INFO))
+    location = Where(path=str(root / INFO))
 
-    def filled(found: re.Match[str]) -> str:
-        name, width = found.groups()
+    def substitute(match: re.Match[str]) -> str:
+        name, width = match.groups()
         if name not in places:
-            raise DataError("data_path has an unknown place", expected=", ".join(places), found=name, where=where)
+            raise DataError("data_path has an unknown place", expected=", ".join(places), found=name, where=location)
         return f"{places[name]:0{int(width or 0)}d}"
 
-    relative = Path(_PLACE.sub(filled, template))
+    relative = Path(_PLACE.sub(substitute, template))
     if relative.is_absolute() or ".." in relative.parts or "\0" in template or relative.suffix != ".parquet":
         raise DataError(
-            "data_path does not name a Parquet file inside the folder", found=repr(template)[:200], where=where
+            "data_path does not name a Parquet file inside the folder", found=repr(template)[:200], where=location
         )
     return root / relative
 
@@ -275,19 +275,24 @@ def _file(root: Path, template: str, places: dict[str, int]) -> Path:
 def _check_entries(root: Path, info: Info, entries: Sequence[Entry]) -> None:
     """Raise unless the episodes are numbered 0, 1, ..., add up, and any of their files is there."""
     if [entry.index for entry in entries] != list(range(len(entries))):
-        raise _ragged("the episodes are not numbered 0, 1, 2, ...", root / "meta", found=_odd_number(entries))
+        raise _inconsistent_error(
+            "the episodes are not numbered 0, 1, 2, ...", root / "meta", found=_odd_number(entries)
+        )
     if not entries:
         raise DataError("the set holds no episode", where=Where(path=str(root)))
-    for what, claimed, found in (
+    for field, claimed_count, actual_count in (
         ("total_episodes", info.total_episodes, len(entries)),
         ("total_frames", info.total_frames, sum(entry.rows for entry in entries)),
     ):
-        if claimed != found:
-            raise _ragged(
-                f"{what} does not agree with the list of episodes", root / INFO, f"{found} as listed", str(claimed)
+        if claimed_count != actual_count:
+            raise _inconsistent_error(
+                f"{field} does not agree with the list of episodes",
+                root / INFO,
+                f"{actual_count} as listed",
+                str(claimed_count),
             )
     if not any(os.path.isfile(file) for file in {entry.file for entry in entries}):  # also where the name is too long
-        raise missing(entries[0].file)
+        raise missing_error(entries[0].file)
 
 
 def _odd_number(entries: Sequence[Entry]) -> str:
@@ -295,7 +300,9 @@ def _odd_number(entries: Sequence[Entry]) -> str:
     return next(f"{entry.index} as number {k}" for k, entry in enumerate(entries) if entry.index != k)
 
 
-def _ragged(problem: str, path: Path | str, expected: str | None = None, found: str | None = None) -> DataError:
+def _inconsistent_error(
+    problem: str, path: Path | str, expected: str | None = None, found: str | None = None
+) -> DataError:
     """Return the error of a `meta` that contradicts itself."""
     return DataError(
         problem,
@@ -316,11 +323,11 @@ def _width(feature: FeatureInfo) -> int:
 
 def _names(feature: FeatureInfo) -> tuple[str, ...]:
     """Return the names of the columns where there is one each: a list, a list in a list, or a mapping."""
-    flat = tuple(_flat(feature.names))
-    return flat if len(flat) == _width(feature) and len(set(flat)) == len(flat) else ()
+    names = tuple(_flatten_names(feature.names))
+    return names if len(names) == _width(feature) and len(set(names)) == len(names) else ()
 
 
-def _flat(value: Any, depth: int = 3) -> Iterator[str]:
+def _flatten_names(value: Any, depth: int = 3) -> Iterator[str]:
     """Yield the texts in nested lists; of a mapping to numbers its keys in their order, else its values."""
     if isinstance(value, str):
         yield value
@@ -328,4 +335,4 @@ def _flat(value: Any, depth: int = 3) -> Iterator[str]:
         yield from sorted(value, key=value.__getitem__)
     elif isinstance(value, dict | list) and depth:
         for part in value.values() if isinstance(value, dict) else value:
-            yield from _flat(part, depth - 1)
+            yield from _flatten_names(part, depth - 1)

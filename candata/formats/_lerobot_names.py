@@ -1,4 +1,4 @@
-"""What the features of a LeRobot set are, by their names alone."""
+"""The channels of a LeRobot set's features, by their names alone."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 from candata.errors import UsageError, Where
 from candata.formats._features import Feature
-from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS
 from candata.schema.exchange import FeatureMap
 
 STATE, ACTION, PREFIX = "observation.state", "action", "observation."
 #: Features of older sets that speak of joints.
-_OLDER = {"joint_velocity": "observation.velocity", "joint_effort": "observation.effort"}
+_OLDER_FEATURES = {"joint_velocity": "observation.velocity", "joint_effort": "observation.effort"}
 #: Last words of a column of `observation.state`, by the channel it belongs to.
 _ENDINGS = {".pos": "joint_position", ".vel": "joint_velocity", ".effort": "joint_effort", ".torque": "joint_effort"}
 
@@ -32,14 +32,14 @@ def guess(features: Sequence[Feature], path: Path) -> FeatureMap:
     by_name = {feature.name: feature for feature in features}
     channels: dict[str, str | tuple[str, ...]] = {}
     for channel in CHANNELS:
-        own = by_name.get(PREFIX + channel)
-        if channel not in DENSE and own is not None and _fitting(channel, own.width):
-            channels[channel] = own.name
+        feature = by_name.get(PREFIX + channel)
+        if channel not in DENSE_CHANNELS and feature is not None and _fitting(channel, feature.width):
+            channels[channel] = feature.name
     if ACTION in by_name:
         channels[ACTION] = ACTION
     if "joint_position" not in channels and STATE in by_name and not _packs_poses(by_name[STATE], channels):
         channels |= _state(by_name, path)
-    for channel, name in _OLDER.items():
+    for channel, name in _OLDER_FEATURES.items():
         if name in by_name and "joint_position" in channels and by_name[name].width == by_name[STATE].width:
             channels.setdefault(channel, name)
     if not {"object_pose", "joint_position"} & set(channels):
@@ -53,12 +53,13 @@ def _state(by_name: Mapping[str, Feature], path: Path) -> dict[str, tuple[str, .
     kinds = [next((kind for end, kind in _ENDINGS.items() if name.endswith(end)), "") for name in state.names]
     if "joint_position" in kinds and all(kinds):
         return {
-            kind: tuple(f"{STATE}[{k}]" for k, own in enumerate(kinds) if own == kind) for kind in dict.fromkeys(kinds)
+            kind: tuple(f"{STATE}[{k}]" for k, column_kind in enumerate(kinds) if column_kind == kind)
+            for kind in dict.fromkeys(kinds)
         }
     if action is not None and action.width == state.width and action.names == state.names:
         return {"joint_position": STATE}
-    shown = f"{STATE}: {_shown(state)}; {ACTION}: {_shown(action) if action else 'none'}"
-    raise _unclear(f"what {STATE} holds is not clear: it does not look like {ACTION}", shown, path)
+    columns_text = f"{STATE}: {_columns_text(state)}; {ACTION}: {_columns_text(action) if action else 'none'}"
+    raise _unclear(f"what {STATE} holds is not clear: it does not look like {ACTION}", columns_text, path)
 
 
 def _packs_poses(state: Feature, channels: Mapping[str, object]) -> bool:
@@ -71,11 +72,11 @@ def _fitting(channel: str, width: int) -> bool:
     symbols = CHANNELS[channel].shape[1:]
     if not symbols:
         return width == 1
-    last = symbols[-1]
-    return not isinstance(last, int) or (width == last if len(symbols) == 1 else width % last == 0)
+    row_width = symbols[-1]
+    return not isinstance(row_width, int) or (width == row_width if len(symbols) == 1 else width % row_width == 0)
 
 
-def _shown(feature: Feature) -> str:
+def _columns_text(feature: Feature) -> str:
     """Return a feature's columns for people."""
     names = f" ({', '.join(feature.names[:4])}{', ...' if len(feature.names) > 4 else ''})" if feature.names else ""
     return f"{feature.width} columns{names}"

@@ -22,14 +22,14 @@ from candata.schema.exchange import FeatureMap
 _LARGEST_POSITION = 4 * np.pi
 #: Positions in percent of range end here; LeRobot clips them, and float32 rounds.
 _LARGEST_PERCENT = 100.001
-_WHAT = "LeRobot's percent of range (RANGE_M100_100; the gripper RANGE_0_100)"
+_PERCENT_TEXT = "LeRobot's percent of range (RANGE_M100_100; the gripper RANGE_0_100)"
 #: Degrees a percent, from a motor's entry in the calibration file; 4096 counts a turn are those of its Feetech and
 #: Dynamixel motors. Source: `MotorsBus._normalize`, the ratio of DEGREES to RANGE_M100_100 and RANGE_0_100.
 _DEGREES_A_PERCENT = "(range_max - range_min) / 200 * 360 / 4095 (gripper: / 100 in place of / 200)"
 
 
 def largest_positions(
-    mapping: FeatureMap, made: Sequence[Pick], arrays: Mapping[str, NDArray], entry: Entry
+    mapping: FeatureMap, channel_picks: Sequence[Pick], arrays: Mapping[str, NDArray], entry: Entry
 ) -> NDArray[np.float64]:
     """Return the largest joint position of an episode `(J,)` by column, as the file has it.
 
@@ -38,41 +38,44 @@ def largest_positions(
     DataError
         When no unit was said and it is no rad or m; says what it may be, and what to do.
     """
-    pick = next((pick for pick in made if pick.channel == "joint_position"), None)
+    pick = next((pick for pick in channel_picks if pick.channel == "joint_position"), None)
     if pick is None:
         return np.zeros(0)
     raw = np.concatenate([arrays[name][:, list(columns)] for name, columns in pick.parts], axis=1).astype(np.float64)
-    largest = np.abs(np.where(np.isfinite(raw), raw, 0.0)).max(axis=0)
-    scaled = largest * np.abs(pick.factors)
-    column = int(np.argmax(scaled))
-    if scaled[column] > _LARGEST_POSITION and "joint_position" not in mapping.units:
-        percent = largest.max() <= _LARGEST_PERCENT
-        like = f"; none beyond 100, as in {_WHAT}, which is no angle without the robot's calibration"
+    largest_raw = np.abs(np.where(np.isfinite(raw), raw, 0.0)).max(axis=0)
+    scaled_positions = largest_raw * np.abs(pick.factors)
+    column = int(np.argmax(scaled_positions))
+    if scaled_positions[column] > _LARGEST_POSITION and "joint_position" not in mapping.units:
+        percent = largest_raw.max() <= _LARGEST_PERCENT
+        percent_hint = f"; none beyond 100, as in {_PERCENT_TEXT}, which is no angle without the robot's calibration"
         raise DataError(
             "the joints' positions are no rad or m",
             expected=f"up to {_LARGEST_POSITION:.1f}",
-            found=f"{scaled[column]:g} in {pick.columns[column]}" + like * bool(percent),
+            found=f"{scaled_positions[column]:g} in {pick.columns[column]}" + percent_hint * bool(percent),
             where=Where(path=str(entry.file), episode=str(entry.index), channel=pick.channel),
             fix=_percent_fix(len(pick.columns)) if percent else _degrees_fix(),
         )
-    return largest
+    return largest_raw
 
 
-def note_percent(mapping: FeatureMap, made: Sequence[Pick], largest: NDArray[np.float64], reading: Reading) -> None:
-    """Note positions which a map calls angles and that look like percent; `largest` `(J,)` is that of the set."""
+def note_percent(
+    mapping: FeatureMap, channel_picks: Sequence[Pick], largest_raw: NDArray[np.float64], reading: Reading
+) -> None:
+    """Note positions which a map calls angles and that look like percent, by the set's `largest_raw` `(J,)`."""
     unit = mapping.units.get("joint_position", "")
     angles = {"deg", "rad", "1"}.intersection([unit] if isinstance(unit, str) else unit)
     if not angles or "joint_position" in mapping.scales:
         return
-    columns = next(pick.columns for pick in made if pick.channel == "joint_position")
-    like = (largest > _LARGEST_POSITION) & (largest <= _LARGEST_PERCENT)
-    if largest.max() > _LARGEST_PERCENT:  # degrees; a gripper is percent all the same
-        like &= np.array(["gripper" in column for column in columns])
-    if like.any():
+    columns = next(pick.columns for pick in channel_picks if pick.channel == "joint_position")
+    is_percent_like = (largest_raw > _LARGEST_POSITION) & (largest_raw <= _LARGEST_PERCENT)
+    if largest_raw.max() > _LARGEST_PERCENT:  # degrees; a gripper is percent all the same
+        is_percent_like &= np.array(["gripper" in column for column in columns])
+    names = [column for column, is_like in zip(columns, is_percent_like, strict=True) if is_like]
+    if names:
         reading.note(
             f"taken in {', '.join(sorted(angles))}, as the map says: "
-            f"{', '.join(column for column, is_like in zip(columns, like, strict=True) if is_like)}; but never beyond "
-            f"100, as in {_WHAT}, which is no angle: if the robot recorded that, they are wrong without `scales`"
+            f"{', '.join(names)}; but never beyond 100, as in {_PERCENT_TEXT}, which is no angle: "
+            "if the robot recorded that, they are wrong without `scales`"
         )
 
 

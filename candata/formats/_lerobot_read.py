@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from candata.errors import DataError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._by_map import even_time_ns, mapped_episode
-from candata.formats._features import Pick, picks, wanted
+from candata.formats._features import Pick, picked_features, picks
 from candata.formats._lerobot_layout import (
-    BOOKKEEPING,
+    BOOKKEEPING_COLUMNS,
     INFO,
     SIDECAR,
     Entry,
@@ -28,7 +28,7 @@ from candata.formats._lerobot_names import guess
 from candata.formats._lerobot_percent import largest_positions, note_percent
 from candata.formats._lerobot_rows import FRAME, STAMP, episode_arrays
 from candata.formats._map_file import read_map_file
-from candata.formats._sidecar import give_clouds, parse_export, restored
+from candata.formats._sidecar import give_clouds, parse_export, restore_episode
 from candata.formats._stamps import times_ns
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportFile, FeatureMap
@@ -55,12 +55,14 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
     if reading.mapping is None and path.is_file():
         export = parse_export(read_text(path), path)
         give_clouds(export, reading, path)
-        yield from _restored(folder, export, path, reading.note)
+        yield from _restore_episodes(folder, export, path, reading.note)
         return
     yield from _by_map(folder, reading)
 
 
-def _restored(folder: Folder, sidecar: ExportFile, path: Path, note: Callable[[str], None]) -> Iterator[Episode]:
+def _restore_episodes(
+    folder: Folder, sidecar: ExportFile, path: Path, note: Callable[[str], None]
+) -> Iterator[Episode]:
     """Yield the episodes that candata exported."""
     if len(sidecar.episodes) != len(folder.entries):
         raise DataError(
@@ -70,11 +72,11 @@ def _restored(folder: Folder, sidecar: ExportFile, path: Path, note: Callable[[s
             where=Where(path=str(path)),
             fix="remove meta/candata.json to import what is there by its names",
         )
-    known = {feature.name for feature in folder.features}
-    keys = {one.column: one.key for one in sidecar.columns if one.key in known}
+    known_names = {feature.name for feature in folder.features}
+    keys = {column.column: column.key for column in sidecar.columns if column.key in known_names}
     for entry, arrays in episode_arrays(folder, tuple(keys.values()), note):
-        own = sidecar.episodes[entry.index]
-        yield restored(own, {column: arrays[key] for column, key in keys.items()}, entry.file)
+        exported_episode = sidecar.episodes[entry.index]
+        yield restore_episode(exported_episode, {column: arrays[key] for column, key in keys.items()}, entry.file)
 
 
 def _by_map(folder: Folder, reading: Reading) -> Iterator[Episode]:
@@ -82,21 +84,21 @@ def _by_map(folder: Folder, reading: Reading) -> Iterator[Episode]:
     path = reading.mapping or folder.root / INFO
     mapping = read_map_file(FeatureMap, path) if reading.mapping else guess(folder.features, path)
     mapping, stamp_s = _stamp_unit(mapping, path)
-    made = picks(mapping, folder.features, path)
-    _say(folder, made, reading)
+    channel_picks = picks(mapping, folder.features, path)
+    _say(folder, channel_picks, reading)
     rate_hz = mapping.rate_hz or folder.info.fps
-    off_beat, largest = 0, np.zeros(1)
-    beside = "" if reading.mapping else f", with `channels: {_flow(mapping.channels)}`"
-    for entry, arrays in episode_arrays(folder, wanted(made), reading.note):
-        largest = np.maximum(largest, largest_positions(mapping, made, arrays, entry))
-        on_beat, time_ns = _time_ns(arrays, stamp_s, rate_hz, entry, beside)
+    off_beat, largest_raw = 0, np.zeros(1)
+    map_hint = "" if reading.mapping else f", with `channels: {_flow(mapping.channels)}`"
+    for entry, arrays in episode_arrays(folder, picked_features(channel_picks), reading.note):
+        largest_raw = np.maximum(largest_raw, largest_positions(mapping, channel_picks, arrays, entry))
+        on_beat, time_ns = _time_ns(arrays, stamp_s, rate_hz, entry, map_hint)
         off_beat += not on_beat
         identity = f"{folder.root.resolve().name}-{entry.index}"
-        own = {"rate_hz": rate_hz, "task": " / ".join(entry.tasks) or None}
-        yield mapped_episode(identity, time_ns, arrays, made, mapping, reading, entry.file, **own)
+        file_facts = {"rate_hz": rate_hz, "task": " / ".join(entry.tasks) or None}
+        yield mapped_episode(identity, time_ns, arrays, channel_picks, mapping, reading, entry.file, **file_facts)
     if off_beat:
         reading.note(f"{off_beat} episodes have stamps off the beat of fps: their stamps were kept")
-    note_percent(mapping, made, largest, reading)
+    note_percent(mapping, channel_picks, largest_raw, reading)
 
 
 def _flow(value: object) -> str:
@@ -111,47 +113,53 @@ def _stamp_unit(mapping: FeatureMap, path: Path) -> tuple[FeatureMap, float]:
         raise UsageError(
             f"{STAMP} cannot be in {unit}", expected=f"one of {', '.join(TIME_UNITS)}", where=Where(path=str(path))
         )
-    units = {name: one for name, one in mapping.units.items() if name != STAMP}
+    units = {name: value for name, value in mapping.units.items() if name != STAMP}
     return mapping.model_copy(update={"units": units}), TO_SI[str(unit)]
 
 
-def _say(folder: Folder, made: Sequence[Pick], reading: Reading) -> None:
+def _say(folder: Folder, channel_picks: Sequence[Pick], reading: Reading) -> None:
     """Say what is left out and what is assumed."""
-    used = set(wanted(made))
-    others = {name: one for name, one in folder.info.features.items() if name not in used and name not in BOOKKEEPING}
-    films = [name for name, one in others.items() if one.dtype in ("video", "image")]
-    numbers = [name for name, one in others.items() if is_numbers(one)]
-    rest = [name for name in others if name not in films + numbers]
-    for what, names in (("videos and images", films), ("features without a channel", numbers), ("texts", rest)):
+    used = set(picked_features(channel_picks))
+    unused_features = {
+        name: info
+        for name, info in folder.info.features.items()
+        if name not in used and name not in BOOKKEEPING_COLUMNS
+    }
+    films = [name for name, info in unused_features.items() if info.dtype in ("video", "image")]
+    numbers = [name for name, info in unused_features.items() if is_numbers(info)]
+    rest = [name for name in unused_features if name not in films + numbers]
+    for label, names in (("videos and images", films), ("features without a channel", numbers), ("texts", rest)):
         if names:
-            reading.note(f"left out, {what}: {', '.join(names)}")
+            reading.note(f"left out, {label}: {', '.join(names)}")
     if reading.mapping is None:
-        kinds = ", ".join(f"{pick.channel} from {wanted([pick])[0]}" for pick in made)
+        kinds = ", ".join(f"{pick.channel} from {picked_features([pick])[0]}" for pick in channel_picks)
         reading.note(f"by their names: {kinds}; units are taken for SI (rad, m, N), as LeRobot names none")
 
 
 def _time_ns(
-    arrays: dict[str, NDArray], stamp_s: float, rate_hz: float, entry: Entry, beside: str
+    arrays: dict[str, NDArray], stamp_s: float, rate_hz: float, entry: Entry, map_hint: str
 ) -> tuple[bool, NDArray[np.int64]]:
     """Return whether the stamps lie on the beat, and `(T,) int64 [ns]`: the beat itself, else the stamps.
 
-    The beat begins at the first stamp: 0 where LeRobot recorded, unix time in sets of others. `beside` is what a map
+    The beat begins at the first stamp: 0 where LeRobot recorded, unix time in sets of others. `map_hint` is what a map
     needs beside a unit.
     """
-    where = Where(path=str(entry.file), episode=str(entry.index), channel="time_ns")
+    location = Where(path=str(entry.file), episode=str(entry.index), channel="time_ns")
     frames = np.arange(entry.rows)
-    odd = np.flatnonzero(arrays[FRAME] != frames)
-    if len(odd):
+    odd_frames = np.flatnonzero(arrays[FRAME] != frames)
+    if len(odd_frames):
         raise DataError(
             "frames are missing",
-            expected=f"{FRAME} {odd[0]}",
-            found=str(arrays[FRAME][odd[0]]),
-            where=dataclasses.replace(where, index=int(odd[0])),
+            expected=f"{FRAME} {odd_frames[0]}",
+            found=str(arrays[FRAME][odd_frames[0]]),
+            where=dataclasses.replace(location, index=int(odd_frames[0])),
             fix="LeRobot numbers the frames of an episode 0, 1, 2, ...; get the set again from its source",
         )
     stamps = arrays[STAMP] * stamp_s  # float32 stays float32, whole numbers become float64
-    kept = times_ns(stamps, rate_hz, where, lambda unit: f"`units: {{{STAMP}: {unit}}}` in a --map FILE{beside}")
-    beat = kept[0] + even_time_ns(entry.rows, rate_hz)
-    rounding = np.finfo(arrays[STAMP].dtype).eps if arrays[STAMP].dtype.kind == "f" else 0.0
-    on_beat = bool((np.abs(kept - beat) * 1e-9 <= _ON_BEAT_S + rounding * np.abs(kept) * 1e-9).all())
-    return on_beat, beat if on_beat else kept
+    stamps_ns = times_ns(
+        stamps, rate_hz, location, lambda unit: f"`units: {{{STAMP}: {unit}}}` in a --map FILE{map_hint}"
+    )
+    beat = stamps_ns[0] + even_time_ns(entry.rows, rate_hz)
+    rounding_error = np.finfo(arrays[STAMP].dtype).eps if arrays[STAMP].dtype.kind == "f" else 0.0
+    on_beat = bool((np.abs(stamps_ns - beat) * 1e-9 <= _ON_BEAT_S + rounding_error * np.abs(stamps_ns) * 1e-9).all())
+    return on_beat, beat if on_beat else stamps_ns

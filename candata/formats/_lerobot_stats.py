@@ -31,26 +31,28 @@ class Tally:
 
     def add(self, arrays: Mapping[str, NDArray]) -> Stats:
         """Return the statistics of one episode, `(T, n)` by key, and count it in."""
-        made = {key: self._add(key, values) for key, values in arrays.items()}
+        stats = {key: self._add(key, values) for key, values in arrays.items()}
         self._rows += len(next(iter(arrays.values())))
-        return made
+        return stats
 
     def total(self) -> Stats:
         """Return the statistics of everything that was added."""
-        made = {}
+        stats = {}
         for key, (count, mean, spread, low, high) in self._moments.items():
             values = np.concatenate(self._held[key]).astype(np.float64)
-            made[key] = _plain(count, mean, np.sqrt(spread / np.maximum(count, 1)), low, high, _quantiles(values))
-        return made
+            stats[key] = _stats_lists(
+                count, mean, np.sqrt(spread / np.maximum(count, 1)), low, high, _quantiles(values)
+            )
+        return stats
 
     def _add(self, key: str, values: NDArray) -> dict[str, list]:
         """Return the statistics of one key of one episode, and merge them."""
-        own = _moments(values)
-        self._moments[key] = _merged(self._moments[key], own) if key in self._moments else own
+        moments = _moments(values)
+        self._moments[key] = _merge_moments(self._moments[key], moments) if key in self._moments else moments
         self._held.setdefault(key, []).append(values[(-self._rows) % self._every :: self._every])
-        count, mean, spread, low, high = own
+        count, mean, spread, low, high = moments
         std = np.sqrt(spread / np.maximum(count, 1))
-        return _plain(count, mean, std, low, high, _quantiles(values.astype(np.float64)))
+        return _stats_lists(count, mean, std, low, high, _quantiles(values.astype(np.float64)))
 
 
 def _moments(values: NDArray) -> tuple[NDArray, ...]:
@@ -65,34 +67,36 @@ def _moments(values: NDArray) -> tuple[NDArray, ...]:
     return count, mean, spread.sum(axis=0), low, high
 
 
-def _merged(a: tuple[NDArray, ...], b: tuple[NDArray, ...]) -> tuple[NDArray, ...]:
+def _merge_moments(a: tuple[NDArray, ...], b: tuple[NDArray, ...]) -> tuple[NDArray, ...]:
     """Return the moments of two sets together.
 
     Source: Chan, Golub, LeVeque, Updating formulae and a pairwise algorithm for computing sample variances, 1979.
     """
     count = a[0] + b[0]
     share = b[0] / np.maximum(count, 1)
-    apart = b[1] - a[1]
-    spread = a[2] + b[2] + apart**2 * a[0] * share
-    return count, a[1] + apart * share, spread, np.minimum(a[3], b[3]), np.maximum(a[4], b[4])
+    difference = b[1] - a[1]
+    spread = a[2] + b[2] + difference**2 * a[0] * share
+    return count, a[1] + difference * share, spread, np.minimum(a[3], b[3]), np.maximum(a[4], b[4])
 
 
 def _quantiles(values: NDArray[np.float64]) -> dict[str, NDArray]:
     """Return the quantiles of each column over what is finite."""
     if np.isfinite(values).all():
-        found = np.quantile(values, list(_QUANTILES.values()), axis=0)
+        quantiles = np.quantile(values, list(_QUANTILES.values()), axis=0)
     else:
         columns = [column[np.isfinite(column)] for column in values.T]
         shares = list(_QUANTILES.values())
-        found = np.stack([np.quantile(c, shares) if len(c) else np.zeros(len(shares)) for c in columns], axis=1)
-    return dict(zip(_QUANTILES, found, strict=True))
+        quantiles = np.stack([np.quantile(c, shares) if len(c) else np.zeros(len(shares)) for c in columns], axis=1)
+    return dict(zip(_QUANTILES, quantiles, strict=True))
 
 
-def _plain(count: NDArray, mean: Any, std: Any, low: Any, high: Any, quantiles: Mapping[str, Any]) -> dict[str, list]:
+def _stats_lists(
+    count: NDArray, mean: Any, std: Any, low: Any, high: Any, quantiles: Mapping[str, Any]
+) -> dict[str, list]:
     """Return statistics as lists of numbers; what nothing finite is known of is 0.
 
     LeRobot weights episodes by one count for all columns: that of the column with the most finite rows.
     """
-    named = {"min": low, "max": high, "mean": mean, "std": std, **quantiles}
+    stats = {"min": low, "max": high, "mean": mean, "std": std, **quantiles}
     rows = max(1, int(count.max()))
-    return {name: np.where(np.isfinite(v), v, 0.0).tolist() for name, v in named.items()} | {"count": [rows]}
+    return {name: np.where(np.isfinite(v), v, 0.0).tolist() for name, v in stats.items()} | {"count": [rows]}

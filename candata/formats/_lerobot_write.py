@@ -14,11 +14,19 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from candata.formats import Writing
-from candata.formats._lerobot_layout import BOOKKEEPING, INFO, SIDECAR
+from candata.formats._lerobot_layout import BOOKKEEPING_COLUMNS, INFO, SIDECAR
 from candata.formats._lerobot_names import ACTION, PREFIX, STATE
 from candata.formats._lerobot_stats import Stats, Tally
-from candata.formats._packing import Survey, column_names, filled, flat, packed_state, state_names, survey
-from candata.formats._sidecar import exported, sidecar, text
+from candata.formats._packing import (
+    ColumnSurvey,
+    as_matrix,
+    column_names,
+    filled_columns,
+    packed_state,
+    state_names,
+    survey,
+)
+from candata.formats._sidecar import exported_episode, sidecar, text
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 
@@ -29,8 +37,8 @@ _EPISODES_A_FILE = 1000
 _DTYPES = {"timestamp": "float32"}
 
 
-class Layout(Protocol):
-    """Where the rows of episodes go."""
+class SetWriter(Protocol):
+    """Writer of the files of a set, in one of the two layouts."""
 
     def episode(self, index: int, table: pa.Table, task: str, stats: Stats) -> None:
         """Write one episode."""
@@ -47,25 +55,25 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
     DataError
         When the episodes differ in rate, or in number or names of joints, actuators or fingertips.
     """
-    found = survey(episodes)
-    features = _features(found)
-    layout: Layout = _PerEpisode(folder) if writing.variant == "v21" else _Shared(folder, _schema(features))
-    tally = Tally(found.rows, sum(int(one["shape"][0]) for one in features.values()))
+    column_survey = survey(episodes)
+    features = _features(column_survey)
+    layout: SetWriter = _PerEpisode(folder) if writing.variant == "v21" else _SharedFiles(folder, _schema(features))
+    tally = Tally(column_survey.rows, sum(int(feature["shape"][0]) for feature in features.values()))
     tasks: dict[str, int] = {}
-    kept = []
+    sidecar_entries = []
     start = 0
     for index, episode in enumerate(episodes):
         task = episode.meta.task or ""
         place = (index, start, tasks.setdefault(task, len(tasks)))
-        arrays = _arrays(episode, found, place)
+        arrays = _arrays(episode, column_survey, place)
         layout.episode(index, _table(arrays, features), task, tally.add(arrays))
-        kept.append(exported(episode))
+        sidecar_entries.append(exported_episode(episode))
         start += len(episode)
-    for line in found.notes:
+    for line in column_survey.notes:
         writing.note(line)
-    layout.finish(_info(found, features, len(tasks)), list(tasks), tally.total())
-    keys = {name: key_of(name) for name in found.columns}
-    (folder / SIDECAR).write_text(text(sidecar(writing, keys, found.clouds, kept)), encoding="utf-8")
+    layout.finish(_info(column_survey, features, len(tasks)), list(tasks), tally.total())
+    keys = {name: key_of(name) for name in column_survey.columns}
+    (folder / SIDECAR).write_text(text(sidecar(writing, keys, column_survey.clouds, sidecar_entries)), encoding="utf-8")
 
 
 def key_of(column: str) -> str:
@@ -75,14 +83,18 @@ def key_of(column: str) -> str:
     return column if column in (ACTION, "time_ns") else PREFIX + column
 
 
-def _features(found: Survey) -> dict[str, dict[str, Any]]:
+def _features(column_survey: ColumnSurvey) -> dict[str, dict[str, Any]]:
     """Return the features of `meta/info.json`, the bookkeeping last."""
-    state = state_names(found)
-    made = {STATE: _feature("float32", state)} if state else {}
-    for name in found.columns:
+    state = state_names(column_survey)
+    features = {STATE: _feature("float32", state)} if state else {}
+    for name in column_survey.columns:
         dtype = "bool" if name.endswith(VALID_SUFFIX) else CHANNELS[name].dtype
-        made[key_of(name)] = _feature(dtype, [name] if name.endswith(VALID_SUFFIX) else column_names(name, found))
-    return made | {name: _feature(_DTYPES.get(name, "int64"), [name]) | {"names": None} for name in BOOKKEEPING}
+        features[key_of(name)] = _feature(
+            dtype, [name] if name.endswith(VALID_SUFFIX) else column_names(name, column_survey)
+        )
+    return features | {
+        name: _feature(_DTYPES.get(name, "int64"), [name]) | {"names": None} for name in BOOKKEEPING_COLUMNS
+    }
 
 
 def _feature(dtype: str, names: list[str]) -> dict[str, Any]:
@@ -90,58 +102,59 @@ def _feature(dtype: str, names: list[str]) -> dict[str, Any]:
     return {"dtype": dtype, "shape": [len(names)], "names": names}
 
 
-def _arrays(episode: Episode, found: Survey, place: tuple[int, int, int]) -> dict[str, NDArray]:
+def _arrays(episode: Episode, column_survey: ColumnSurvey, place: tuple[int, int, int]) -> dict[str, NDArray]:
     """Return each feature of an episode as `(T, n)`; `place` is its number, its first row, its task."""
     index, start, task = place
-    own = filled(episode, found)
+    columns = filled_columns(episode, column_survey)
     frames = np.arange(len(episode))
-    made: dict[str, NDArray] = {STATE: packed_state(own, found)} if state_names(found) else {}
-    made |= {key_of(name): flat(array) for name, array in own.items()}
-    made |= {
-        "timestamp": (frames / found.rate_hz).astype(np.float32)[:, None],
+    arrays: dict[str, NDArray] = {STATE: packed_state(columns, column_survey)} if state_names(column_survey) else {}
+    arrays |= {key_of(name): as_matrix(array) for name, array in columns.items()}
+    arrays |= {
+        "timestamp": (frames / column_survey.rate_hz).astype(np.float32)[:, None],
         "frame_index": frames[:, None],
         "episode_index": np.full((len(frames), 1), index),
         "index": (start + frames)[:, None],
         "task_index": np.full((len(frames), 1), task),
     }
-    return made
+    return arrays
 
 
 def _schema(features: Mapping[str, Mapping[str, Any]]) -> pa.Schema:
     """Return the columns of a data file: numbers, or lists of one length."""
-    kinds = {name: pa.from_numpy_dtype(np.dtype(one["dtype"])) for name, one in features.items()}
-    return pa.schema({n: k if features[n]["shape"] == [1] else pa.list_(k, features[n]["shape"][0])
-                      for n, k in kinds.items()})  # fmt: skip
+    kinds = {name: pa.from_numpy_dtype(np.dtype(feature["dtype"])) for name, feature in features.items()}
+    return pa.schema(
+        {n: k if features[n]["shape"] == [1] else pa.list_(k, features[n]["shape"][0]) for n, k in kinds.items()}
+    )
 
 
 def _table(arrays: Mapping[str, NDArray], features: Mapping[str, Mapping[str, Any]]) -> pa.Table:
     """Return the rows of one episode."""
     columns = []
     schema = _schema(features)
-    for one in schema:
-        values = pa.array(arrays[one.name].reshape(-1))
-        lists = pa.types.is_fixed_size_list(one.type)
-        columns.append(pa.FixedSizeListArray.from_arrays(values, one.type.list_size) if lists else values)
+    for column in schema:
+        values = pa.array(arrays[column.name].reshape(-1))
+        lists = pa.types.is_fixed_size_list(column.type)
+        columns.append(pa.FixedSizeListArray.from_arrays(values, column.type.list_size) if lists else values)
     return pa.Table.from_arrays(columns, schema=schema)
 
 
-def _info(found: Survey, features: dict[str, dict[str, Any]], tasks: int) -> dict[str, Any]:
+def _info(column_survey: ColumnSurvey, features: dict[str, dict[str, Any]], tasks: int) -> dict[str, Any]:
     """Return what both layouts say in `meta/info.json`."""
-    fps = int(found.rate_hz) if float(found.rate_hz).is_integer() else found.rate_hz
+    fps = int(column_survey.rate_hz) if float(column_survey.rate_hz).is_integer() else column_survey.rate_hz
     return {
         "robot_type": None,
-        "total_episodes": found.episodes,
-        "total_frames": found.rows,
+        "total_episodes": column_survey.episodes,
+        "total_frames": column_survey.rows,
         "total_tasks": tasks,
         "chunks_size": _CHUNK,
         "fps": fps,
-        "splits": {"train": f"0:{found.episodes}"},
+        "splits": {"train": f"0:{column_survey.episodes}"},
         "features": features,
     }
 
 
 @dataclass
-class _Shared:
+class _SharedFiles:
     """v3.0: files of many episodes, one row group an episode."""
 
     folder: Path
@@ -161,10 +174,10 @@ class _Shared:
         self.bytes += table.nbytes
         file = {"data/chunk_index": self.number // _CHUNK, "data/file_index": self.number % _CHUNK}
         places = {"dataset_from_index": self.start, "dataset_to_index": self.start + len(table)}
-        own = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": index // _EPISODES_A_FILE}
-        flat_stats = {f"stats/{key}/{name}": v for key, one in stats.items() for name, v in one.items()}
+        meta_file = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": index // _EPISODES_A_FILE}
+        flat_stats = {f"stats/{key}/{name}": v for key, values in stats.items() for name, v in values.items()}
         self.rows.append(
-            {"episode_index": index, "tasks": [task], "length": len(table), **file, **places, **own, **flat_stats}
+            {"episode_index": index, "tasks": [task], "length": len(table), **file, **places, **meta_file, **flat_stats}
         )
         self.start += len(table)
         if len(self.rows) == _EPISODES_A_FILE:
@@ -177,10 +190,10 @@ class _Shared:
         self._flush()
         _write_tasks(self.folder / "meta" / "tasks.parquet", tasks)
         _write_json(self.folder / "meta" / "stats.json", stats)
-        own = {"codebase_version": "v3.0"} | info
-        own |= {"data_files_size_in_mb": _FILE_MEGABYTES, "video_files_size_in_mb": 200}
-        own |= {"data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet", "video_path": None}
-        _write_json(self.folder / INFO, own)
+        info_json = {"codebase_version": "v3.0"} | info
+        info_json |= {"data_files_size_in_mb": _FILE_MEGABYTES, "video_files_size_in_mb": 200}
+        info_json |= {"data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet", "video_path": None}
+        _write_json(self.folder / INFO, info_json)
 
     def _next_file(self) -> None:
         """Close the file of rows and open the next."""
@@ -217,8 +230,10 @@ class _PerEpisode:
         path.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(table, path, compression="snappy", write_page_checksum=True)
         self.lines.append({"episode_index": index, "tasks": [task], "length": len(table)})
-        plain = {key: {n: v for n, v in one.items() if not n.startswith("q")} for key, one in stats.items()}
-        self.stats.append({"episode_index": index, "stats": plain})
+        stats_without_quantiles = {
+            key: {n: v for n, v in values.items() if not n.startswith("q")} for key, values in stats.items()
+        }
+        self.stats.append({"episode_index": index, "stats": stats_without_quantiles})
 
     def finish(self, info: dict[str, Any], tasks: list[str], stats: Stats) -> None:
         """Write what is known at the end."""
@@ -228,9 +243,12 @@ class _PerEpisode:
         _write_lines(meta / "episodes_stats.jsonl", self.stats)
         _write_lines(meta / "tasks.jsonl", [{"task_index": k, "task": task} for k, task in enumerate(tasks)])
         chunks = -(-len(self.lines) // _CHUNK)
-        own = {"codebase_version": "v2.1"} | info | {"total_videos": 0, "total_chunks": chunks}
-        own |= {"data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet", "video_path": None}
-        _write_json(self.folder / INFO, own)
+        info_json = {"codebase_version": "v2.1"} | info | {"total_videos": 0, "total_chunks": chunks}
+        info_json |= {
+            "data_path": "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet",
+            "video_path": None,
+        }
+        _write_json(self.folder / INFO, info_json)
 
 
 def _write_tasks(path: Path, tasks: list[str]) -> None:
@@ -240,10 +258,10 @@ def _write_tasks(path: Path, tasks: list[str]) -> None:
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
         for name, (kind, numpy) in kinds.items()
     ]
-    about = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    pandas_metadata = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks, pa.string())})
     path.parent.mkdir(parents=True, exist_ok=True)
-    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(about)}), path)
+    pq.write_table(table.replace_schema_metadata({"pandas": json.dumps(pandas_metadata)}), path)
 
 
 def _write_json(path: Path, value: object) -> None:

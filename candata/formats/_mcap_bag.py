@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from candata.errors import DataError, UsageError, Where
-from candata.formats._mcap_decode import decoded, decoder, type_name
+from candata.formats._mcap_decode import decode_message, decoder, type_name
 from candata.formats._mcap_fields import LATEST_NS, Extract
 from candata.formats._mcap_fields import Reading as Values
 from candata.formats._mcap_scan import MAGIC, Scan
@@ -21,7 +21,7 @@ from candata.schema.yaml_text import read_yaml
 
 METADATA = "metadata.yaml"
 #: First bytes of other files that bags come in, what they are, and what to do.
-_OTHERS = (
+_FOREIGN_MAGICS = (
     (b"SQLite", "a bag of kind sqlite3", "convert it: `ros2 bag convert` with storage_id mcap"),
     (b"#ROSBAG", "a bag of ROS 1", "convert it: `mcap convert`"),
     (b"\x28\xb5\x2f\xfd", "a file packed by zstd", "unpack it: `zstd -d`, and correct its name in metadata.yaml"),
@@ -62,7 +62,7 @@ class Topic:
 
 
 @dataclass(frozen=True)
-class Row:
+class TopicRow:
     """One reading with its three times [ns] (-1: no stamp), the names beside its values, and its message's number."""
 
     header_ns: int
@@ -78,12 +78,12 @@ class Bag:
     """What was read: topics, the rows of each wanted reading, and what is wrong with the files, in words."""
 
     topics: dict[str, Topic] = field(default_factory=dict)
-    rows: list[list[Row]] = field(default_factory=list)
+    rows: list[list[TopicRow]] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
-class Wanted:
+class TopicRequest:
     """A topic, and what makes its extractor once the type is known."""
 
     topic: str
@@ -101,26 +101,26 @@ def recordings(source: Path) -> tuple[Recording, ...]:
     DataError
         When there is none, a file is missing, empty or no MCAP file.
     """
-    where = Where(path=str(source))
+    location = Where(path=str(source))
     if source.is_file():
-        found = [Recording(source.stem, (source,))]
+        result = [Recording(source.stem, (source,))]
     elif (source / METADATA).is_file():
-        found = [Recording(source.resolve().name, _listed(source))]
+        result = [Recording(source.resolve().name, _bag_files(source))]
     elif source.is_dir():
         files = [Recording(path.stem, (path,)) for path in sorted(source.glob("*.mcap"))]
         bags = sorted(path.parent for path in source.glob(f"*/{METADATA}"))
-        found = files + [Recording(bag.name, _listed(bag)) for bag in bags]
+        result = files + [Recording(bag.name, _bag_files(bag)) for bag in bags]
     else:
-        raise DataError("no such recording", expected="a .mcap file or a bag's folder", where=where)
-    if not found:
-        raise DataError("the folder holds no recording", expected=".mcap files, or folders of bags", where=where)
-    for recording in found:
+        raise DataError("no such recording", expected="a .mcap file or a bag's folder", where=location)
+    if not result:
+        raise DataError("the folder holds no recording", expected=".mcap files, or folders of bags", where=location)
+    for recording in result:
         for path in recording.files:
             _require_mcap(path)
-    return tuple(found)
+    return tuple(result)
 
 
-def _listed(folder: Path) -> tuple[Path, ...]:
+def _bag_files(folder: Path) -> tuple[Path, ...]:
     """Return the files that a bag's `metadata.yaml` names."""
     path = folder / METADATA
     try:
@@ -143,26 +143,28 @@ def _listed(folder: Path) -> tuple[Path, ...]:
 def _require_mcap(path: Path) -> None:
     """Refuse what is no MCAP file."""
     refuse_pointer(path)
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     try:
         with path.open("rb") as file:
             head = file.read(len(MAGIC))
     except (OSError, ValueError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise DataError("the recording cannot be read", found=found, where=where) from None
+        description = getattr(error, "strerror", None) or str(error)
+        raise DataError("the recording cannot be read", found=description, where=location) from None
     if head == MAGIC:
         return
-    found, fix = next(((words, fix) for start, words, fix in _OTHERS if head.startswith(start)), (repr(head), None))
+    description, fix = next(
+        ((words, fix) for start, words, fix in _FOREIGN_MAGICS if head.startswith(start)), (repr(head), None)
+    )
     raise DataError(
         "the file is no MCAP file" if head else "the file is empty",
         expected="a file that begins with the MCAP magic",
-        found=found,
-        where=where,
+        found=description,
+        where=location,
         fix=fix,
     )
 
 
-def read_bag(recording: Recording, wanted: Sequence[Wanted] = (), samples: bool = False) -> Bag:
+def read_bag(recording: Recording, requests: Sequence[TopicRequest] = (), samples: bool = False) -> Bag:
     """Return what a recording holds: counts of all topics, and the rows of the wanted ones in the order of log time.
 
     With `samples` the first message of each topic is kept, decoded, where it can be.
@@ -174,9 +176,9 @@ def read_bag(recording: Recording, wanted: Sequence[Wanted] = (), samples: bool 
     UsageError
         When the map does not say what to take from a type.
     """
-    bag = Bag(rows=[[] for _ in wanted])
+    bag = Bag(rows=[[] for _ in requests])
     for path in recording.files:
-        _read_file(path, bag, wanted, samples)
+        _read_file(path, bag, requests, samples)
     for rows in bag.rows:
         rows.sort(key=lambda row: row.log_ns)
     return bag
@@ -185,9 +187,9 @@ def read_bag(recording: Recording, wanted: Sequence[Wanted] = (), samples: bool 
 class _File:
     """The channels of one file while it is read."""
 
-    def __init__(self, path: Path, bag: Bag, wanted: Sequence[Wanted], samples: bool) -> None:
+    def __init__(self, path: Path, bag: Bag, requests: Sequence[TopicRequest], samples: bool) -> None:
         self.where, self.bag, self.samples = Where(path=str(path)), bag, samples
-        self.wanted = wanted
+        self.requests = requests
         self.schemas: dict[int, Any] = {}
         self.channels: dict[int, Any] = {}
         self.takers: dict[int, tuple[Callable[[bytes], Any] | None, list[tuple[int, Extract]]]] = {}
@@ -197,10 +199,10 @@ class _File:
         """Take note of a channel; the same topic must be of one type."""
         schema = self.schemas.get(channel.schema_id)
         kind = type_name(schema.name) if schema is not None else ""
-        known = self.bag.topics.setdefault(channel.topic, Topic(kind, channel.message_encoding))
-        if known.kind != kind:
+        topic = self.bag.topics.setdefault(channel.topic, Topic(kind, channel.message_encoding))
+        if topic.kind != kind:
             raise DataError(
-                f"{channel.topic} is of two types", expected=known.kind or "no type", found=kind, where=self.where
+                f"{channel.topic} is of two types", expected=topic.kind or "no type", found=kind, where=self.where
             )
         self.channels[channel.id] = channel
 
@@ -223,14 +225,14 @@ class _File:
 
     def _taker(self, channel: Any, topic: Topic) -> tuple[Callable[[bytes], Any] | None, list[tuple[int, Extract]]]:
         """Return the decoder of a channel and what is taken from its messages."""
-        chosen = [(k, w.make(topic.kind)) for k, w in enumerate(self.wanted) if w.topic == channel.topic]
-        if not chosen and not self.samples:
+        extractors = [(k, w.make(topic.kind)) for k, w in enumerate(self.requests) if w.topic == channel.topic]
+        if not extractors and not self.samples:
             return None, []
         try:
             schema = self.schemas.get(channel.schema_id)
-            return decoder(channel.topic, channel.message_encoding, schema, self.where), chosen
+            return decoder(channel.topic, channel.message_encoding, schema, self.where), extractors
         except DataError:
-            if chosen:
+            if extractors:
                 raise
             return None, []
 
@@ -238,34 +240,34 @@ class _File:
         """Decode a message and keep its readings."""
         index = topic.count
         try:
-            value = decoded(decode, message.data, name, index, self.where)
+            value = decode_message(decode, message.data, name, index, self.where)
         except DataError:
             if takers:
                 raise
             return
         topic.sample = value if topic.sample is None else topic.sample
         for k, take in takers:
-            for header_ns, names, values in _located(take, value, name, index):
-                row = Row(header_ns, message.log_time, message.publish_time, names, values, index)
+            for header_ns, names, values in _located_readings(take, value, name, index):
+                row = TopicRow(header_ns, message.log_time, message.publish_time, names, values, index)
                 self.bag.rows[k].append(row)
 
 
-def _located(take: Extract, value: Any, topic: str, index: int) -> list[Values]:
+def _located_readings(take: Extract, value: Any, topic: str, index: int) -> list[Values]:
     """Return the readings of a message; what is wrong with it is said with topic and number."""
     try:
         return take(value)
     except DataError as error:
-        where = dataclasses.replace(error.where, channel=topic, index=index)
+        location = dataclasses.replace(error.where, channel=topic, index=index)
         facts = {"expected": error.expected, "found": error.found, "fix": error.fix}
-        raise DataError(error.problem, where=where, **facts) from None
+        raise DataError(error.problem, where=location, **facts) from None
 
 
-def _read_file(path: Path, bag: Bag, wanted: Sequence[Wanted], samples: bool) -> None:
+def _read_file(path: Path, bag: Bag, requests: Sequence[TopicRequest], samples: bool) -> None:
     """Read one file into the bag."""
     from mcap.records import Channel, Message, Schema, Statistics
 
-    file, scan = _File(path, bag, wanted, samples), Scan(path)
-    claimed: int | None = None
+    file, scan = _File(path, bag, requests, samples), Scan(path)
+    claimed_count: int | None = None
     for record in scan:
         if isinstance(record, Message):
             file.message(record)
@@ -274,11 +276,11 @@ def _read_file(path: Path, bag: Bag, wanted: Sequence[Wanted], samples: bool) ->
         elif isinstance(record, Channel):
             file.channel(record)
         elif isinstance(record, Statistics):
-            claimed = record.message_count
-    bag.damage += _damage(path, scan, file.orphans, file.read, claimed)
+            claimed_count = record.message_count
+    bag.damage += _damage(path, scan, file.orphans, file.read, claimed_count)
 
 
-def _damage(path: Path, scan: Scan, orphans: int, read: int, claimed: int | None) -> Iterator[str]:
+def _damage(path: Path, scan: Scan, orphans: int, read_count: int, claimed_count: int | None) -> Iterator[str]:
     """Yield what is wrong with a file."""
     if not scan.whole:
         yield f"{path.name} has no end: it is cut, or its writer was killed; whole records end at byte {scan.end}"
@@ -286,8 +288,8 @@ def _damage(path: Path, scan: Scan, orphans: int, read: int, claimed: int | None
         yield f"{path.name}: {scan.damaged_chunks} damaged chunks"
     if orphans:
         yield f"{path.name}: {orphans} messages of no known topic, or of no possible time"
-    if claimed is not None and claimed != read + orphans and not scan.damaged_chunks:
-        yield f"{path.name}: {read} messages where its statistics say {claimed}"
+    if claimed_count is not None and claimed_count != read_count + orphans and not scan.damaged_chunks:
+        yield f"{path.name}: {read_count} messages where its statistics say {claimed_count}"
 
 
 def metadata(path: Path, name: str) -> Mapping[str, str] | None:

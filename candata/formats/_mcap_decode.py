@@ -15,11 +15,15 @@ Decode = Callable[[bytes], Any]
 
 def type_name(name: str) -> str:
     """Return a type's plain name: `geometry_msgs/msg/Pose` -> `geometry_msgs/Pose`; `foxglove_msgs` as foxglove."""
-    plain = name.replace("/msg/", "/")
-    return "foxglove." + plain.removeprefix("foxglove_msgs/") if plain.startswith("foxglove_msgs/") else plain
+    short_name = name.replace("/msg/", "/")
+    return (
+        "foxglove." + short_name.removeprefix("foxglove_msgs/")
+        if short_name.startswith("foxglove_msgs/")
+        else short_name
+    )
 
 
-def decoder(topic: str, encoding: str, schema: Any, where: Where) -> Decode:
+def decoder(topic: str, encoding: str, schema: Any, location: Where) -> Decode:
     """Return the function that decodes the messages of a topic.
 
     Parameters
@@ -28,7 +32,7 @@ def decoder(topic: str, encoding: str, schema: Any, where: Where) -> Decode:
         Topic and encoding of its messages.
     schema : mcap.records.Schema or None
         What the file says of their layout.
-    where : Where
+    location : Where
         The file.
 
     Raises
@@ -46,7 +50,7 @@ def decoder(topic: str, encoding: str, schema: Any, where: Where) -> Decode:
             f"the messages of {topic} are in an encoding that is not read",
             expected="cdr with ros2msg, protobuf, or json",
             found=" with ".join(part or "no schema" for part in kind),
-            where=where,
+            where=location,
             fix="leave the topic out of the map, or convert the recording",
         )
     try:
@@ -55,7 +59,7 @@ def decoder(topic: str, encoding: str, schema: Any, where: Where) -> Decode:
         raise
     except Exception as error:  # parsers of schemas raise what they like
         reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise DataError(f"the schema of {topic} cannot be read", found=reason, where=where) from None
+        raise DataError(f"the schema of {topic} cannot be read", found=reason, where=location) from None
 
 
 def _ros2(schema: Any) -> Decode:
@@ -65,10 +69,10 @@ def _ros2(schema: Any) -> Decode:
     except ModuleNotFoundError:
         raise MissingExtraError("mcap-ros2-support", "formats") from None
     with contextlib.redirect_stderr(io.StringIO()):  # its parser prints what it then raises
-        made = DecoderFactory().decoder_for("cdr", schema)
-    if made is None:
+        decode = DecoderFactory().decoder_for("cdr", schema)
+    if decode is None:
         raise ValueError("no decoder")
-    return made
+    return decode
 
 
 def _protobuf(schema: Any) -> Decode:
@@ -90,7 +94,7 @@ _BY_SCHEMA: dict[tuple[str, str], Callable[[Any], Decode]] = {
 }
 
 
-def decoded(decode: Decode, data: bytes, topic: str, index: int, where: Where) -> Any:
+def decode_message(decode: Decode, data: bytes, topic: str, index: int, location: Where) -> Any:
     """Return a message.
 
     Raises
@@ -104,6 +108,6 @@ def decoded(decode: Decode, data: bytes, topic: str, index: int, where: Where) -
         raise DataError(
             f"message {index} of {topic} cannot be decoded",
             found=f"{type(error).__name__}: {error}".splitlines()[0],
-            where=Where(path=where.path, index=index),
+            where=Where(path=location.path, index=index),
             fix="the file is damaged there: take another copy, or leave the topic out of the map",
         ) from None

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.formats import Reading
-from candata.formats._assemble import checked, derive_contact
-from candata.formats._mcap_bag import Recording, Row
+from candata.formats._assemble import checked_episode, derive_contact
+from candata.formats._mcap_bag import Recording, TopicRow
 from candata.formats._mcap_streams import Stream
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
@@ -36,7 +36,7 @@ class Window:
 
 
 def episodes(
-    recording: Recording, streams: Sequence[Stream], marks: Sequence[Row], mapping: TopicMap, reading: Reading
+    recording: Recording, streams: Sequence[Stream], marks: Sequence[TopicRow], mapping: TopicMap, reading: Reading
 ) -> Iterator[Episode]:
     """Yield the episodes of a recording.
 
@@ -47,12 +47,12 @@ def episodes(
     UsageError
         When the windows or the rate of the reference are wrong.
     """
-    start, end = _covered(recording, streams)
+    start, end = _common_span(recording, streams)
     for window in windows(recording, streams, marks, mapping, start, end):
         yield _episode(recording, streams, mapping, reading, window)
 
 
-def _covered(recording: Recording, streams: Sequence[Stream]) -> tuple[int, int]:
+def _common_span(recording: Recording, streams: Sequence[Stream]) -> tuple[int, int]:
     """Return the first and last time that all streams cover [ns]."""
     start, end = max(int(s.time_ns[0]) for s in streams), min(int(s.time_ns[-1]) for s in streams)
     if start > end:
@@ -68,7 +68,7 @@ def _covered(recording: Recording, streams: Sequence[Stream]) -> tuple[int, int]
 
 
 def windows(
-    recording: Recording, streams: Sequence[Stream], marks: Sequence[Row], mapping: TopicMap, start: int, end: int
+    recording: Recording, streams: Sequence[Stream], marks: Sequence[TopicRow], mapping: TopicMap, start: int, end: int
 ) -> list[Window]:
     """Return where the episodes of a recording begin and end, within what all streams cover.
 
@@ -85,12 +85,12 @@ def windows(
     if cuts.ranges_s and cuts.marker:
         raise UsageError("episodes are cut by ranges or by a marker, not both", fix="leave one out of `episodes`")
     if cuts.marker:
-        found = _between_marks(marks, cuts.clock, start, end)
+        spans = _between_marks(marks, cuts.clock, start, end)
     else:
         zero = min(int(s.time_ns[0]) for s in streams)
-        found = [(zero + round(a * 1e9), zero + round(b * 1e9)) for a, b in cuts.ranges_s]
-    made = [Window(max(a, start), min(b, end), f"-{k}") for k, (a, b) in enumerate(found)]
-    for (a, b), window in zip(found, made, strict=True):
+        spans = [(zero + round(a * 1e9), zero + round(b * 1e9)) for a, b in cuts.ranges_s]
+    cut_windows = [Window(max(a, start), min(b, end), f"-{k}") for k, (a, b) in enumerate(spans)]
+    for (a, b), window in zip(spans, cut_windows, strict=True):
         if window.end_ns <= window.start_ns and not cuts.marker:
             zero = min(int(s.time_ns[0]) for s in streams)
             raise UsageError(
@@ -99,26 +99,30 @@ def windows(
                 found=f"{(a - zero) * 1e-9:g} to {(b - zero) * 1e-9:g} s",
                 where=recording.where,
             )
-    made = [window for window in made if window.end_ns > window.start_ns]
-    if not made:
-        raise DataError("the marker begins no episode", expected=f"messages of {cuts.marker} while all topics run",
-                        found=f"{len(marks)} messages", where=recording.where)  # fmt: skip
-    return made
+    cut_windows = [window for window in cut_windows if window.end_ns > window.start_ns]
+    if not cut_windows:
+        raise DataError(
+            "the marker begins no episode",
+            expected=f"messages of {cuts.marker} while all topics run",
+            found=f"{len(marks)} messages",
+            where=recording.where,
+        )
+    return cut_windows
 
 
-def _between_marks(marks: Sequence[Row], clock: str, start: int, end: int) -> list[tuple[int, int]]:
+def _between_marks(marks: Sequence[TopicRow], clock: str, start: int, end: int) -> list[tuple[int, int]]:
     """Return the spans that a marker opens and closes."""
-    found: list[tuple[int, int]] = []
-    begun: int | None = None
+    spans: list[tuple[int, int]] = []
+    begin_ns: int | None = None
     for mark in marks:
         at = mark.log_ns if clock in ("log", "fitted") else mark.publish_ns if clock == "publish" else mark.header_ns
         flag = bool(mark.values[0]) if mark.values else None
-        if begun is not None and flag is not True:
-            found.append((begun, at))
-            begun = None
-        if flag is not False and begun is None:
-            begun = at
-    return found if begun is None else [*found, (begun, end)]
+        if begin_ns is not None and flag is not True:
+            spans.append((begin_ns, at))
+            begin_ns = None
+        if flag is not False and begin_ns is None:
+            begin_ns = at
+    return spans if begin_ns is None else [*spans, (begin_ns, end)]
 
 
 def _episode(
@@ -126,15 +130,15 @@ def _episode(
 ) -> Episode:
     """Return one episode, its gaps refused or marked."""
     identity = recording.name + window.suffix
-    where = Where(path=recording.where.path, episode=identity)
-    rows_ns = _rows(streams, mapping, window, where)
-    _refuse_jumps(streams, mapping, rows_ns, reading, where)
-    arrays, names = _aligned(streams, rows_ns, mapping)
-    arrays = _trimmed(arrays, where)
+    location = Where(path=recording.where.path, episode=identity)
+    rows_ns = _rows(streams, mapping, window, location)
+    _refuse_jumps(streams, mapping, rows_ns, reading, location)
+    arrays, names = _align_streams(streams, rows_ns, mapping)
+    arrays = _trim_rows(arrays, location)
     flags = [name for name in arrays if name.endswith(VALID_SUFFIX)]
     invalid = {name.removesuffix(VALID_SUFFIX): int((~arrays[name]).sum()) for name in flags if not arrays[name].all()}
     if invalid and not reading.allow_gaps:
-        raise _gap(arrays, invalid, streams, where)
+        raise _gap(arrays, invalid, streams, location)
     for name in flags:
         if arrays[name].all():
             del arrays[name]
@@ -142,26 +146,32 @@ def _episode(
         counts = ", ".join(f"{channel} {count}" for channel, count in invalid.items())
         reading.note(f"{identity}: rows marked invalid by gaps: {counts} of {len(arrays['time_ns'])}")
     rule = derive_contact(arrays, invalid)
-    return checked(_meta(identity, mapping, reading, names, rule, streams, invalid), arrays, Path(str(where.path)))
+    return checked_episode(
+        _meta(identity, mapping, reading, names, rule, streams, invalid), arrays, Path(str(location.path))
+    )
 
 
-def _rows(streams: Sequence[Stream], mapping: TopicMap, window: Window, where: Where) -> NDArray[np.int64]:
+def _rows(streams: Sequence[Stream], mapping: TopicMap, window: Window, location: Where) -> NDArray[np.int64]:
     """Return the times of the rows: those of the reference, or even ones."""
     if mapping.reference is None:
         if (window.end_ns - window.start_ns) * 1e-9 * mapping.rate_hz > MOST_ROWS:
-            raise DataError("the stamps span too long a time", expected=f"at most {MOST_ROWS} rows",
-                            found=f"{(window.end_ns - window.start_ns) * 1e-9:.0f} s", where=where)  # fmt: skip
+            raise DataError(
+                "the stamps span too long a time",
+                expected=f"at most {MOST_ROWS} rows",
+                found=f"{(window.end_ns - window.start_ns) * 1e-9:.0f} s",
+                where=location,
+            )
         rows_ns = align.grid(window.start_ns, window.end_ns, mapping.rate_hz)
     else:
-        own = np.unique(next(s.time_ns for s in streams if s.channel == mapping.reference))
-        rows_ns = own[(own >= window.start_ns) & (own <= window.end_ns)]
+        reference_ns = np.unique(next(s.time_ns for s in streams if s.channel == mapping.reference))
+        rows_ns = reference_ns[(reference_ns >= window.start_ns) & (reference_ns <= window.end_ns)]
         times = align.period_ns(rows_ns) * 1e-9 * mapping.rate_hz
         if len(rows_ns) > 1 and not 1 / _RATE_FACTOR < times < _RATE_FACTOR:
             raise UsageError(
                 f"the rows of {mapping.reference} do not come at rate_hz",
                 expected=f"{mapping.rate_hz:g} Hz",
                 found=f"{mapping.rate_hz / times:.4g} Hz",
-                where=where,
+                where=location,
                 fix="correct rate_hz, or leave `reference` out: the rows are then rate_hz apart",
             )
     if len(rows_ns) < 2:
@@ -169,59 +179,59 @@ def _rows(streams: Sequence[Stream], mapping: TopicMap, window: Window, where: W
             "too little is left for an episode",
             expected="at least 2 rows",
             found=f"{len(rows_ns)} rows in {(window.end_ns - window.start_ns) * 1e-9:.3f} s",
-            where=where,
+            where=location,
         )
     return rows_ns
 
 
 def _refuse_jumps(
-    streams: Sequence[Stream], mapping: TopicMap, rows_ns: NDArray[np.int64], reading: Reading, where: Where
+    streams: Sequence[Stream], mapping: TopicMap, rows_ns: NDArray[np.int64], reading: Reading, location: Where
 ) -> None:
     """Refuse, or tell of, steps between rows at which the reference itself has a gap."""
     if mapping.reference is None:
         return
-    own = next(s for s in streams if s.channel == mapping.reference)
+    reference = next(s for s in streams if s.channel == mapping.reference)
     steps = np.diff(rows_ns)
-    jumps = np.flatnonzero(steps > own.entry.max_gap_periods * align.period_ns(own.time_ns))
+    jumps = np.flatnonzero(steps > reference.entry.max_gap_periods * align.period_ns(reference.time_ns))
     if not len(jumps):
         return
-    row, topic = int(jumps[0]) + 1, own.entry.topic
+    row, topic = int(jumps[0]) + 1, reference.entry.topic
     if not reading.allow_gaps:
         raise DataError(
             f"{topic} has a gap",
             expected="a reading near every row",
             found=f"none over {steps[row - 1] * 1e-9:.3f} s ({len(jumps)} gaps)",
-            where=Where(path=where.path, episode=where.episode, channel=own.channel, index=row),
+            where=Where(path=location.path, episode=location.episode, channel=reference.channel, index=row),
             fix="import with --allow-gaps: time then jumps there; or raise `max_gap_periods` in the map",
         )
-    reading.note(f"{where.episode}: time jumps at {len(jumps)} gaps of {topic}, by up to {steps.max() * 1e-9:.3f} s")
+    reading.note(f"{location.episode}: time jumps at {len(jumps)} gaps of {topic}, by up to {steps.max() * 1e-9:.3f} s")
 
 
-def _aligned(
+def _align_streams(
     streams: Sequence[Stream], rows_ns: NDArray[np.int64], mapping: TopicMap
 ) -> tuple[dict[str, NDArray], dict[str, tuple[str, ...]]]:
     """Return every channel with its flags on the rows, and the names of its columns."""
     arrays: dict[str, NDArray] = {"time_ns": rows_ns}
     names: dict[str, tuple[str, ...]] = {}
     for channel in dict.fromkeys(s.channel for s in streams):
-        same = [s for s in streams if s.channel == channel]
-        found = [_on_rows(s, rows_ns, mapping) for s in same]
-        values = [f.values for f in found]
+        channel_streams = [s for s in streams if s.channel == channel]
+        parts = [_on_rows(s, rows_ns, mapping) for s in channel_streams]
+        values = [f.values for f in parts]
         arrays[channel] = np.concatenate(values, axis=1) if len(values) > 1 else values[0]
-        arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in found])
-        names[channel] = tuple(name for s in same for name in s.names)
+        arrays[channel + VALID_SUFFIX] = np.logical_and.reduce([f.valid for f in parts])
+        names[channel] = tuple(name for s in channel_streams for name in s.names)
     joints = {channel: names[channel] for channel in _JOINT_CHANNELS if channel in names}
     if len(set(joints.values())) > 1:
         raise UsageError(
             "the joints differ between channels",
             expected="the same joints in one order",
-            found="; ".join(f"{channel}: {', '.join(found)}" for channel, found in joints.items()),
+            found="; ".join(f"{channel}: {', '.join(labels)}" for channel, labels in joints.items()),
             fix="say `joints: [...]` in each",
         )
     return arrays, names
 
 
-def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.Resampled:
+def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.ResampledStream:
     """Return a stream on the rows."""
     role = stream.entry.role
     if role is None and stream.channel == "fingertip_force" and mapping.force == "instant":
@@ -237,7 +247,7 @@ def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> a
     )
 
 
-def _trimmed(arrays: dict[str, NDArray], where: Where) -> dict[str, NDArray]:
+def _trim_rows(arrays: dict[str, NDArray], location: Where) -> dict[str, NDArray]:
     """Return the rows from the first to the last that every channel has begun and not ended by."""
     flags = [arrays[name] for name in arrays if name.endswith(VALID_SUFFIX)]
     for name, flag in ((n, arrays[n]) for n in arrays if n.endswith(VALID_SUFFIX)):
@@ -246,34 +256,38 @@ def _trimmed(arrays: dict[str, NDArray], where: Where) -> dict[str, NDArray]:
             raise DataError(
                 f"no row has a valid {channel}",
                 found=f"{len(flag)} rows, all within gaps",
-                where=Where(path=where.path, episode=where.episode, channel=channel),
+                where=Where(path=location.path, episode=location.episode, channel=channel),
                 fix="raise `max_gap_periods` of its topic where its rate varies, or leave it out",
             )
-    first = max(int(np.argmax(flag)) for flag in flags)
+    start = max(int(np.argmax(flag)) for flag in flags)
     stop = min(len(flag) - int(np.argmax(flag[::-1])) for flag in flags)
-    if stop - first < 2:
-        raise DataError("too little is left for an episode", expected="at least 2 rows that all topics cover",
-                        found=str(max(stop - first, 0)), where=where)  # fmt: skip
-    return {name: values[first:stop] for name, values in arrays.items()}
+    if stop - start < 2:
+        raise DataError(
+            "too little is left for an episode",
+            expected="at least 2 rows that all topics cover",
+            found=str(max(stop - start, 0)),
+            where=location,
+        )
+    return {name: values[start:stop] for name, values in arrays.items()}
 
 
 def _gap(
-    arrays: Mapping[str, NDArray], invalid: Mapping[str, int], streams: Sequence[Stream], where: Where
+    arrays: Mapping[str, NDArray], invalid: Mapping[str, int], streams: Sequence[Stream], location: Where
 ) -> DataError:
     """Return the error of a gap."""
     channel = next(iter(invalid))
     flag, time_ns = arrays[channel + VALID_SUFFIX], arrays["time_ns"]
     row = int(np.argmin(flag))
     topics = ", ".join(dict.fromkeys(s.entry.topic for s in streams if s.channel == channel))
-    after = row + int(np.argmax(np.append(flag[row:], True)))
+    end_row = row + int(np.argmax(np.append(flag[row:], True)))
     counts = ", ".join(f"{name} {count}" for name, count in invalid.items())
-    length_s = (time_ns[min(after, len(time_ns) - 1)] - time_ns[row]) * 1e-9
+    length_s = (time_ns[min(end_row, len(time_ns) - 1)] - time_ns[row]) * 1e-9
     return DataError(
         f"{topics} has a gap",
         expected="a reading near every row",
         found=f"none over {length_s:.3f} s, {(time_ns[row] - time_ns[0]) * 1e-9:.3f} s after the first row "
         f"(rows without: {counts} of {len(time_ns)})",
-        where=Where(path=where.path, episode=where.episode, channel=channel, index=row),
+        where=Where(path=location.path, episode=location.episode, channel=channel, index=row),
         fix="import with --allow-gaps: such rows are kept and marked invalid; or raise `max_gap_periods` in the map, "
         "or cut the episodes",
     )
@@ -313,13 +327,14 @@ def _alignment(mapping: TopicMap, streams: Sequence[Stream]) -> Alignment:
         f"{s.channel} from {s.entry.topic} by {s.entry.clock or mapping.clock}, {_role(s, mapping)}" for s in streams
     ]
     rows = f"rows at the stamps of {mapping.reference}" if mapping.reference else f"rows at {mapping.rate_hz:g} Hz"
-    fitted = next((s for s in streams if s.clocks is not None), None)
-    if fitted is None or fitted.clocks is None:
+    clock_stream = next((s for s in streams if s.clocks is not None), None)
+    if clock_stream is None or clock_stream.clocks is None:
         return Alignment(method="; ".join([rows, *parts]))
-    applied = "applied" if (fitted.entry.clock or mapping.clock) == "fitted" else "not applied"
-    last = f"offset and drift: the recorder's clock against the header stamps of {fitted.entry.topic}, {applied}"
-    method = "; ".join([rows, *parts, last])
-    return fitted.clocks.model_copy(update={"method": method})
+    applied_text = "applied" if (clock_stream.entry.clock or mapping.clock) == "fitted" else "not applied"
+    topic = clock_stream.entry.topic
+    clock_text = f"offset and drift: the recorder's clock against the header stamps of {topic}, {applied_text}"
+    method = "; ".join([rows, *parts, clock_text])
+    return clock_stream.clocks.model_copy(update={"method": method})
 
 
 def _role(stream: Stream, mapping: TopicMap) -> str:

@@ -1,4 +1,4 @@
-"""What a message says for a channel: field paths, and what standard messages hold without being told."""
+"""The values of a channel in a message: field paths, and the fields of standard messages without a path."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def default_channels(kind: str) -> tuple[str, ...]:
     return ("action",) if _ARRAYS.fullmatch(kind) else ()
 
 
-def paths(channel: str, kind: str, entry: TopicEntry, where: Where) -> tuple[str, ...]:
+def paths(channel: str, kind: str, entry: TopicEntry, location: Where) -> tuple[str, ...]:
     """Return the fields that make a channel's values of a type of message.
 
     Raises
@@ -72,18 +72,21 @@ def paths(channel: str, kind: str, entry: TopicEntry, where: Where) -> tuple[str
     for path in entry.fields:
         if not _PATH.fullmatch(path):
             raise UsageError(
-                f"{path!r} is no field path", expected="such as pose.position.x or data[0:6]", found=path, where=where
+                f"{path!r} is no field path",
+                expected="such as pose.position.x or data[0:6]",
+                found=path,
+                where=location,
             )
-    found = entry.fields or _standard(channel, kind)
-    if not found:
+    fields = entry.fields or _standard(channel, kind)
+    if not fields:
         raise UsageError(
             f"nothing says which fields of {entry.topic} are {channel}",
             expected=f"`fields:` for a message of type {kind}",
             found="none",
-            where=where,
+            where=location,
             fix=f"add fields: [...] to {channel} in the map",
         )
-    return found
+    return fields
 
 
 def _standard(channel: str, kind: str) -> tuple[str, ...]:
@@ -106,7 +109,7 @@ def by_joint(channel: str, kind: str, entry: TopicEntry) -> bool:
 _JOINT_VALUES = ("position", "velocity", "effort")
 
 
-def extract(channel: str, kind: str, entry: TopicEntry, where: Where) -> Extract:
+def extract(channel: str, kind: str, entry: TopicEntry, location: Where) -> Extract:
     """Return the function that takes a channel's readings from a message.
 
     The function raises DataError when a field is missing or is no number.
@@ -118,26 +121,31 @@ def extract(channel: str, kind: str, entry: TopicEntry, where: Where) -> Extract
     """
     if by_joint(channel, kind, entry):
         value = entry.fields[0] if entry.fields else _JOINT_FIELD.get(channel, "position")
-        return lambda message: _joints(message, value, entry, where)
-    steps = [_steps(path) for path in paths(channel, kind, entry, where)]
+        return lambda message: _joints(message, value, entry, location)
+    steps = [_steps(path) for path in paths(channel, kind, entry, location)]
     if kind in TRANSFORMS or kind == "foxglove.FrameTransform":
         if entry.child is None:
-            raise UsageError(f"nothing says which frame of {entry.topic} is {channel}",
-                             expected="`child:` (and `parent:` where several have it)", where=where)  # fmt: skip
-        return lambda message: [_plain(item, steps, where) for item in _transforms(message, kind, entry, where)]
-    return lambda message: [_plain(message, steps, where)]
+            raise UsageError(
+                f"nothing says which frame of {entry.topic} is {channel}",
+                expected="`child:` (and `parent:` where several have it)",
+                where=location,
+            )
+        return lambda message: [
+            _plain_reading(item, steps, location) for item in _transforms(message, kind, entry, location)
+        ]
+    return lambda message: [_plain_reading(message, steps, location)]
 
 
-def _plain(message: Any, steps: Sequence[list[_Step]], where: Where) -> Reading:
+def _plain_reading(message: Any, steps: Sequence[list[_Step]], location: Where) -> Reading:
     """Return the reading in a message or an element of its list."""
     return (
         stamp_ns(message),
         (),
-        tuple(number for path in steps for number in _numbers(_at(message, path, where), where)),
+        tuple(number for path in steps for number in _numbers(_at(message, path, location), location)),
     )
 
 
-def _transforms(message: Any, kind: str, entry: TopicEntry, where: Where) -> Iterable[Any]:
+def _transforms(message: Any, kind: str, entry: TopicEntry, location: Where) -> Iterable[Any]:
     """Return the transforms of the wanted frame."""
     return [
         item
@@ -167,33 +175,37 @@ def child_frame(item: Any) -> str:
 
 def joint_names(message: Any) -> tuple[str, ...]:
     """Return the names in a message of joints."""
-    listed = _get(message, "joints")
-    names = _get(message, "name") if listed is None else [_get(joint, "name") for joint in listed]
+    joints = _get(message, "joints")
+    names = _get(message, "name") if joints is None else [_get(joint, "name") for joint in joints]
     return tuple(str(name) for name in names or ())
 
 
-def _joints(message: Any, value: str, entry: TopicEntry, where: Where) -> list[Reading]:
+def _joints(message: Any, value: str, entry: TopicEntry, location: Where) -> list[Reading]:
     """Return the reading of the wanted joints; none where the message names none of them."""
-    names, listed = joint_names(message), _get(message, "joints")
-    found = _get(message, value) if listed is None else [_get(joint, value) for joint in listed]
-    wanted = entry.joints or names
-    if not set(wanted) & set(names):
+    names, joints = joint_names(message), _get(message, "joints")
+    raw_values = _get(message, value) if joints is None else [_get(joint, value) for joint in joints]
+    wanted_names = entry.joints or names
+    if not set(wanted_names) & set(names):
         return []
-    values = _numbers(found, where)
+    values = _numbers(raw_values, location)
     if len(values) != len(names):
-        raise DataError(f"{entry.topic} gives no {value} of each joint", expected=f"{len(names)} values",
-                        found=str(len(values)), where=where)  # fmt: skip
+        raise DataError(
+            f"{entry.topic} gives no {value} of each joint",
+            expected=f"{len(names)} values",
+            found=str(len(values)),
+            where=location,
+        )
     by_name = dict(zip(names, values, strict=True))
-    missing = [name for name in wanted if name not in by_name]
-    if missing:
+    missing_names = [name for name in wanted_names if name not in by_name]
+    if missing_names:
         raise DataError(
             f"{entry.topic} lacks joints of the map",
-            expected=", ".join(wanted),
+            expected=", ".join(wanted_names),
             found=", ".join(names),
-            where=where,
-            fix=_near(missing[0], names, "correct `joints` in the map"),
+            where=location,
+            fix=_nearest_hint(missing_names[0], names, "correct `joints` in the map"),
         )
-    return [(stamp_ns(message), tuple(wanted), tuple(by_name[name] for name in wanted))]
+    return [(stamp_ns(message), tuple(wanted_names), tuple(by_name[name] for name in wanted_names))]
 
 
 def stamp_ns(message: Any) -> int:
@@ -204,24 +216,24 @@ def stamp_ns(message: Any) -> int:
         return -1
     seconds = next((v for v in (_get(stamp, name) for name in ("sec", "seconds")) if v is not None), 0)
     parts = (_get(stamp, name) for name in ("nanosec", "nanos", "nsec"))
-    below = next((v for v in parts if v is not None), 0)
-    if not (isinstance(seconds, int) and isinstance(below, int)):
+    nanoseconds = next((v for v in parts if v is not None), 0)
+    if not (isinstance(seconds, int) and isinstance(nanoseconds, int)):
         return -1
-    found = seconds * 1_000_000_000 + below
-    return found if 0 <= found < LATEST_NS else -1
+    total_ns = seconds * 1_000_000_000 + nanoseconds
+    return total_ns if 0 <= total_ns < LATEST_NS else -1
 
 
 def _steps(path: str) -> list[_Step]:
     """Return the steps of a path: names, indices, slices."""
     steps: list[_Step] = []
-    for name, inside in re.findall(r"([A-Za-z]\w*)|\[([^\]]*)\]", path):
+    for name, index_text in re.findall(r"([A-Za-z]\w*)|\[([^\]]*)\]", path):
         if name:
             steps.append(name)
-        elif ":" in inside:
-            first, last = (int(part) if part else None for part in inside.split(":"))
-            steps.append(slice(first, last))
+        elif ":" in index_text:
+            start, stop = (int(part) if part else None for part in index_text.split(":"))
+            steps.append(slice(start, stop))
         else:
-            steps.append(int(inside or 0))
+            steps.append(int(index_text or 0))
     return steps
 
 
@@ -243,19 +255,19 @@ def field_names(value: Any) -> list[str]:
     return list(descriptor.fields_by_name) if descriptor is not None else list(getattr(value, "__slots__", ()))
 
 
-def _at(value: Any, steps: Sequence[_Step], where: Where) -> Any:
+def _at(value: Any, steps: Sequence[_Step], location: Where) -> Any:
     """Return what stands at a path."""
     for step in steps:
         if isinstance(step, str):
             inner = _get(value, step)
             if inner is None:
-                known = field_names(value)
+                known_fields = field_names(value)
                 raise DataError(
                     f"the message has no field {step}",
                     expected=".".join(str(s) for s in steps),
-                    found=f"fields {', '.join(known)}" if known else "a value without fields",
-                    where=where,
-                    fix=_near(step, known, "correct `fields` in the map"),
+                    found=f"fields {', '.join(known_fields)}" if known_fields else "a value without fields",
+                    where=location,
+                    fix=_nearest_hint(step, known_fields, "correct `fields` in the map"),
                 )
         else:
             try:
@@ -263,26 +275,29 @@ def _at(value: Any, steps: Sequence[_Step], where: Where) -> Any:
             except (IndexError, TypeError, KeyError):
                 size = f"{len(value)} values" if hasattr(value, "__len__") else "no list"
                 raise DataError(
-                    "the message has no such element", expected=str(step), found=size, where=where
+                    "the message has no such element", expected=str(step), found=size, where=location
                 ) from None
         value = inner
     return value
 
 
-def _numbers(value: Any, where: Where) -> tuple[float, ...]:
+def _numbers(value: Any, location: Where) -> tuple[float, ...]:
     """Return a number or lists of them as floats, in order; null is none that is known."""
     if hasattr(value, "__iter__") and not isinstance(value, str | Mapping):
-        return tuple(number for item in value for number in _numbers(item, where))
+        return tuple(number for item in value for number in _numbers(item, location))
     try:
         return (float("nan") if value is None else float(value),)
     except (TypeError, ValueError, OverflowError):
         raise DataError(
-            "a field does not hold numbers", expected="numbers", found=repr(value)[:80], where=where,
+            "a field does not hold numbers",
+            expected="numbers",
+            found=repr(value)[:80],
+            where=location,
             fix="name the fields down to the numbers, such as pose.position.x",
-        ) from None  # fmt: skip
+        ) from None
 
 
-def _near(name: str, known: Iterable[str], otherwise: str) -> str:
+def _nearest_hint(name: str, known_names: Iterable[str], otherwise: str) -> str:
     """Return a hint at the nearest name."""
-    near = difflib.get_close_matches(name, list(known), n=1)
-    return f"did you mean {near[0]!r}?" if near else otherwise
+    matches = difflib.get_close_matches(name, list(known_names), n=1)
+    return f"did you mean {matches[0]!r}?" if matches else otherwise

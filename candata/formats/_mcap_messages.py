@@ -45,13 +45,13 @@ def descriptors(name: str) -> bytes:
     from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
     files = FileDescriptorSet()
-    seen: set[str] = set()
+    seen_files: set[str] = set()
 
     def add(file: Any) -> None:
-        if file.name not in seen:
-            seen.add(file.name)
-            for needed in file.dependencies:
-                add(needed)
+        if file.name not in seen_files:
+            seen_files.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
             file.CopyToProto(files.file.add())
 
     add(message(name).DESCRIPTOR.file)
@@ -67,8 +67,8 @@ def _pool() -> Any:
     file = descriptor_pb2.FileDescriptorProto(name="candata/log.proto", package="candata", syntax="proto3")
     for name, fields in _FIELDS.items():
         kind = file.message_type.add(name=name)
-        for number, (field, type_name, repeated) in enumerate(fields, start=1):
-            label = field_type.LABEL_REPEATED if repeated else field_type.LABEL_OPTIONAL
+        for number, (field, type_name, is_repeated) in enumerate(fields, start=1):
+            label = field_type.LABEL_REPEATED if is_repeated else field_type.LABEL_OPTIONAL
             kind.field.add(name=field, number=number, type=getattr(field_type, f"TYPE_{type_name}"), label=label)
     pool = descriptor_pool.DescriptorPool()
     pool.Add(file)

@@ -17,7 +17,7 @@ from candata.errors import CandataError, DataError, Where
 from candata.formats import Reading
 from candata.formats._mcap_messages import message
 from candata.formats._mcap_scan import Scan
-from candata.schema.channels import CHANNELS, DENSE, VALID_SUFFIX
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.json_text import parse_json
 
@@ -45,7 +45,7 @@ def row_schema(episode: Episode) -> bytes:
     """Return the JSON Schema of a row, with the unit of each channel."""
     properties: dict[str, Any] = {}
     for name, array in episode.arrays.items():
-        if name not in DENSE:
+        if name not in DENSE_CHANNELS:
             properties[name] = _property(name, array)
     return json.dumps({"type": "object", "title": "candata.Row", "properties": properties}).encode()
 
@@ -53,30 +53,30 @@ def row_schema(episode: Episode) -> bytes:
 def _property(name: str, array: NDArray) -> dict[str, Any]:
     """Return the schema of one channel of a row."""
     kind = {"b": "boolean", "i": "integer"}.get(array.dtype.kind, "number")
-    made: dict[str, Any] = {"type": kind}
+    schema: dict[str, Any] = {"type": kind}
     for _ in array.shape[1:]:
-        made = {"type": "array", "items": made}
+        schema = {"type": "array", "items": schema}
     channel = CHANNELS.get(name)
-    return made | ({"description": f"{channel.meaning} [{channel.unit}]"} if channel else {})
+    return schema | ({"description": f"{channel.meaning} [{channel.unit}]"} if channel else {})
 
 
 def rows_json(episode: Episode) -> Iterator[bytes]:
     """Yield each row as JSON; every number is read back as the same bits."""
-    columns = {name: _plain(array) for name, array in episode.arrays.items() if name not in DENSE}
+    columns = {name: _json_list(array) for name, array in episode.arrays.items() if name not in DENSE_CHANNELS}
     for k in range(len(episode)):
         yield json.dumps({name: rows[k] for name, rows in columns.items()}, allow_nan=False).encode()
 
 
-def _plain(array: NDArray) -> list:
+def _json_list(array: NDArray) -> list:
     """Return an array as lists that JSON can hold."""
     if array.dtype.kind != "f" or np.isfinite(array).all():
         return array.tolist()
     bits = array.view(np.uint32)
-    named = [None if b == _NAN else f"{_BITS}{b:08x}" for b in bits[~np.isfinite(array)].tolist()]
-    made = array.astype(object)
-    made[np.isfinite(array)] = array[np.isfinite(array)].tolist()
-    made[~np.isfinite(array)] = named
-    return made.tolist()
+    bit_texts = [None if b == _NAN else f"{_BITS}{b:08x}" for b in bits[~np.isfinite(array)].tolist()]
+    items = array.astype(object)
+    items[np.isfinite(array)] = array[np.isfinite(array)].tolist()
+    items[~np.isfinite(array)] = bit_texts
+    return items.tolist()
 
 
 def restore(path: Path, reading: Reading) -> Episode:
@@ -87,39 +87,39 @@ def restore(path: Path, reading: Reading) -> Episode:
     DataError
         When the file is damaged, or was changed: the content must have the hash that it had.
     """
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     try:
-        episode, stored, cloud = _restored(path)
+        episode, stored_hash, cloud = _read_episode(path)
     except CandataError as error:
-        raise _changed(where, error.problem) from None
+        raise _changed_error(location, error.problem) from None
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise _changed(where, f"{type(error).__name__}: {error}".splitlines()[0]) from None
-    if content_hash(episode) != stored:
-        raise _changed(where, f"content {content_hash(episode)[:12]} where {stored[:12]} was written")
+        raise _changed_error(location, f"{type(error).__name__}: {error}".splitlines()[0]) from None
+    if content_hash(episode) != stored_hash:
+        raise _changed_error(location, f"content {content_hash(episode)[:12]} where {stored_hash[:12]} was written")
     if cloud is not None:
         reading.cloud(cloud)
     return episode
 
 
-def _changed(where: Where, found: str) -> DataError:
+def _changed_error(location: Where, found: str) -> DataError:
     """Return the error of a file from which its episode cannot be restored."""
     return DataError(
         "the episode cannot be restored from the file",
         expected="the file as `candata export mcap` wrote it",
         found=found,
-        where=where,
+        where=location,
         fix="export it again; or give a --map to read its topics as any other recording's",
     )
 
 
-def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
+def _read_episode(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
     """Return the episode in a file, the hash that it had, and its cloud if there is one."""
     from mcap.records import Channel, Message, Metadata
 
     scan, record = Scan(path), dict[str, str]()
     topics: dict[int, str] = {}
     rows: list[dict[str, Any]] = []
-    dense: list[NDArray[np.int16]] = []
+    taxel_rows: list[NDArray[np.int16]] = []
     cloud = None
     for item in scan:
         if isinstance(item, Metadata) and item.name == EPISODE:
@@ -131,7 +131,7 @@ def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
             if topic == ROWS:
                 rows.append(parse_json(item.data, finite=False))
             elif topic == TAXELS:
-                dense.append(_counts(item.data))
+                taxel_rows.append(_counts(item.data))
             elif topic == POINTS:
                 cloud = _points(item.data)
     if not scan.whole or scan.damaged_chunks:
@@ -140,14 +140,14 @@ def _restored(path: Path) -> tuple[Episode, str, NDArray[np.float32] | None]:
         raise DataError(f"layout {record['layout']!r}, where this version of candata reads {LAYOUT!r}")
     meta = EpisodeMeta.parse(parse_json(record["meta"]), path)
     columns: Mapping[str, list[int]] = parse_json(record["columns"])
-    arrays = {name: _column(name, shape, rows, dense) for name, shape in columns.items()}
+    arrays = {name: _column(name, shape, rows, taxel_rows) for name, shape in columns.items()}
     return Episode(meta, arrays), record["content_hash"], cloud if meta.point_cloud else None
 
 
-def _column(name: str, shape: list[int], rows: list[dict[str, Any]], dense: list[NDArray[np.int16]]) -> NDArray:
+def _column(name: str, shape: list[int], rows: list[dict[str, Any]], taxel_rows: list[NDArray[np.int16]]) -> NDArray:
     """Return one column of the episode."""
-    if name in DENSE:
-        return np.stack(dense) if math.prod(shape) else np.zeros(shape, np.int16)
+    if name in DENSE_CHANNELS:
+        return np.stack(taxel_rows) if math.prod(shape) else np.zeros(shape, np.int16)
     flag = name.endswith(VALID_SUFFIX)
     dtype = np.dtype("bool" if flag else CHANNELS[name].dtype)
     values = [row[name] for row in rows]
@@ -161,12 +161,12 @@ def _column(name: str, shape: list[int], rows: list[dict[str, Any]], dense: list
 
 def _from_bits(values: NDArray) -> NDArray[np.float32]:
     """Return float32 numbers of which some are written as their bits."""
-    flat = values.reshape(-1)
-    named = np.array([isinstance(value, str) for value in flat])
-    made = np.array([np.nan if text else value for text, value in zip(named, flat, strict=True)], np.float32)
-    bits = [int(value.removeprefix(_BITS), 16) for value in flat[named]]
-    made[named] = np.array(bits, np.uint32).view(np.float32)
-    return made
+    cells = values.reshape(-1)
+    is_text = np.array([isinstance(value, str) for value in cells])
+    numbers = np.array([np.nan if text else value for text, value in zip(is_text, cells, strict=True)], np.float32)
+    bits = [int(value.removeprefix(_BITS), 16) for value in cells[is_text]]
+    numbers[is_text] = np.array(bits, np.uint32).view(np.float32)
+    return numbers
 
 
 def _counts(data: bytes) -> NDArray[np.int16]:

@@ -66,8 +66,8 @@ class Scan:
         from mcap.stream_reader import StreamReader
 
         with self._path.open("rb") as file:
-            stream: Any = _Whole(file)
-            limit, unfolded = min(self._path.stat().st_size, largest_bytes()), 0
+            stream: Any = _FullReads(file)
+            limit, unfolded_bytes = min(self._path.stat().st_size, largest_bytes()), 0
             records = iter(StreamReader(stream, emit_chunks=True, record_size_limit=limit).records)
             while True:
                 try:
@@ -79,12 +79,14 @@ class Scan:
                 if not isinstance(record, Chunk):
                     yield record
                     continue
-                records_of_chunk = self._unpacked(record)
-                unfolded += record.uncompressed_size * bool(records_of_chunk) + _RECORD_BYTES * len(records_of_chunk)
-                require_bounded(self._path, unfolded, limit)
+                records_of_chunk = self._unpack_chunk(record)
+                unfolded_bytes += record.uncompressed_size * bool(records_of_chunk) + _RECORD_BYTES * len(
+                    records_of_chunk
+                )
+                require_bounded(self._path, unfolded_bytes, limit)
                 yield from records_of_chunk
 
-    def _unpacked(self, chunk: Any) -> list[Any]:
+    def _unpack_chunk(self, chunk: Any) -> list[Any]:
         """Return the records of a chunk; none where it is damaged."""
         from mcap.exceptions import McapError
         from mcap.stream_reader import breakup_chunk
@@ -102,7 +104,7 @@ class Scan:
             return []
 
 
-class _Whole:
+class _FullReads:
     """A stream that gives all the bytes asked for, or none: the library takes a short read for a whole one."""
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -120,15 +122,15 @@ class _Whole:
 
 def _refuse(path: Path) -> None:
     """Refuse what cannot be a log, before it is read."""
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     if not path.is_file():
-        raise DataError("no such log", where=where, fix="give the file that `candata record-real --out` wrote")
+        raise DataError("no such log", where=location, fix="give the file that `candata record-real --out` wrote")
     refuse_pointer(path)
     with path.open("rb") as file:
         head = file.read(len(MAGIC))
     if not head:
-        raise DataError("the log is empty: it holds no byte", where=where, fix="record again")
+        raise DataError("the log is empty: it holds no byte", where=location, fix="record again")
     if head != MAGIC:
         raise DataError(
-            "the file is no log", expected="an MCAP file", found=f"a file that begins {head!r}", where=where
+            "the file is no log", expected="an MCAP file", found=f"a file that begins {head!r}", where=location
         )

@@ -1,4 +1,4 @@
-"""What a recording holds, as text: a table of its topics, and a map that can be saved and mended."""
+"""The content of a recording as text: a table of its topics, and a map that can be saved and mended."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def topics_text(bag: Bag) -> str:
     lines = []
     for name, topic in sorted(bag.topics.items()):
         rate = f"{topic.rate_hz:.1f} Hz" if topic.rate_hz else "-"
-        stamps = "" if not topic.count else ", stamped" if _stamped(topic) else ", unstamped"
+        stamps = "" if not topic.count else ", stamped" if _has_stamp(topic) else ", unstamped"
         lines.append(f"{name}  {topic.kind or '(no schema)'}  {topic.count} messages  {rate}{stamps}")
     return "\n".join(lines) or "no topics"
 
@@ -33,11 +33,11 @@ def map_text(bag: Bag) -> str:
     """Return a suggested `topics.yaml`: each channel from the first topic that can be it."""
     channels: dict[str, object] = {}
     rates = []
-    unused = []
-    for name, topic in sorted(bag.topics.items(), key=lambda item: (not _stamped(item[1]), item[0])):
+    unused_topics = []
+    for name, topic in sorted(bag.topics.items(), key=lambda item: (not _has_stamp(item[1]), item[0])):
         channel = _channel(name, topic, channels)
         if channel is None:
-            unused.append(name)
+            unused_topics.append(name)
             continue
         channels[channel] = _entry(name, topic)
         rates.append(topic.rate_hz)
@@ -45,10 +45,10 @@ def map_text(bag: Bag) -> str:
         channels = {"object_pose": {"topic": "/pose", "fields": [f"pose.position.{axis}" for axis in "xyz"]}}
     value = {"rate_hz": float(round(max(rates, default=0.0)) or 100), "object": "NAME", "channels": channels}
     text = yaml.safe_dump(value, sort_keys=False, default_flow_style=None, width=110)
-    return text + (f"# not used: {', '.join(sorted(unused))}\n" if unused else "")
+    return text + (f"# not used: {', '.join(sorted(unused_topics))}\n" if unused_topics else "")
 
 
-def _stamped(topic: Topic) -> bool:
+def _has_stamp(topic: Topic) -> bool:
     """Tell whether a topic's first message bears a stamp."""
     if topic.sample is None:
         return False
@@ -57,17 +57,17 @@ def _stamped(topic: Topic) -> bool:
     return stamp_ns(topic.sample) > 0
 
 
-def _channel(name: str, topic: Topic, taken: dict[str, object]) -> str | None:
+def _channel(name: str, topic: Topic, used_channels: dict[str, object]) -> str | None:
     """Return the channel that a topic could be, none where all such are taken."""
     if topic.count < 2:
         return None
-    could = [channel for channel in default_channels(topic.kind) if channel not in taken]
+    could = [channel for channel in default_channels(topic.kind) if channel not in used_channels]
     words = name.lower()
     if any(word in words for word in _COMMAND):
         could = [channel for channel in could if channel == "action"]
     elif "hand_pose" in could:
-        own = "hand_pose" if any(word in words for word in _HAND) else "object_pose"
-        could = [channel for channel in could if channel == own]
+        pose_channel = "hand_pose" if any(word in words for word in _HAND) else "object_pose"
+        could = [channel for channel in could if channel == pose_channel]
     elif topic.kind in JOINTS:
         could = [channel for channel in could if channel == "joint_position"]
     return could[0] if could else None
@@ -81,6 +81,6 @@ def _entry(name: str, topic: Topic) -> dict[str, object]:
     if topic.kind in TRANSFORMS or topic.kind == "foxglove.FrameTransform":
         frames = transforms(topic.sample, topic.kind) if topic.sample is not None else []
         entry["child"] = child_frame(frames[0]) if frames else "NAME"
-    if not _stamped(topic):
+    if not _has_stamp(topic):
         entry["clock"] = "log"
     return entry

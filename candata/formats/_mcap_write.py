@@ -31,7 +31,7 @@ METRE_PER_NEWTON, SHAFT_M = 0.02, 0.004
 #: Letters of an episode's id in a file's name; its number keeps the names apart.
 _NAME_LETTERS = 100
 
-#: What a topic says of row k; None where nothing is known.
+#: Makes a topic's message for row k; None if nothing is known.
 _Say = Callable[[int, int], Any]
 
 
@@ -74,16 +74,16 @@ def _write_episode(path: Path, episode: Episode, writing: Writing) -> None:
         writer.add_metadata("candata.dataset", {"name": writing.name, "digest": writing.digest})
         channels = {topic: _channel(writer, topic) for topic in says}
         schema = writer.register_schema("candata.Row", "jsonschema", row_schema(episode))
-        own = writer.register_channel(ROWS, "json", schema)
+        row_channel = writer.register_channel(ROWS, "json", schema)
         time_ns = episode["time_ns"]
         # MCAP knows no time before zero.
         stamps = (time_ns - min(0, int(time_ns[0]))).tolist()
         for k, (stamp, row) in enumerate(zip(stamps, rows_json(episode), strict=True)):
             for topic, say in says.items():
-                said = say(k, stamp)
-                if said is not None:
-                    writer.add_message(channels[topic], stamp, said.SerializeToString(), stamp, k)
-            writer.add_message(own, stamp, row, stamp, k)
+                payload = say(k, stamp)
+                if payload is not None:
+                    writer.add_message(channels[topic], stamp, payload.SerializeToString(), stamp, k)
+            writer.add_message(row_channel, stamp, row, stamp, k)
         writer.finish()
 
 
@@ -94,81 +94,83 @@ def _channel(writer: Any, topic: str) -> int:
 
 
 def _says(episode: Episode, writing: Writing) -> dict[str, _Say]:
-    """Return, by topic, what says a row; only topics that the episode has something for."""
-    found: dict[str, _Say] = {}
+    """Return by topic the function that makes the message of a row; only topics that the episode has data for."""
+    says_by_topic: dict[str, _Say] = {}
     frames = {name: channel for name, channel in ((OBJECT, "object_pose"), (HAND, "hand_pose")) if channel in episode}
     if frames:
-        found[TRANSFORMS] = _transforms(episode, frames)
+        says_by_topic[TRANSFORMS] = _transforms(episode, frames)
     if "joint_position" in episode:
-        found[JOINTS] = _joints(episode, episode.meta.joint_names, "joint_position", "joint_velocity", "joint_effort")
+        says_by_topic[JOINTS] = _joints(
+            episode, episode.meta.joint_names, "joint_position", "joint_velocity", "joint_effort"
+        )
     if "action" in episode:
-        found[TARGETS] = _joints(episode, episode.meta.actuator_names, "action")
+        says_by_topic[TARGETS] = _joints(episode, episode.meta.actuator_names, "action")
     if "fingertip_force" in episode:
-        found[FORCES] = _arrows(episode)
+        says_by_topic[FORCES] = _arrows(episode)
     if "taxels" in episode and episode["taxels"].size:
-        found[TAXELS] = _taxels(episode)
+        says_by_topic[TAXELS] = _taxels(episode)
     if episode.meta.point_cloud is not None and writing.cloud is not None:
-        found[POINTS] = _points(writing.cloud(episode.meta.point_cloud))
-    return found
+        says_by_topic[POINTS] = _points(writing.cloud(episode.meta.point_cloud))
+    return says_by_topic
 
 
 def _transforms(episode: Episode, frames: dict[str, str]) -> _Say:
-    """Return what says where the object and the hand are."""
+    """Return the function that makes the message of the poses of object and hand."""
     valid = {name: episode.valid(channel) for name, channel in frames.items()}
     poses = {name: episode[channel].astype(np.float64).tolist() for name, channel in frames.items()}
 
     def say(k: int, stamp: int) -> Any:
-        made = message(_TYPES[TRANSFORMS])()
+        packet = message(_TYPES[TRANSFORMS])()
         for name in frames:
             if valid[name][k]:
                 x, y, z, qw, qx, qy, qz = poses[name][k]
-                item = made.transforms.add(parent_frame_id=WORLD, child_frame_id=name)
+                item = packet.transforms.add(parent_frame_id=WORLD, child_frame_id=name)
                 item.timestamp.FromNanoseconds(stamp)
                 item.translation.x, item.translation.y, item.translation.z = x, y, z
                 item.rotation.w, item.rotation.x, item.rotation.y, item.rotation.z = qw, qx, qy, qz
-        return made if made.transforms else None
+        return packet if packet.transforms else None
 
     return say
 
 
 def _joints(episode: Episode, names: tuple[str, ...], *channels: str) -> _Say:
-    """Return what says the joints, or the targets of the actuators, as positions."""
+    """Return the function that makes the message of the joints, or of the actuators' targets as positions."""
     fields = dict(zip(("position", "velocity", "effort"), channels, strict=False))
-    found = {field: channel for field, channel in fields.items() if channel in episode}
-    valid = {field: episode.valid(channel) for field, channel in found.items()}
-    values = {field: episode[channel].astype(np.float64).tolist() for field, channel in found.items()}
+    channel_of = {field: channel for field, channel in fields.items() if channel in episode}
+    valid = {field: episode.valid(channel) for field, channel in channel_of.items()}
+    values = {field: episode[channel].astype(np.float64).tolist() for field, channel in channel_of.items()}
     labels = names or tuple(f"joint{k}" for k in range(episode[channels[0]].shape[1]))
 
     def say(k: int, stamp: int) -> Any:
-        known = [field for field in found if valid[field][k]]
-        if not known:
+        known_fields = [field for field in channel_of if valid[field][k]]
+        if not known_fields:
             return None
-        made = message(_TYPES[JOINTS])()
-        made.timestamp.FromNanoseconds(stamp)
+        packet = message(_TYPES[JOINTS])()
+        packet.timestamp.FromNanoseconds(stamp)
         for j, name in enumerate(labels):
-            made.joints.add(name=name, **{field: values[field][k][j] for field in known})
-        return made
+            packet.joints.add(name=name, **{field: values[field][k][j] for field in known_fields})
+        return packet
 
     return say
 
 
 def _arrows(episode: Episode) -> _Say:
-    """Return what says the force on each fingertip as an arrow in the fingertip's frame."""
+    """Return the function that makes the message of forces, an arrow in each fingertip's frame."""
     force = episode["fingertip_force"].astype(np.float64)
     valid, size = episode.valid("fingertip_force"), np.linalg.norm(force, axis=-1)
-    turns = _along(force, size)
+    turns = _axis_quaternions(force, size)
     labels = episode.meta.fingertip_names or tuple(f"f{k}" for k in range(force.shape[1]))
 
     def say(k: int, stamp: int) -> Any:
         if not valid[k]:
             return None
-        made = message(_TYPES[FORCES])()
+        packet = message(_TYPES[FORCES])()
         for f, name in enumerate(labels):
-            entity = made.entities.add(id=name, frame_id=f"fingertip/{name}")
+            entity = packet.entities.add(id=name, frame_id=f"fingertip/{name}")
             entity.timestamp.FromNanoseconds(stamp)
             if size[k, f] > 0:
                 _draw(entity.arrows.add(), float(size[k, f]), turns[k, f].tolist())
-        return made
+        return packet
 
     return say
 
@@ -183,7 +185,7 @@ def _draw(arrow: Any, newton: float, turn: list[float]) -> None:
     arrow.color.r, arrow.color.g, arrow.color.b, arrow.color.a = 0.85, 0.25, 0.1, 1.0
 
 
-def _along(vectors: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axis_quaternions(vectors: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the quaternions w x y z that turn the x axis into the vectors; identity for those without length.
 
     For an angle a about n, (1 + cos a, n sin a) is 2 cos(a/2) times (cos(a/2), n sin(a/2)); the first is
@@ -197,7 +199,7 @@ def _along(vectors: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[n
 
 
 def _taxels(episode: Episode) -> _Say:
-    """Return what says the raw counts."""
+    """Return the function that makes the message of the raw counts."""
     counts, scale = episode["taxels"].astype("<i2"), episode.meta.newton_per_count or 0.0
     shape = counts.shape[1:]
 
@@ -208,18 +210,18 @@ def _taxels(episode: Episode) -> _Say:
 
 
 def _points(points: NDArray) -> _Say:
-    """Return what says the object's cloud, once, in its frame."""
+    """Return the function that makes the message of the object's cloud, once, in its frame."""
     data = np.ascontiguousarray(points, "<f4").tobytes()
 
     def say(k: int, stamp: int) -> Any:
         if k:
             return None
-        made = message(_TYPES[POINTS])(frame_id=OBJECT, point_stride=12, data=data)
-        made.timestamp.FromNanoseconds(stamp)
-        made.pose.orientation.w = 1.0
+        packet = message(_TYPES[POINTS])(frame_id=OBJECT, point_stride=12, data=data)
+        packet.timestamp.FromNanoseconds(stamp)
+        packet.pose.orientation.w = 1.0
         number = message("foxglove.PackedElementField").NumericType.Value("FLOAT32")
         for i, axis in enumerate("xyz"):
-            made.fields.add(name=axis, offset=4 * i, type=number)
-        return made
+            packet.fields.add(name=axis, offset=4 * i, type=number)
+        return packet
 
     return say

@@ -1,4 +1,4 @@
-"""What fits into memory: a header may claim more than any machine holds."""
+"""A check that values fit into memory: a header may claim more than any machine holds."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ def largest_bytes() -> int:
     return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // _COPIES
 
 
-def require_memory(size_bytes: int, what: str, where: Where) -> None:
+def require_memory(size_bytes: int, label: str, location: Where) -> None:
     """Raise where values are too many to be held while they are read; nothing is allocated.
 
     Parameters
     ----------
     size_bytes : int
         Their size [bytes].
-    what : str
+    label : str
         What claims that size, for the message.
-    where : Where
+    location : Where
         Place, for the message.
 
     Raises
@@ -35,9 +35,9 @@ def require_memory(size_bytes: int, what: str, where: Where) -> None:
     """
     if size_bytes > largest_bytes():
         raise DataError(
-            f"{what} does not fit into memory",
+            f"{label} does not fit into memory",
             expected=f"at most {largest_bytes() / 1e9:.3g} GB, a third of this machine's memory",
             found=f"{size_bytes / 1e9:,.4g} GB",
-            where=where,
+            where=location,
             fix="a header that claims more than was recorded is damaged; else cut the recording into shorter episodes",
         )

@@ -18,12 +18,12 @@ _KIND = {
 _SEPARATORS = "_./:- "
 
 
-def split_entry(text: str, known: Container[str]) -> tuple[str, str | None]:
+def split_entry(text: str, known_names: Container[str]) -> tuple[str, str | None]:
     """Return what a map's entry names and the columns of it between brackets; None if it names all of them.
 
-    A name in `known` that itself ends in brackets is taken as it is.
+    A name in `known_names` that itself ends in brackets is taken as it is.
     """
-    match = None if text in known else re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", text)
+    match = None if text in known_names else re.fullmatch(r"(.+?)\s*\[([^\[\]]*)\]", text)
     return (text, None) if match is None else (match.group(1), match.group(2))
 
 
@@ -34,18 +34,18 @@ def element_names(channel: str, columns: Sequence[str]) -> tuple[str, ...]:
     """
     words = sorted(_KIND.get(channel, ()), key=len, reverse=True)
     for word in words:
-        stripped = tuple(_after(column, word) for column in columns)
-        if all(stripped) and len(set(stripped)) == len(stripped):
-            return stripped
+        short_names = tuple(_name_after(column, word) for column in columns)
+        if all(short_names) and len(set(short_names)) == len(short_names):
+            return short_names
     return tuple(columns)
 
 
 def fingertip_names(triples: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return the fingertips' names: what the three columns of each share, `f0_x f0_y f0_z` -> `f0`."""
-    shared = tuple(_without_force(_shared(triple)) for triple in triples)
-    if not all(shared) or len(set(shared)) < len(shared):
+    tip_names = tuple(_without_force(_common_text(triple)) for triple in triples)
+    if not all(tip_names) or len(set(tip_names)) < len(tip_names):
         return tuple(f"f{i}" for i in range(len(triples)))
-    return element_names("fingertip_force", shared)
+    return element_names("fingertip_force", tip_names)
 
 
 def _without_force(name: str) -> str:
@@ -53,13 +53,13 @@ def _without_force(name: str) -> str:
     return re.sub(rf"(?<=.)[{re.escape(_SEPARATORS)}]+f$", "", name, flags=re.IGNORECASE)
 
 
-def _after(column: str, word: str) -> str:
+def _name_after(column: str, word: str) -> str:
     """Return what follows `word` and a separator, or nothing."""
-    found = re.match(rf"{re.escape(word)}[{re.escape(_SEPARATORS)}]+(.+)", column, re.IGNORECASE)
-    return found.group(1) if found else ""
+    match = re.match(rf"{re.escape(word)}[{re.escape(_SEPARATORS)}]+(.+)", column, re.IGNORECASE)
+    return match.group(1) if match else ""
 
 
-def _shared(columns: Sequence[str]) -> str:
+def _common_text(columns: Sequence[str]) -> str:
     """Return the longer of the columns' common start and common end, without separators."""
     start = _common_start(columns)
     end = _common_start([column[::-1] for column in columns])[::-1]
@@ -68,5 +68,5 @@ def _shared(columns: Sequence[str]) -> str:
 
 def _common_start(texts: Sequence[str]) -> str:
     """Return the longest start that all texts share."""
-    equal = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False))
-    return "".join(letters[0] for letters in equal)
+    equal_letters = itertools.takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False))
+    return "".join(letters[0] for letters in equal_letters)

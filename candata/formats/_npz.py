@@ -1,4 +1,4 @@
-"""What an npz file is asked before numpy reads it: whether its arrays hold numbers or texts, and fit into memory."""
+"""Checks of an npz file before numpy reads it: its arrays hold numbers or texts, and fit into memory."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from candata.errors import DataError, Where
 from candata.formats._memory import require_memory
 
 
-def require_arrays(path: Path, wanted: Iterable[str]) -> None:
+def require_arrays(path: Path, array_names: Iterable[str]) -> None:
     """Raise unless a file is an npz whose wanted arrays can be read without unpickling; others are not looked at.
 
     Raises
@@ -25,22 +25,24 @@ def require_arrays(path: Path, wanted: Iterable[str]) -> None:
         with path.open("rb") as file:
             start = file.read(8)
         raise _unreadable(path, _kind(start), "save it with numpy.savez, a name an array; a cut file must be got again")
-    with zipfile.ZipFile(path) as packed:
-        known = packed.namelist()
-        for name in wanted:
-            member = name if name in known else f"{name}.npy"
-            if member in known:
-                _require_array(packed, member, name, path)
+    with zipfile.ZipFile(path) as archive:
+        members = archive.namelist()
+        for name in array_names:
+            member = name if name in members else f"{name}.npy"
+            if member in members:
+                _require_array(archive, member, name, path)
 
 
-def _require_array(packed: zipfile.ZipFile, member: str, name: str, path: Path) -> None:
+def _require_array(archive: zipfile.ZipFile, member: str, name: str, path: Path) -> None:
     """Refuse an array of Python objects, or one that is larger than the memory, by its header alone."""
-    with packed.open(member) as file:
+    with archive.open(member) as file:
         version = np.lib.format.read_magic(file)
-        read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-        if read is None:
+        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(
+            version
+        )
+        if read_header is None:
             return
-        shape, _, dtype = read(file)
+        shape, _, dtype = read_header(file)
     if dtype.hasobject:
         raise _unreadable(
             path,

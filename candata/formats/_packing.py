@@ -15,9 +15,9 @@ from candata.schema.channels import CHANNELS, VALID_SUFFIX, canonical_order
 from candata.schema.episode import Episode
 
 #: A stamp further than this share of a period from the beat is uneven.
-_UNEVEN = 0.01
-#: What a hand feels and knows of itself, in the order of the packed state: channel, endings of its names.
-_OWN = {
+_UNEVEN_SHARE = 0.01
+#: Channels of a hand in the order of the packed state, and the endings of their names.
+_HAND_CHANNELS = {
     "joint_position": (".pos",),
     "joint_velocity": (".vel",),
     "joint_effort": (".effort",),
@@ -25,12 +25,12 @@ _OWN = {
 }
 _POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _TWIST = ("vx", "vy", "vz", "wx", "wy", "wz")
-_FIXED = {"object_pose": _POSE, "hand_pose": _POSE, "object_velocity": _TWIST}
+_FIXED_NAMES = {"object_pose": _POSE, "hand_pose": _POSE, "object_velocity": _TWIST}
 
 
 @dataclass(frozen=True)
-class Survey:
-    """What all episodes of an export share.
+class ColumnSurvey:
+    """The columns that all episodes of an export share.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Survey:
         return {name: shape for name, shape in self.layout.items() if math.prod(shape)}
 
 
-def survey(episodes: Iterable[Episode]) -> Survey:
+def survey(episodes: Iterable[Episode]) -> ColumnSurvey:
     """Return what the episodes share; reads them all once.
 
     Raises
@@ -71,111 +71,117 @@ def survey(episodes: Iterable[Episode]) -> Survey:
     DataError
         When two differ in rate, or in number or names of joints, actuators or fingertips; or there is none.
     """
-    first: dict[str, tuple[object, str]] = {}
+    first_values: dict[str, tuple[object, str]] = {}
     counts: Counter[str] = Counter()
     shapes: dict[str, tuple[int, ...]] = {}
     names: dict[str, tuple[str, ...]] = {}
-    total = rows = uneven = 0
+    total = rows = uneven_count = 0
     rate_hz = 0.0
     clouds: set[str] = set()
     for episode in episodes:
         total += 1
-        _same(first, "rate_hz", episode.meta.rate_hz, episode)
+        _require_same(first_values, "rate_hz", episode.meta.rate_hz, episode)
         for field in ("joint_names", "actuator_names", "fingertip_names"):
             if getattr(episode.meta, field):
-                _same(first, field, getattr(episode.meta, field), episode)
+                _require_same(first_values, field, getattr(episode.meta, field), episode)
                 names[field] = getattr(episode.meta, field)
         for name, array in episode.arrays.items():
-            _same(first, name, array.shape[1:], episode)
+            _require_same(first_values, name, array.shape[1:], episode)
             shapes[name] = array.shape[1:]
         counts.update(list(episode.arrays))
         clouds |= {episode.meta.point_cloud} if episode.meta.point_cloud else set()
         rate_hz = episode.meta.rate_hz
         rows += len(episode)
-        uneven += _is_uneven(episode)
+        uneven_count += _is_uneven(episode)
     if not total:
         raise DataError("there is no episode to export", fix="choose a version that holds episodes")
     channels = [name for name in shapes if not name.endswith(VALID_SUFFIX)]
     flags = [c + VALID_SUFFIX for c in channels if counts[c] < total or c + VALID_SUFFIX in shapes]
     layout = {name: shapes.get(name, ()) for name in canonical_order(channels + flags)}
-    notes = tuple(_notes(counts, channels, flags, total, uneven))
-    return Survey(layout, rate_hz, names, total, rows, notes, tuple(sorted(clouds)))
+    notes = tuple(_notes(counts, channels, flags, total, uneven_count))
+    return ColumnSurvey(layout, rate_hz, names, total, rows, notes, tuple(sorted(clouds)))
 
 
-def filled(episode: Episode, found: Survey) -> dict[str, NDArray]:
+def filled_columns(episode: Episode, column_survey: ColumnSurvey) -> dict[str, NDArray]:
     """Return every column of the survey as `(T, *shape)`: what an episode lacks is zero and marked as not valid."""
-    made = {}
-    for name, shape in found.columns.items():
+    columns = {}
+    for name, shape in column_survey.columns.items():
         channel = name.removesuffix(VALID_SUFFIX)
         if name in episode.arrays:
-            made[name] = episode.arrays[name]
+            columns[name] = episode.arrays[name]
         elif name == channel:
-            made[name] = np.zeros((len(episode), *shape), CHANNELS[name].dtype)
+            columns[name] = np.zeros((len(episode), *shape), CHANNELS[name].dtype)
         else:
-            made[name] = np.full(len(episode), channel in episode.arrays)
-    return made
+            columns[name] = np.full(len(episode), channel in episode.arrays)
+    return columns
 
 
-def flat(array: NDArray) -> NDArray:
+def as_matrix(array: NDArray) -> NDArray:
     """Return a column as `(T, n)`."""
     return array.reshape(len(array), -1)
 
 
-def state_channels(found: Survey) -> tuple[str, ...]:
-    """Return what the packed state is made of: what the hand knows of itself; without joints, the object's motion."""
-    own = tuple(name for name in _OWN if name in found.columns)
-    if "joint_position" in own:
-        return own
-    return tuple(name for name in ("object_pose", "object_velocity") if name in found.columns)
+def state_channels(column_survey: ColumnSurvey) -> tuple[str, ...]:
+    """Return the channels of the packed state: those of the hand; without joints, those of the object's motion."""
+    hand_channels = tuple(name for name in _HAND_CHANNELS if name in column_survey.columns)
+    if "joint_position" in hand_channels:
+        return hand_channels
+    return tuple(name for name in ("object_pose", "object_velocity") if name in column_survey.columns)
 
 
-def packed_state(arrays: dict[str, NDArray], found: Survey) -> NDArray[np.float32]:
+def packed_state(arrays: dict[str, NDArray], column_survey: ColumnSurvey) -> NDArray[np.float32]:
     """Return `(T, n) float32`: the channels of the state side by side."""
-    return np.concatenate([flat(arrays[name]) for name in state_channels(found)], axis=1, dtype=np.float32)
+    return np.concatenate([as_matrix(arrays[name]) for name in state_channels(column_survey)], axis=1, dtype=np.float32)
 
 
-def state_names(found: Survey) -> list[str]:
+def state_names(column_survey: ColumnSurvey) -> list[str]:
     """Return the names of the packed state's columns."""
     names = []
-    for channel in state_channels(found):
-        names += [f"object.{n}" for n in column_names(channel, found)] if channel in _FIXED else [
-            element + ending for element in element_names(channel, found) for ending in _OWN[channel]
-        ]  # fmt: skip
+    for channel in state_channels(column_survey):
+        names += (
+            [f"object.{n}" for n in column_names(channel, column_survey)]
+            if channel in _FIXED_NAMES
+            else [
+                element + ending
+                for element in element_names(channel, column_survey)
+                for ending in _HAND_CHANNELS[channel]
+            ]
+        )
     return names
 
 
-def column_names(column: str, found: Survey) -> list[str]:
+def column_names(column: str, column_survey: ColumnSurvey) -> list[str]:
     """Return a name for each element of a column's row, row-major."""
-    if column in _FIXED:
-        return list(_FIXED[column])
-    shape = found.layout[column]
+    if column in _FIXED_NAMES:
+        return list(_FIXED_NAMES[column])
+    shape = column_survey.layout[column]
     if not shape:
         return [column]
-    elements = element_names(column, found)
+    elements = element_names(column, column_survey)
     if column == "fingertip_force":
-        return [element + ending for element in elements for ending in _OWN[column]]
+        return [element + ending for element in elements for ending in _HAND_CHANNELS[column]]
     if len(shape) == 1:
         return elements
     return [f"{element}.{k}" for element in elements for k in range(math.prod(shape[1:]))]
 
 
-def element_names(column: str, found: Survey) -> list[str]:
+def element_names(column: str, column_survey: ColumnSurvey) -> list[str]:
     """Return the names of a column's joints, actuators or fingertips; numbered where they have none."""
     symbol = CHANNELS[column].shape[1]
     field, letter = {"J": ("joint_names", "joint"), "A": ("actuator_names", "actuator")}.get(
         str(symbol), ("fingertip_names", "fingertip")
     )
-    count = found.layout[column][0]
-    return list(found.names.get(field, ())) or [f"{letter}{k}" for k in range(count)]
+    count = column_survey.layout[column][0]
+    return list(column_survey.names.get(field, ())) or [f"{letter}{k}" for k in range(count)]
 
 
-def _same(first: dict[str, tuple[object, str]], what: str, value: object, episode: Episode) -> None:
-    """Keep the first value of `what`; raise when a later one differs."""
-    known, whose = first.setdefault(what, (value, episode.meta.id))
-    if known != value:
+def _require_same(first_values: dict[str, tuple[object, str]], fact: str, value: object, episode: Episode) -> None:
+    """Keep the first value of `fact`; raise when a later one differs."""
+    first_value, first_id = first_values.setdefault(fact, (value, episode.meta.id))
+    if first_value != value:
         raise DataError(
-            f"the episodes differ in {what}",
-            expected=f"{known} as in episode {whose}",
+            f"the episodes differ in {fact}",
+            expected=f"{first_value} as in episode {first_id}",
             found=str(value),
             where=Where(episode=episode.meta.id),
             fix="the format has one for all: export them apart, from filtered versions",
@@ -185,16 +191,18 @@ def _same(first: dict[str, tuple[object, str]], what: str, value: object, episod
 def _is_uneven(episode: Episode) -> bool:
     """Tell whether a stamp lies off the beat of the nominal rate."""
     beat = np.arange(len(episode)) / episode.meta.rate_hz
-    return bool((np.abs(episode.time_s - beat) * episode.meta.rate_hz > _UNEVEN).any())
+    return bool((np.abs(episode.time_s - beat) * episode.meta.rate_hz > _UNEVEN_SHARE).any())
 
 
-def _notes(counts: Counter[str], channels: list[str], flags: list[str], total: int, uneven: int) -> Iterable[str]:
+def _notes(counts: Counter[str], channels: list[str], flags: list[str], total: int, uneven_count: int) -> Iterable[str]:
     """Yield what the rows do not tell."""
-    if uneven:
-        yield f"{uneven} of {total} episodes have stamps off the beat of the rate: only time_ns holds the true ones"
+    if uneven_count:
+        yield (
+            f"{uneven_count} of {total} episodes have stamps off the beat of the rate: only time_ns holds the true ones"
+        )
     for name in channels:
         if counts[name] < total:
             yield f"{total - counts[name]} of {total} episodes have no {name}: filled with zeros, marked as not valid"
     if flags:
-        marked = ", ".join(name.removesuffix(VALID_SUFFIX) for name in flags)
-        yield f"rows may be invalid (zero or NaN) in {marked}: mind their flags"
+        flag_list = ", ".join(name.removesuffix(VALID_SUFFIX) for name in flags)
+        yield f"rows may be invalid (zero or NaN) in {flag_list}: mind their flags"

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from candata.errors import CandataError, DataError, MissingExtraError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._by_map import even_time_ns, mapped_episode
-from candata.formats._features import Feature, Pick, asked, picks, wanted
+from candata.formats._features import Feature, Pick, mapped_features, picked_features, picks
 from candata.formats._hdf5_datasets import load, names_in, open_dataset, open_group
 from candata.formats._map_file import read_map_file
-from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restored
+from candata.formats._sidecar import give_clouds, parse_episode, parse_export, restore_episode
 from candata.lfs import refuse_pointer
-from candata.schema.channels import CHANNELS, DENSE
+from candata.schema.channels import CHANNELS, DENSE_CHANNELS
 from candata.schema.episode import Episode
 from candata.schema.exchange import ExportedEpisode, ExportFile, FeatureMap
 from candata.schema.json_text import parse_json
@@ -57,18 +57,18 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
         When h5py is not installed.
     """
     path = find_file(source)
-    with _opened(path) as file:
-        data = _guarded(path, open_group, file, "data", path)
-        names = _guarded(path, lambda: sorted(data, key=_number))
+    with _open_file(path) as file:
+        data = _guard(path, open_group, file, "data", path)
+        names = _guard(path, lambda: sorted(data, key=_number))
         if not names:
             raise DataError("the file holds no demonstration", where=Where(path=str(path)))
-        export = _guarded(path, _export, data, path) if reading.mapping is None else None
+        export = _guard(path, _export, data, path) if reading.mapping is None else None
         if export is not None:
             give_clouds(export, reading, path)
-            keys = {one.column: one.key for one in export.columns}
+            keys = {column.column: column.key for column in export.columns}
             for name in names:
-                demo = _guarded(path, _demo, data, name, path, tuple(keys.values()))
-                yield _restored(demo, keys, path)
+                demo = _guard(path, _demo, data, name, path, tuple(keys.values()))
+                yield _restore_episode(demo, keys, path)
             return
         yield from _by_map(data, names, path, reading)
 
@@ -82,20 +82,20 @@ def find_file(source: Path) -> Path:
         When there is none, or more than one.
     """
     source = Path(source)
-    found = sorted(p for end in ("*.hdf5", "*.h5") for p in source.glob(end)) if source.is_dir() else [source]
-    if len(found) != 1 or not found[0].is_file():
+    files = sorted(p for end in ("*.hdf5", "*.h5") for p in source.glob(end)) if source.is_dir() else [source]
+    if len(files) != 1 or not files[0].is_file():
         raise DataError(
             "there is no robomimic file",
             expected="an HDF5 file, or a folder that holds one",
-            found=", ".join(p.name for p in found) if source.is_dir() and found else "no such file",
+            found=", ".join(p.name for p in files) if source.is_dir() and files else "no such file",
             where=Where(path=str(source)),
         )
-    refuse_pointer(found[0])
-    return found[0]
+    refuse_pointer(files[0])
+    return files[0]
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _open_file(path: Path) -> Iterator[Any]:
     """Yield the open file."""
     try:
         import h5py
@@ -111,14 +111,14 @@ def _opened(path: Path) -> Iterator[Any]:
             where=Where(path=str(path)),
             fix="give the HDF5 file, or name the format that this one is",
         )
-    file = _guarded(path, lambda: h5py.File(path, "r", locking=False))
+    file = _guard(path, lambda: h5py.File(path, "r", locking=False))
     try:
         yield file
     finally:
         file.close()
 
 
-def _guarded(path: Path, action: Callable[..., T], *arguments: Any) -> T:
+def _guard(path: Path, action: Callable[..., T], *arguments: Any) -> T:
     """Return what `action` returns; whatever HDF5 raises over a damaged file becomes one error."""
     try:
         return action(*arguments)
@@ -136,8 +136,8 @@ def _guarded(path: Path, action: Callable[..., T], *arguments: Any) -> T:
 
 def _number(name: str) -> tuple[int, str]:
     """Return the order of a demonstration: `demo_10` comes after `demo_2`."""
-    found = re.fullmatch(r"demo_(\d{1,9})", name)
-    return (int(found.group(1)) if found else -1, name)
+    match = re.fullmatch(r"demo_(\d{1,9})", name)
+    return (int(match.group(1)) if match else -1, name)
 
 
 def _export(data: Any, path: Path) -> ExportFile | None:
@@ -149,44 +149,44 @@ def _export(data: Any, path: Path) -> ExportFile | None:
 def _demo(data: Any, name: str, path: Path, keys: tuple[str, ...]) -> _Demo:
     """Return a demonstration with the datasets of the keys; its others are not opened."""
     group = open_group(data, name, path)
-    datasets = {key: one for key in keys if (one := open_dataset(group, key, path)) is not None}
-    lacking = [key for key in keys if key not in datasets]
-    if lacking:
+    datasets = {key: dataset for key in keys if (dataset := open_dataset(group, key, path)) is not None}
+    missing_keys = [key for key in keys if key not in datasets]
+    if missing_keys:
         raise DataError(
-            f"the demonstration lacks {', '.join(lacking)}",
+            f"the demonstration lacks {', '.join(missing_keys)}",
             expected=", ".join(keys),
             found=", ".join(names_in(group)),
             where=Where(path=str(path), episode=name),
         )
     rows = _rows(group, datasets, name, path)
     value = group.attrs.get(SIDECAR) if SIDECAR in data.attrs else None
-    arrays = {key: load(one, path).reshape(rows, -1) for key, one in datasets.items()}
+    arrays = {key: load(dataset, path).reshape(rows, -1) for key, dataset in datasets.items()}
     return _Demo(name, rows, arrays, None if value is None else parse_episode(value, path))
 
 
 def _rows(group: Any, datasets: Mapping[str, Any], name: str, path: Path) -> int:
     """Return the number of rows of a demonstration, which all datasets that are taken have."""
-    counts = {key: one.shape[0] for key, one in datasets.items()}
-    claimed = group.attrs.get("num_samples")
-    if claimed is not None:
-        counts = {"num_samples": int(claimed)} | counts
-    where = Where(path=str(path), episode=name)
+    counts = {key: dataset.shape[0] for key, dataset in datasets.items()}
+    claimed_rows = group.attrs.get("num_samples")
+    if claimed_rows is not None:
+        counts = {"num_samples": int(claimed_rows)} | counts
+    location = Where(path=str(path), episode=name)
     if not counts or not all(counts.values()):
-        raise DataError("the demonstration is empty", expected="at least 1 row", where=where)
-    known = counts.get("num_samples") or Counter(counts.values()).most_common(1)[0][0]
-    odd = [f"{key}: {count}" for key, count in counts.items() if count != known]
-    if odd:
+        raise DataError("the demonstration is empty", expected="at least 1 row", where=location)
+    row_count = counts.get("num_samples") or Counter(counts.values()).most_common(1)[0][0]
+    mismatches = [f"{key}: {count}" for key, count in counts.items() if count != row_count]
+    if mismatches:
         raise DataError(
             "the datasets of a demonstration differ in length",
-            expected=f"{known} rows, as {next(k for k, c in counts.items() if c == known)} has",
-            found=", ".join(odd),
-            where=where,
+            expected=f"{row_count} rows, as {next(k for k, c in counts.items() if c == row_count)} has",
+            found=", ".join(mismatches),
+            where=location,
             fix="the recording was cut short or is damaged; remove the demonstration, or get the file again",
         )
-    return known
+    return row_count
 
 
-def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
+def _restore_episode(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
     """Return an episode that candata exported."""
     if demo.sidecar is None:
         raise DataError(
@@ -195,17 +195,17 @@ def _restored(demo: _Demo, keys: Mapping[str, str], path: Path) -> Episode:
             where=Where(path=str(path), episode=demo.name),
             fix=f"remove the attribute {SIDECAR} of `data` to import all by their names",
         )
-    return restored(demo.sidecar, {column: demo.arrays[key] for column, key in keys.items()}, path)
+    return restore_episode(demo.sidecar, {column: demo.arrays[key] for column, key in keys.items()}, path)
 
 
 def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes as the map says, or the names."""
-    first = _guarded(path, open_group, data, names[0], path)
-    known = _guarded(path, names_in, first)
-    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(known, path)
-    features = _guarded(path, _features, first, known, asked(mapping, known), path)
-    made = picks(mapping, features, reading.mapping or path)
-    rate_hz = mapping.rate_hz or _guarded(path, _rate_hz, data)
+    first_demo = _guard(path, open_group, data, names[0], path)
+    known_names = _guard(path, names_in, first_demo)
+    mapping = read_map_file(FeatureMap, reading.mapping) if reading.mapping else _guess(known_names, path)
+    features = _guard(path, _features, first_demo, known_names, mapped_features(mapping, known_names), path)
+    channel_picks = picks(mapping, features, reading.mapping or path)
+    rate_hz = mapping.rate_hz or _guard(path, _rate_hz, data)
     if rate_hz is None:
         raise UsageError(
             "the file does not say its rate",
@@ -213,60 +213,60 @@ def _by_map(data: Any, names: list[str], path: Path, reading: Reading) -> Iterat
             where=Where(path=str(path)),
             fix="say it with --map FILE: `rate_hz: 20` beside `channels`",
         )
-    used = wanted(made)
-    left_out = [name for name in known if name not in used]
+    used = picked_features(channel_picks)
+    left_out = [name for name in known_names if name not in used]
     if left_out:
         reading.note(f"left out: {', '.join(left_out)}")
     if reading.mapping is None:
-        kinds = ", ".join(f"{pick.channel} from {wanted([pick])[0]}" for pick in made)
+        kinds = ", ".join(f"{pick.channel} from {picked_features([pick])[0]}" for pick in channel_picks)
         reading.note(f"by their names: {kinds}; units are taken for SI (rad, m, N), as robomimic names none")
     for name in names:
-        demo = _guarded(path, _demo, data, name, path, used)
+        demo = _guard(path, _demo, data, name, path, used)
         identity = f"{path.stem}-{name}"
-        _check_widths(demo, made, Where(path=str(path), episode=identity))
+        _check_widths(demo, channel_picks, Where(path=str(path), episode=identity))
         time_ns = even_time_ns(demo.rows, rate_hz)
-        yield mapped_episode(identity, time_ns, demo.arrays, made, mapping, reading, path, rate_hz=rate_hz)
+        yield mapped_episode(identity, time_ns, demo.arrays, channel_picks, mapping, reading, path, rate_hz=rate_hz)
 
 
-def _features(group: Any, known: Sequence[str], taken: Sequence[str], path: Path) -> list[Feature]:
+def _features(group: Any, known_names: Sequence[str], read_names: Sequence[str], path: Path) -> list[Feature]:
     """Return the features of a demonstration; those that are taken with their columns."""
     widths = {}
-    for name in taken:
-        one = open_dataset(group, name, path)
-        if one is None:
+    for name in read_names:
+        dataset = open_dataset(group, name, path)
+        if dataset is None:
             raise DataError(
                 f"{name} does not hold rows of numbers", expected="a dataset of numbers", where=Where(path=str(path))
             )
-        widths[name] = math.prod(one.shape[1:])
-    return [Feature(name, widths.get(name, 0)) for name in known]
+        widths[name] = math.prod(dataset.shape[1:])
+    return [Feature(name, widths.get(name, 0)) for name in known_names]
 
 
-def _check_widths(demo: _Demo, made: tuple[Pick, ...], where: Where) -> None:
+def _check_widths(demo: _Demo, channel_picks: tuple[Pick, ...], location: Where) -> None:
     """Raise where a demonstration has fewer columns than the first."""
-    for pick in made:
+    for pick in channel_picks:
         for name, columns in pick.parts:
             if max(columns) >= demo.arrays[name].shape[1]:
                 raise DataError(
                     f"{name} has other columns than in the first demonstration",
                     expected=f"at least {max(columns) + 1}",
                     found=str(demo.arrays[name].shape[1]),
-                    where=where,
+                    where=location,
                 )
 
 
-def _guess(known: Sequence[str], path: Path) -> FeatureMap:
+def _guess(known_names: Sequence[str], path: Path) -> FeatureMap:
     """Return the map that the datasets' names imply."""
-    channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known and c not in DENSE}
+    channels = {c: f"obs/{c}" for c in CHANNELS if f"obs/{c}" in known_names and c not in DENSE_CHANNELS}
     for channel, name in _ROBOSUITE.items():
-        if name in known:
+        if name in known_names:
             channels.setdefault(channel, name)
-    if "actions" in known:
+    if "actions" in known_names:
         channels["action"] = "actions"
     if not {"object_pose", "joint_position"} & set(channels):
         raise UsageError(
             "no dataset is known as the joints' position or the object's pose",
             expected="obs/<channel> or obs/robot0_joint_pos",
-            found=", ".join(known),
+            found=", ".join(known_names),
             where=Where(path=str(path)),
             fix="say what is what with --map FILE, such as "
             "`channels: {joint_position: 'obs/my_joints[0:7]', action: actions}`",

@@ -14,9 +14,9 @@ import numpy as np
 
 from candata.errors import MissingExtraError, SetupError, Where
 from candata.formats import Writing
-from candata.formats._packing import Survey, filled, survey
+from candata.formats._packing import ColumnSurvey, filled_columns, survey
 from candata.formats._robomimic_read import SIDECAR
-from candata.formats._sidecar import exported, sidecar, text
+from candata.formats._sidecar import exported_episode, sidecar, text
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Episode
 
@@ -41,33 +41,37 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
         import h5py
     except ImportError:
         raise MissingExtraError("h5py", "formats") from None
-    found = survey(episodes)
+    column_survey = survey(episodes)
     with closing(_Sink(folder / FILE)) as sink:
         try:
             # Attributes beyond 64 KB need the file format of HDF5 1.8.
             with h5py.File(sink, "w", libver=("v108", "v108")) as file:
-                _write_file(file.create_group("data"), episodes, found, writing, sink)
+                _write_file(file.create_group("data"), episodes, column_survey, writing, sink)
         finally:
             sink.require_whole()  # whatever HDF5 made of bytes that the disk has not taken
-    for line in (*found.notes, *_limits(found)):
+    for line in (*column_survey.notes, *_limits(column_survey)):
         writing.note(line)
 
 
-def _write_file(data: Any, episodes: Iterable[Episode], found: Survey, writing: Writing, sink: _Sink) -> None:
+def _write_file(
+    data: Any, episodes: Iterable[Episode], column_survey: ColumnSurvey, writing: Writing, sink: _Sink
+) -> None:
     """Write all demonstrations, their masks, and what tells of them."""
-    data.attrs["total"] = found.rows
-    data.attrs[SIDECAR] = text(sidecar(writing, {name: key_of(name) for name in found.columns}, found.clouds))
+    data.attrs["total"] = column_survey.rows
+    data.attrs[SIDECAR] = text(
+        sidecar(writing, {name: key_of(name) for name in column_survey.columns}, column_survey.clouds)
+    )
     masks: dict[str, list[str]] = {}
     scenes: list[str] = []
     for index, episode in enumerate(episodes):
         name = f"demo_{index}"
-        _write_demo(data.create_group(name), episode, found)
+        _write_demo(data.create_group(name), episode, column_survey)
         masks.setdefault(episode.meta.source, []).append(name)
         sink.require_whole()
         scenes.append(episode.meta.scene or "unknown")
     for source, names in masks.items():
         data.file.create_dataset(f"mask/{source}", data=np.array(names, dtype="S"))
-    data.attrs["env_args"] = _env_args(scenes, found)
+    data.attrs["env_args"] = _env_args(scenes, column_survey)
 
 
 def key_of(column: str) -> str:
@@ -77,28 +81,28 @@ def key_of(column: str) -> str:
     return {"action": "actions", "time_ns": "time_ns"}.get(column, f"obs/{column}")
 
 
-def _write_demo(group: Any, episode: Episode, found: Survey) -> None:
+def _write_demo(group: Any, episode: Episode, column_survey: ColumnSurvey) -> None:
     """Write one demonstration."""
-    for name, array in filled(episode, found).items():
+    for name, array in filled_columns(episode, column_survey).items():
         group.create_dataset(key_of(name), data=array)
     rows = len(episode)
     group.create_dataset("rewards", data=np.zeros(rows))
     group.create_dataset("dones", data=(np.arange(rows) == rows - 1).astype(np.int64))
     group.attrs["num_samples"] = rows
-    group.attrs[SIDECAR] = text(exported(episode))
+    group.attrs[SIDECAR] = text(exported_episode(episode))
 
 
-def _env_args(scenes: list[str], found: Survey) -> str:
+def _env_args(scenes: list[str], column_survey: ColumnSurvey) -> str:
     """Return what robomimic wants to know of the environment."""
     name = ", ".join(dict.fromkeys(scenes))
-    return json.dumps({"env_name": name, "type": _GYM, "env_kwargs": {"control_freq": found.rate_hz}})
+    return json.dumps({"env_name": name, "type": _GYM, "env_kwargs": {"control_freq": column_survey.rate_hz}})
 
 
-def _limits(found: Survey) -> Iterable[str]:
+def _limits(column_survey: ColumnSurvey) -> Iterable[str]:
     """Yield what robomimic's own files have and these have not."""
     yield "rewards are zero and dones mark the last row, as candata keeps neither"
     yield "left out: states, model_file and next_obs; train with hdf5_load_next_obs: false"
-    if "action" not in found.columns:
+    if "action" not in column_survey.columns:
         yield "the episodes have no action, and so the file has no `actions`"
 
 
@@ -123,9 +127,11 @@ class _Sink(io.RawIOBase):
         """
         if self._refused is not None:
             raise SetupError(
-                "the file cannot be written", found=self._refused.strerror, where=Where(path=str(self._path)),
+                "the file cannot be written",
+                found=self._refused.strerror,
+                where=Where(path=str(self._path)),
                 fix="free space, or choose another --out",
-            ) from None  # fmt: skip
+            ) from None
 
     def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
         """Move to a place."""
@@ -138,8 +144,8 @@ class _Sink(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         """Fill the buffer."""
         view, count = memoryview(buffer).cast("B"), 0
-        while count < len(view) and (more := self._file.readinto(view[count:])):
-            count += more
+        while count < len(view) and (read_count := self._file.readinto(view[count:])):
+            count += read_count
         view[count:] = bytes(len(view) - count)
         return len(view)
 

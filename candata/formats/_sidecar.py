@@ -15,7 +15,7 @@ from candata.datasets.clouds import cloud_hash
 from candata.datasets.encode import content_hash, hash_columns, meta_json
 from candata.errors import DataError, Where
 from candata.formats import Reading, Writing
-from candata.formats._assemble import checked
+from candata.formats._assemble import checked_episode
 from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.exchange import SIDECAR_VERSION, ExportedColumn, ExportedEpisode, ExportFile
@@ -23,7 +23,7 @@ from candata.schema.json_text import parse_json
 from candata.schema.text_bounds import TextError
 
 
-def exported(episode: Episode) -> ExportedEpisode:
+def exported_episode(episode: Episode) -> ExportedEpisode:
     """Return what an import needs beside the arrays of an episode."""
     layout = {name: array.shape[1:] for name, array in episode.arrays.items()}
     return ExportedEpisode(meta=episode.meta, rows=len(episode), content_hash=content_hash(episode), layout=layout)
@@ -57,9 +57,9 @@ def give_clouds(export: ExportFile, reading: Reading, path: object) -> None:
         try:
             cloud = np.frombuffer(base64.b64decode(code, validate=True), "<f4").reshape(-1, 3)
         except ValueError as error:
-            raise _altered(str(error), Where(path=str(path), channel="point_cloud")) from None
+            raise _altered_error(str(error), Where(path=str(path), channel="point_cloud")) from None
         if cloud_hash(cloud.astype(np.float32)) != name:
-            raise _altered(f"a cloud that is not {name[:12]}", Where(path=str(path), channel="point_cloud"))
+            raise _altered_error(f"a cloud that is not {name[:12]}", Where(path=str(path), channel="point_cloud"))
         reading.cloud(cloud)
 
 
@@ -78,8 +78,8 @@ def parse_export(value: str | bytes, path: object) -> ExportFile:
     UsageError
         When a field is missing, unknown or wrong.
     """
-    found = json_of(value, path)
-    version = found.get("format_version") if isinstance(found, dict) else None
+    record = json_of(value, path)
+    version = record.get("format_version") if isinstance(record, dict) else None
     if version != SIDECAR_VERSION:
         raise DataError(
             "the sidecar has another version",
@@ -88,7 +88,7 @@ def parse_export(value: str | bytes, path: object) -> ExportFile:
             where=Where(path=str(path)),
             fix="import with the candata that wrote it, or without the sidecar",
         )
-    return ExportFile.parse(found, str(path))
+    return ExportFile.parse(record, str(path))
 
 
 def parse_episode(value: str | bytes, path: object) -> ExportedEpisode:
@@ -120,7 +120,7 @@ def json_of(value: str | bytes, path: object) -> Any:
         ) from None
 
 
-def restored(entry: ExportedEpisode, arrays: Mapping[str, NDArray], path: object) -> Episode:
+def restore_episode(entry: ExportedEpisode, arrays: Mapping[str, NDArray], path: object) -> Episode:
     """Return the episode that was exported, bit for bit.
 
     Parameters
@@ -137,18 +137,18 @@ def restored(entry: ExportedEpisode, arrays: Mapping[str, NDArray], path: object
     DataError
         When an array is missing or of another size, or the content is not what was exported.
     """
-    where = Where(path=str(path), episode=entry.meta.id)
+    location = Where(path=str(path), episode=entry.meta.id)
     try:
-        shaped = {name: _shaped(name, shape, entry.rows, arrays) for name, shape in entry.layout.items()}
+        columns = {name: _reshape(name, shape, entry.rows, arrays) for name, shape in entry.layout.items()}
     except (KeyError, ValueError, MemoryError, OverflowError) as error:
-        raise _altered(f"{type(error).__name__}: {error}", where) from None
-    found = hash_columns(meta_json(entry.meta), shaped)
-    if found != entry.content_hash:
-        raise _altered(f"content {found[:12]}", where, f"content {entry.content_hash[:12]}")
-    return checked(entry.meta, shaped, path)
+        raise _altered_error(f"{type(error).__name__}: {error}", location) from None
+    digest = hash_columns(meta_json(entry.meta), columns)
+    if digest != entry.content_hash:
+        raise _altered_error(f"content {digest[:12]}", location, f"content {entry.content_hash[:12]}")
+    return checked_episode(entry.meta, columns, path)
 
 
-def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, NDArray]) -> NDArray:
+def _reshape(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, NDArray]) -> NDArray:
     """Return a column in the shape it had."""
     flag = name.endswith(VALID_SUFFIX)
     dtype = "bool" if flag else CHANNELS[name].dtype
@@ -158,13 +158,13 @@ def _shaped(name: str, shape: tuple[int, ...], rows: int, arrays: Mapping[str, N
         return arrays[name].reshape(rows, *shape).astype(dtype, copy=False)
 
 
-def _altered(found: str, where: Where, expected: str | None = None) -> DataError:
+def _altered_error(found: str, location: Where, expected: str | None = None) -> DataError:
     """Return the error of an export that was changed after it was written."""
     return DataError(
         "the data are not what was exported",
         expected=expected,
         found=found,
-        where=where,
+        where=location,
         fix="export again; or remove the sidecar to import what is there by its names",
     )
 

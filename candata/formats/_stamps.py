@@ -22,7 +22,7 @@ LATEST_NS = float(2**63)
 _UNITS = dict(zip(align.TIME_UNITS, ("ms", "us", "ns"), strict=True))
 
 
-def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[str], str]) -> NDArray[np.int64]:
+def times_ns(stamps: NDArray, rate_hz: float, location: Where, say_unit: Callable[[str], str]) -> NDArray[np.int64]:
     """Return the times of an episode.
 
     Parameters
@@ -31,7 +31,7 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
         As the file has them.
     rate_hz : float
         Nominal rate.
-    where : Where
+    location : Where
         File and episode, for messages.
     say_unit : callable
         What a user writes to say that the stamps are in a unit: "`units: {t: ms}`".
@@ -47,24 +47,24 @@ def times_ns(stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[
         say; names the row.
     """
     seconds = stamps.astype(np.float64)
-    missing = np.flatnonzero(~np.isfinite(seconds))
-    if len(missing):
+    missing_rows = np.flatnonzero(~np.isfinite(seconds))
+    if len(missing_rows):
         raise DataError(
             "time is missing",
             expected="a number in every row",
-            found=f"{stamps[missing[0]]} ({len(missing)} such rows)",
-            where=dataclasses.replace(where, index=int(missing[0])),
+            found=f"{stamps[missing_rows[0]]} ({len(missing_rows)} such rows)",
+            where=dataclasses.replace(location, index=int(missing_rows[0])),
             fix="drop the rows that have no time",
         )
-    require_resolution(stamps, rate_hz, where)
-    require_rate(stamps, rate_hz, where, say_unit)
-    far = np.flatnonzero(np.abs(seconds) >= LATEST_NS * 1e-9)
-    if len(far):
+    require_resolution(stamps, rate_hz, location)
+    require_rate(stamps, rate_hz, location, say_unit)
+    far_rows = np.flatnonzero(np.abs(seconds) >= LATEST_NS * 1e-9)
+    if len(far_rows):
         raise DataError(
             "time lies further away than ns can say",
             expected="within 292 years of zero",
-            found=f"{stamps[far[0]]} s",
-            where=dataclasses.replace(where, index=int(far[0])),
+            found=f"{stamps[far_rows[0]]} s",
+            where=dataclasses.replace(location, index=int(far_rows[0])),
             fix=f"give the unit of the stamps, such as {say_unit(likely_unit(stamps, rate_hz))}",
         )
     return np.rint(seconds * 1e9).astype(np.int64)
@@ -81,7 +81,7 @@ def likely_unit(stamps: NDArray, rate_hz: float) -> str:
     return (unit_of(float(np.median(steps)) * rate_hz) if len(steps) else None) or "ns"
 
 
-def require_resolution(stamps: NDArray, rate_hz: float, where: Where) -> None:
+def require_resolution(stamps: NDArray, rate_hz: float, location: Where) -> None:
     """Raise when stamps `(T,)` [s] are float32 and so far from zero that it cannot tell two rows apart.
 
     Raises
@@ -98,13 +98,13 @@ def require_resolution(stamps: NDArray, rate_hz: float, where: Where) -> None:
             "time is too coarse",
             expected=f"steps of {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
             found=f"float32, which tells times near {farthest:g} s {coarse_s:g} s apart",
-            where=dataclasses.replace(where, channel="time_ns"),
+            where=dataclasses.replace(location, channel="time_ns"),
             fix="write the stamps as float64, or from the start of each episode",
         )
 
 
 def require_rate(
-    stamps: NDArray, rate_hz: float, where: Where, say_unit: Callable[[str], str], factor: float = RATE_FACTOR
+    stamps: NDArray, rate_hz: float, location: Where, say_unit: Callable[[str], str], factor: float = RATE_FACTOR
 ) -> None:
     """Raise when the median step of stamps `(T,)` [s] is further than `factor` from the rate: their unit is another.
 
@@ -127,6 +127,6 @@ def require_rate(
         "time does not fit the rate",
         expected=f"steps near {1 / rate_hz:g} s (rate_hz: {rate_hz:g})",
         found=f"steps of {step_s:g} s",
-        where=dataclasses.replace(where, channel="time_ns"),
+        where=dataclasses.replace(location, channel="time_ns"),
         fix=fix,
     )

@@ -77,20 +77,20 @@ def find_buffer(source: Path) -> Buffer:
     source = Path(source)
     refuse_pointer(source)
     if source.is_file():
-        return _zipped(source)
+        return _zip_buffer(source)
     version = _version(source) if source.is_dir() else None
     if version is not None:
         return Buffer(source, source, version)
-    inside = sorted(p for p in source.iterdir() if _looks_like_zarr(p)) if source.is_dir() else []
-    if len(inside) != 1:
+    candidates = sorted(p for p in source.iterdir() if _looks_like_zarr(p)) if source.is_dir() else []
+    if len(candidates) != 1:
         raise DataError(
             "there is no Diffusion Policy buffer",
             expected="a zarr group with data/ and meta/, its .zarr.zip, or a folder that holds one of these",
-            found=", ".join(p.name for p in inside) or "no .zgroup and no zarr.json",
+            found=", ".join(p.name for p in candidates) or "no .zgroup and no zarr.json",
             where=Where(path=str(source)),
             fix="give the buffer itself",
         )
-    return find_buffer(inside[0])
+    return find_buffer(candidates[0])
 
 
 def attributes(buffer: Buffer) -> dict[str, Any]:
@@ -111,9 +111,9 @@ def attributes(buffer: Buffer) -> dict[str, Any]:
             data = read_start(file, MOST_BYTES + 1)
     except _ZIP_ERRORS as error:
         raise _unreadable(buffer, place.name, error) from None
-    found = json_of(data, place)  # more bytes than that are refused
-    own = found if buffer.version == 2 or not isinstance(found, dict) else found.get("attributes", {})
-    return own if isinstance(own, dict) else {}
+    record = json_of(data, place)  # more bytes than that are refused
+    values = record if buffer.version == 2 or not isinstance(record, dict) else record.get("attributes", {})
+    return values if isinstance(values, dict) else {}
 
 
 def array_names(buffer: Buffer) -> tuple[str, ...]:
@@ -145,8 +145,8 @@ def open_array(buffer: Buffer, key: str) -> Any:
         _require_files(place.rglob("*"))
     try:
         store: Any = str(buffer.root) if isinstance(buffer.root, Path) else ZipStore(buffer.path, mode="r")
-        inside = key if isinstance(buffer.root, Path) else f"{buffer.root.at}{key}"
-        array: Any = zarr.open_array(store, path=inside, mode="r", zarr_format=buffer.version)
+        store_path = key if isinstance(buffer.root, Path) else f"{buffer.root.at}{key}"
+        array: Any = zarr.open_array(store, path=store_path, mode="r", zarr_format=buffer.version)
     except Exception as error:  # zarr and its codecs raise nearly everything, by where the damage lies
         raise _unreadable(buffer, key, error) from None
     if not array.ndim or np.dtype(array.dtype).kind not in "fiub":
@@ -156,7 +156,7 @@ def open_array(buffer: Buffer, key: str) -> Any:
             found=f"shape {array.shape} of {array.dtype}",
             where=buffer.where,
         )
-    if array.nbytes > _SLACK_BYTES and all(array.nbytes > _LARGEST_GAIN * held for held in _sizes(buffer, key)):
+    if array.nbytes > _SLACK_BYTES and all(array.nbytes > _LARGEST_GAIN * size for size in _sizes(buffer, key)):
         raise DataError(
             "an array claims more than the buffer can hold",
             expected=f"at most {_LARGEST_GAIN} times the bytes of the buffer",
@@ -183,15 +183,15 @@ def episode_rows(buffer: Buffer, key: str, array: Any, ends: Sequence[int]) -> I
     """
     row_bytes = max(width(array) * array.dtype.itemsize, 1)
     step = max(array.chunks[0], _BLOCK_BYTES // row_bytes // array.chunks[0] * array.chunks[0])
-    held, first = np.empty((0, *array.shape[1:]), array.dtype), 0
+    pending_rows, first_row = np.empty((0, *array.shape[1:]), array.dtype), 0
     for start, end in zip([0, *ends], ends, strict=False):
         require_memory((end - start) * width(array) * 8, f"an episode of {key}", buffer.where)
-        parts, last = [held[start - first :]], first + len(held)
-        while last < end:
-            parts.append(read_rows(buffer, key, array, last, min(last + step, array.shape[0])))
-            last += len(parts[-1])
-        held, first = np.concatenate(parts) if len(parts) > 1 else parts[0], start
-        yield held[: end - start].reshape(end - start, -1)
+        parts, next_row = [pending_rows[start - first_row :]], first_row + len(pending_rows)
+        while next_row < end:
+            parts.append(read_rows(buffer, key, array, next_row, min(next_row + step, array.shape[0])))
+            next_row += len(parts[-1])
+        pending_rows, first_row = np.concatenate(parts) if len(parts) > 1 else parts[0], start
+        yield pending_rows[: end - start].reshape(end - start, -1)
 
 
 def read_rows(buffer: Buffer, key: str, array: Any, start: int, stop: int) -> NDArray:
@@ -218,7 +218,7 @@ def _version(root: Tree) -> Literal[2, 3] | None:
     return next((version for version, name in _GROUPS.items() if (root / name).is_file()), None)
 
 
-def _zipped(path: Path) -> Buffer:
+def _zip_buffer(path: Path) -> Buffer:
     """Return the buffer in a zip file: at its top, or in its one folder."""
     try:
         top = zipfile.Path(path)

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.formats import Format, Reading
-from candata.formats._assemble import checked
+from candata.formats._assemble import checked_episode
 from candata.formats._map_file import read_map_file
 from candata.formats._stamps import require_rate
 from candata.lfs import refuse_pointer
@@ -90,15 +90,15 @@ def sequences(source: Path) -> list[Path]:
     """
     if (source / POSES).is_dir():
         return [source]
-    found = sorted(path.parent for path in source.glob(f"*/{POSES}") if path.is_dir())
-    if not found:
+    folders = sorted(path.parent for path in source.glob(f"*/{POSES}") if path.is_dir())
+    if not folders:
         raise DataError(
             "the folder holds no poses of FoundationPose",
             expected=f"{POSES}/ with a .txt file a frame, in it or in its folders",
             found="no such folder" if not source.is_dir() else "none",
             where=Where(path=str(source)),
         )
-    return found
+    return folders
 
 
 def _mapping(reading: Reading) -> FramesMap:
@@ -119,14 +119,14 @@ def _episode(folder: Path, mapping: FramesMap, reading: Reading) -> Episode:
     """Return the episode of one sequence."""
     identity = folder.resolve().name
     frames = _frames(folder)
-    time_ns, rows = _timed(folder, frames, mapping)
-    missing = np.isnan(rows[:, 0, 0])
-    _tell_gaps(folder, time_ns, missing, mapping, reading)
-    poses = _poses(rows, missing, mapping)
+    time_ns, rows = _row_times(folder, frames, mapping)
+    is_missing = np.isnan(rows[:, 0, 0])
+    _tell_gaps(folder, time_ns, is_missing, mapping, reading)
+    poses = _poses(rows, is_missing, mapping)
     arrays: dict[str, NDArray] = {"time_ns": time_ns, "object_pose": poses}
-    invalid = {"object_pose": int(missing.sum())} if missing.any() else {}
+    invalid = {"object_pose": int(is_missing.sum())} if is_missing.any() else {}
     if invalid:
-        arrays["object_pose" + VALID_SUFFIX] = ~missing
+        arrays["object_pose" + VALID_SUFFIX] = ~is_missing
     if mapping.camera_pose is None:
         reading.note(f"{identity}: the map has no camera_pose; the world of these poses is the camera's frame")
     stamps = f"file names in {mapping.stamps}" if mapping.stamps else f"frame numbers at {mapping.rate_hz:g} Hz"
@@ -140,7 +140,7 @@ def _episode(folder: Path, mapping: FramesMap, reading: Reading) -> Episode:
         alignment=Alignment(method=f"FoundationPose, object in {_frame_words(mapping)}; time from {stamps}"),
         invalid_counts=invalid,
     )
-    return checked(meta, arrays, folder)
+    return checked_episode(meta, arrays, folder)
 
 
 def _frame_words(mapping: FramesMap) -> str:
@@ -151,15 +151,15 @@ def _frame_words(mapping: FramesMap) -> str:
 def _frames(folder: Path) -> Frames:
     """Return the frames of a sequence; those of which only the picture is there hold NaN."""
     files = {_number(path): path for path in sorted((folder / POSES).glob("*.txt"))}
-    where = Where(path=str(folder / POSES))
+    location = Where(path=str(folder / POSES))
     if not files:
-        raise DataError("the folder holds no poses", expected="a .txt file a frame", found="none", where=where)
+        raise DataError("the folder holds no poses", expected="a .txt file a frame", found="none", where=location)
     if len(files) < len(list((folder / POSES).glob("*.txt"))):
-        raise DataError("two frames bear one number", expected="each number once", where=where)
+        raise DataError("two frames bear one number", expected="each number once", where=location)
     pictures = {_number(path) for path in (folder / PICTURES).glob("*") if path.is_file()}
     numbers = sorted(pictures | set(files))
-    nothing = np.full((4, 4), np.nan)
-    matrices = [_matrix(files[number]) if number in files else nothing for number in numbers]
+    no_matrix = np.full((4, 4), np.nan)
+    matrices = [_matrix(files[number]) if number in files else no_matrix for number in numbers]
     return Frames(np.array(numbers, np.int64), np.stack(matrices))
 
 
@@ -167,8 +167,12 @@ def _number(path: Path) -> int:
     """Return the number that ends a file's name."""
     digits = re.search(r"([0-9]{1,19})$", path.stem)
     if digits is None or int(digits.group(1)) > np.iinfo(np.int64).max:
-        raise DataError("a frame's name does not end in its number", expected="such as 0000123.txt", found=path.name,
-                        where=Where(path=str(path)))  # fmt: skip
+        raise DataError(
+            "a frame's name does not end in its number",
+            expected="such as 0000123.txt",
+            found=path.name,
+            where=Where(path=str(path)),
+        )
     return int(digits.group(1))
 
 
@@ -186,57 +190,63 @@ def _bytes(path: Path) -> bytes:
 
 def _matrix(path: Path) -> NDArray[np.float64]:
     """Return the matrix of a frame `(4, 4)`; NaN where it holds one."""
-    where = Where(path=str(path))
+    location = Where(path=str(path))
     try:
         values = [float(word) for word in _bytes(path).decode().split()]
     except ValueError:
         raise DataError(
-            f"frame {path.stem} holds no matrix", expected="16 numbers", found="other text", where=where
+            f"frame {path.stem} holds no matrix", expected="16 numbers", found="other text", where=location
         ) from None
     if len(values) != 16:
-        raise DataError(f"frame {path.stem} holds no 4 x 4 matrix", expected="16 numbers", found=str(len(values)),
-                        where=where)  # fmt: skip
+        raise DataError(
+            f"frame {path.stem} holds no 4 x 4 matrix", expected="16 numbers", found=str(len(values)), where=location
+        )
     matrix = np.array(values).reshape(4, 4)
     if not np.isfinite(matrix).all():
         return np.full((4, 4), np.nan)
-    _require_rigid(matrix, f"frame {path.stem}", DataError, where)
+    _require_rigid(matrix, f"frame {path.stem}", DataError, location)
     return matrix
 
 
 def _require_rigid(
-    matrix: NDArray[np.float64], name: str, kind: type[DataError] | type[UsageError], where: Where
+    matrix: NDArray[np.float64], name: str, kind: type[DataError] | type[UsageError], location: Where
 ) -> None:
     """Refuse a matrix that is no motion of a rigid body."""
     turn = matrix[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(turn.T @ turn - np.eye(3)).max()
+        rotation_error = np.abs(turn.T @ turn - np.eye(3)).max()
     rest = np.abs(matrix[3] - (0, 0, 0, 1)).max()
-    far = np.abs(matrix[:3, 3]).max() > np.finfo(np.float32).max
-    if off <= RIGID_TOLERANCE and rest <= RIGID_TOLERANCE and np.linalg.det(turn) > 0 and not far:
+    is_far = np.abs(matrix[:3, 3]).max() > np.finfo(np.float32).max
+    if rotation_error <= RIGID_TOLERANCE and rest <= RIGID_TOLERANCE and np.linalg.det(turn) > 0 and not is_far:
         return
-    if not off <= RIGID_TOLERANCE:
-        found = f"a rotation that is off by {off:.2g}"
+    if not rotation_error <= RIGID_TOLERANCE:
+        problem = f"a rotation that is off by {rotation_error:.2g}"
     elif not rest <= RIGID_TOLERANCE:
-        found = f"a last row of {' '.join(f'{value:g}' for value in matrix[3])}"
+        problem = f"a last row of {' '.join(f'{value:g}' for value in matrix[3])}"
     else:
-        found = "a position beyond float32" if far else "a mirror image (determinant -1)"
+        problem = "a position beyond float32" if is_far else "a mirror image (determinant -1)"
     raise kind(
         f"{name} is no rigid motion",
         expected=f"a rotation and a position in m, within {RIGID_TOLERANCE:g}; last row 0 0 0 1",
-        found=found,
-        where=where,
+        found=problem,
+        where=location,
     )
 
 
-def _timed(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+def _row_times(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return the time of each row [ns] and its matrix; rows of missing numbers hold NaN."""
-    where, numbers = Where(path=str(folder)), frames.numbers
+    location, numbers = Where(path=str(folder)), frames.numbers
     if mapping.stamps is not None:
         factor = round(TO_SI[mapping.stamps] * 1e9)
-        last = int(numbers[-1])
-        if last * factor > np.iinfo(np.int64).max:
-            raise DataError("the file names are no times", expected=f"times in {mapping.stamps}", found=str(last),
-                            where=where, fix="correct `stamps` in the map")  # fmt: skip
+        last_number = int(numbers[-1])
+        if last_number * factor > np.iinfo(np.int64).max:
+            raise DataError(
+                "the file names are no times",
+                expected=f"times in {mapping.stamps}",
+                found=str(last_number),
+                where=location,
+                fix="correct `stamps` in the map",
+            )
         time_ns = numbers * factor
         names = Where(path=f"{folder}, file names")
         require_rate(time_ns * 1e-9, mapping.rate_hz, names, lambda unit: f"`stamps: {unit}`", _NAMES_FACTOR)
@@ -244,31 +254,38 @@ def _timed(folder: Path, frames: Frames, mapping: FramesMap) -> tuple[NDArray[np
     count = int(numbers[-1] - numbers[0]) + 1
     if count > MOST_ROWS:
         raise DataError(
-            "the frames' numbers lie too far apart", expected=f"at most {MOST_ROWS} frames", found=str(count),
-            where=where, fix="where the names are times, say `stamps: ns` in the map",
-        )  # fmt: skip
+            "the frames' numbers lie too far apart",
+            expected=f"at most {MOST_ROWS} frames",
+            found=str(count),
+            where=location,
+            fix="where the names are times, say `stamps: ns` in the map",
+        )
     rows = np.full((count, 4, 4), np.nan)
     rows[numbers - numbers[0]] = frames.matrices
     return np.round(np.arange(count) * (1e9 / mapping.rate_hz)).astype(np.int64), rows
 
 
 def _tell_gaps(
-    folder: Path, time_ns: NDArray[np.int64], missing: NDArray[np.bool_], mapping: FramesMap, reading: Reading
+    folder: Path, time_ns: NDArray[np.int64], is_missing: NDArray[np.bool_], mapping: FramesMap, reading: Reading
 ) -> None:
     """Refuse frames without a pose, and jumps of the stamps, unless gaps are allowed; then tell of them."""
     steps = np.diff(time_ns)
     jumps = np.flatnonzero(steps > align.MAX_GAP_PERIODS * align.period_ns(time_ns))
-    if missing.all():
-        raise DataError("no frame holds a pose", expected="finite matrices", found=f"{len(missing)} frames without",
-                        where=Where(path=str(folder / POSES)))  # fmt: skip
-    if not missing.any() and not len(jumps):
+    if is_missing.all():
+        raise DataError(
+            "no frame holds a pose",
+            expected="finite matrices",
+            found=f"{len(is_missing)} frames without",
+            where=Where(path=str(folder / POSES)),
+        )
+    if not is_missing.any() and not len(jumps):
         return
-    words = [f"{int(missing.sum())} of {len(missing)} frames without a pose"] if missing.any() else []
+    words = [f"{int(is_missing.sum())} of {len(is_missing)} frames without a pose"] if is_missing.any() else []
     words += [f"{len(jumps)} jumps of time, by up to {steps.max() * 1e-9:.3f} s"] if len(jumps) else []
     if reading.allow_gaps:
         reading.note(f"{folder.resolve().name}: {'; '.join(words)}")
         return
-    row = int(np.argmax(missing)) if missing.any() else int(jumps[0]) + 1
+    row = int(np.argmax(is_missing)) if is_missing.any() else int(jumps[0]) + 1
     raise DataError(
         "frames are missing",
         expected="a pose in every frame",
@@ -278,16 +295,16 @@ def _tell_gaps(
     )
 
 
-def _poses(rows: NDArray[np.float64], missing: NDArray[np.bool_], mapping: FramesMap) -> NDArray[np.float64]:
+def _poses(rows: NDArray[np.float64], is_missing: NDArray[np.bool_], mapping: FramesMap) -> NDArray[np.float64]:
     """Return `(T, 7)`: position [m] and quaternion w x y z of the rows, NaN where there is none."""
     poses = np.full((len(rows), 7), np.nan)
     camera = np.eye(4) if mapping.camera_pose is None else np.array(mapping.camera_pose)
-    world = camera @ rows[~missing]
+    world = camera @ rows[~is_missing]
     quaternion = Rotation.from_matrix(world[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     # Both signs are one rotation; neighbours take the same, so that nothing jumps.
     flips = np.cumprod(np.where((quaternion[1:] * quaternion[:-1]).sum(axis=1) < 0, -1.0, 1.0))
     quaternion[1:] *= flips[:, None]
-    poses[~missing] = np.c_[world[:, :3, 3], quaternion]
+    poses[~is_missing] = np.c_[world[:, :3, 3], quaternion]
     return poses
 
 

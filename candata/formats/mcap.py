@@ -27,7 +27,7 @@ from candata.formats._map_file import read_map_file
 from candata.formats._mcap_bag import Bag, Recording, metadata, read_bag, recordings
 from candata.formats._mcap_episode import episodes
 from candata.formats._mcap_own import EPISODE, restore
-from candata.formats._mcap_streams import entries, require_topics, stream, wanted
+from candata.formats._mcap_streams import entries, require_topics, stream, topic_requests
 from candata.formats._mcap_suggest import map_text, topics_text
 from candata.formats._mcap_write import write
 from candata.schema.episode import Episode
@@ -47,8 +47,8 @@ def read(source: Path, reading: Reading) -> Iterator[Episode]:
         When the package that decodes a topic is not installed.
     """
     mapping = _mapping(reading)
-    found = recordings(Path(source))
-    for recording in found:
+    all_recordings = recordings(Path(source))
+    for recording in all_recordings:
         if mapping is None and _is_own(recording):
             yield restore(recording.files[0], reading)
         elif mapping is None:
@@ -86,18 +86,18 @@ def _no_map(recording: Recording) -> UsageError:
 
 def _read(recording: Recording, mapping: TopicMap, reading: Reading) -> Iterator[Episode]:
     """Yield the episodes of one recording under a map."""
-    where = Where(path=str(reading.mapping))
-    asked = wanted(mapping, where)
-    listed = entries(mapping, where)
-    bag = read_bag(recording, asked)
+    location = Where(path=str(reading.mapping))
+    requests = topic_requests(mapping, location)
+    channel_entries = entries(mapping, location)
+    bag = read_bag(recording, requests)
     _refuse_damage(recording, bag, reading)
-    require_topics([item.topic for item in asked], bag, recording.where)
-    _tell_left_out(recording, bag, {item.topic for item in asked}, reading)
+    require_topics([item.topic for item in requests], bag, recording.where)
+    _tell_left_out(recording, bag, {item.topic for item in requests}, reading)
     streams = [
         stream(channel, entry, rows, mapping, recording, reading.allow_gaps, reading.note)
-        for (channel, entry), rows in zip(listed, bag.rows, strict=False)
+        for (channel, entry), rows in zip(channel_entries, bag.rows, strict=False)
     ]
-    marks = bag.rows[-1] if len(bag.rows) > len(listed) else []
+    marks = bag.rows[-1] if len(bag.rows) > len(channel_entries) else []
     yield from episodes(recording, streams, marks, mapping, reading)
 
 
@@ -117,15 +117,15 @@ def _refuse_damage(recording: Recording, bag: Bag, reading: Reading) -> None:
         reading.note(f"damaged: {line}; what can be read is imported")
 
 
-def _tell_left_out(recording: Recording, bag: Bag, taken: set[str], reading: Reading) -> None:
+def _tell_left_out(recording: Recording, bag: Bag, mapped_topics: set[str], reading: Reading) -> None:
     """Tell which topics the map leaves out."""
-    left = [
+    unmapped_texts = [
         f"{name} ({topic.kind or 'no schema'}, {f'{topic.count} messages' if topic.count else 'empty'})"
         for name, topic in sorted(bag.topics.items())
-        if name not in taken
+        if name not in mapped_topics
     ]
-    if left:
-        reading.note(f"{recording.name}: left out, not in the map: {', '.join(left)}")
+    if unmapped_texts:
+        reading.note(f"{recording.name}: left out, not in the map: {', '.join(unmapped_texts)}")
 
 
 FORMAT = Format(

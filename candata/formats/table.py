@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
 from candata.formats import Format
-from candata.formats._assemble import checked, gather
+from candata.formats._assemble import checked_episode, gather
 from candata.formats._columns import check_lengths, numbers, read_columns, require_file
-from candata.formats._features import Pick, blocks, names_of, wanted
+from candata.formats._features import Pick, blocks, names_of, picked_features
 from candata.formats._mapping import check_channels, read_map, time_factor
 from candata.formats._stamps import LATEST_NS, likely_unit, require_rate, require_resolution
 from candata.formats._table_map import flat_entries, table_picks
@@ -66,9 +66,9 @@ def read_mapped(
         When the table is, or an episode in it.
     """
     _check_map(mapping, map_path or path)
-    named = [mapping.time_s] if mapping.episode is None else [mapping.time_s, mapping.episode]
-    entries = [entry for listed in mapping.channels.values() for entry in flat_entries(listed)]
-    columns = read_columns(path, named, entries)
+    key_columns = [mapping.time_s] if mapping.episode is None else [mapping.time_s, mapping.episode]
+    entries = [entry for channel_entries in mapping.channels.values() for entry in flat_entries(channel_entries)]
+    columns = read_columns(path, key_columns, entries)
     yield from episodes(mapping, columns, path, allow_gaps, map_path)
 
 
@@ -90,15 +90,15 @@ def digest(source: Path) -> str:
         with path.open("rb") as file:
             data = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
-        where = Where(path=str(path))
-        raise DataError("the table cannot be read", found=error.strerror, where=where) from None
+        location = Where(path=str(path))
+        raise DataError("the table cannot be read", found=error.strerror, where=location) from None
     return map_digest(mapping, data)
 
 
 def map_digest(mapping: TableMap, data_digest: str) -> str:
     """Return the sha256 over a map and the digest of the data it is applied to."""
-    unused = {name for name in _LATER_FIELDS if name not in mapping.model_fields_set}
-    return hashlib.sha256(f"{mapping.model_dump_json(exclude=unused)}\n{data_digest}".encode()).hexdigest()
+    default_fields = {name for name in _LATER_FIELDS if name not in mapping.model_fields_set}
+    return hashlib.sha256(f"{mapping.model_dump_json(exclude=default_fields)}\n{data_digest}".encode()).hexdigest()
 
 
 def episodes(
@@ -124,12 +124,14 @@ def episodes(
     DataError
         When a column is, or an episode.
     """
-    made = table_picks(mapping, columns, map_path or path)
+    channel_picks = table_picks(mapping, columns, map_path or path)
     check_lengths(columns, path)
     time_ns = _time_ns(columns[mapping.time_s], time_factor(mapping, path), mapping, path)
-    flags = {name for pick in made if CHANNELS[pick.channel].dtype == "bool" for name, _ in pick.parts}
-    values = {c: numbers(columns[c], c, path, c in flags).reshape(len(time_ns), -1) for c in wanted(made)}
-    table = _Table(mapping, made, time_ns, values, path, allow_gaps)
+    flags = {name for pick in channel_picks if CHANNELS[pick.channel].dtype == "bool" for name, _ in pick.parts}
+    values = {
+        c: numbers(columns[c], c, path, c in flags).reshape(len(time_ns), -1) for c in picked_features(channel_picks)
+    }
+    table = _Table(mapping, channel_picks, time_ns, values, path, allow_gaps)
     for label, rows in _groups(mapping, columns, len(time_ns), path):
         yield _episode(table, rows, path.stem if label is None else f"{path.stem}-{label}")
 
@@ -171,65 +173,65 @@ def _groups(
             found=f"{labels[0]!r}"[:80],
             where=Where(path=str(path)),
         )
-    missing = [k for k, v in enumerate(labels) if v is None or v != v] if labels.dtype.kind in "fO" else []
-    if missing:
+    empty_rows = [k for k, v in enumerate(labels) if v is None or v != v] if labels.dtype.kind in "fO" else []
+    if empty_rows:
         raise DataError(
             f"column {mapping.episode} does not name an episode",
             expected="a value in every row",
             found="an empty cell",
-            where=Where(path=str(path), index=missing[0]),
+            where=Where(path=str(path), index=empty_rows[0]),
         )
-    broken = np.flatnonzero(labels.dtype.kind == "f" and labels != np.rint(labels))
-    if broken.size:
+    fractional_rows = np.flatnonzero(labels.dtype.kind == "f" and labels != np.rint(labels))
+    if fractional_rows.size:
         raise DataError(
             f"column {mapping.episode} does not name an episode",
             expected="whole numbers or texts",
-            found=f"{labels[broken[0]]}",
-            where=Where(path=str(path), index=int(broken[0])),
+            found=f"{labels[fractional_rows[0]]}",
+            where=Where(path=str(path), index=int(fractional_rows[0])),
             fix="give the column that numbers the episodes, or leave `episode` out for one episode",
         )
-    known, first, inverse = np.unique(labels, return_index=True, return_inverse=True)
+    unique_labels, first_rows, inverse = np.unique(labels, return_index=True, return_inverse=True)
     by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse))[:-1])
-    for k in np.argsort(first):
-        value = known[k]
-        whole = labels.dtype.kind == "f"
-        yield str(int(value) if whole else value), by_label[k]
+    for k in np.argsort(first_rows):
+        value = unique_labels[k]
+        is_float = labels.dtype.kind == "f"
+        yield str(int(value) if is_float else value), by_label[k]
 
 
 def _time_ns(values: NDArray, factor: float, mapping: TableMap, path: Path) -> NDArray[np.int64]:
     """Return `(T,) int64 [ns]`; whole numbers stay exact."""
     column = mapping.time_s
-    missing: NDArray[np.bool_]
+    is_missing: NDArray[np.bool_]
     if values.dtype.kind == "M":
-        missing = np.isnat(values)
+        is_missing = np.isnat(values)
         stamps = values.astype("datetime64[ns]")
-        time_ns, far = stamps.astype(np.int64), ~missing & (stamps.astype(values.dtype) != values)
+        time_ns, is_far = stamps.astype(np.int64), ~is_missing & (stamps.astype(values.dtype) != values)
     elif values.dtype.kind in "iu":
-        missing, whole = np.zeros(len(values), bool), round(factor * 1e9)
-        far = np.abs(values.astype(np.float64)) * whole >= LATEST_NS
-        time_ns = np.where(far, 0, values).astype(np.int64) * whole
+        is_missing, unit_ns = np.zeros(len(values), bool), round(factor * 1e9)
+        is_far = np.abs(values.astype(np.float64)) * unit_ns >= LATEST_NS
+        time_ns = np.where(is_far, 0, values).astype(np.int64) * unit_ns
     else:
         seconds = numbers(values, column, path) * factor
         if values.dtype == np.float32:
             require_resolution(seconds.astype(np.float32), mapping.rate_hz, Where(path=str(path)))
-        missing = ~np.isfinite(seconds)
-        far = ~missing & (np.abs(seconds) >= LATEST_NS * 1e-9)
-        time_ns = np.rint(np.where(missing | far, 0.0, seconds) * 1e9).astype(np.int64)
-    if missing.any():
+        is_missing = ~np.isfinite(seconds)
+        is_far = ~is_missing & (np.abs(seconds) >= LATEST_NS * 1e-9)
+        time_ns = np.rint(np.where(is_missing | is_far, 0.0, seconds) * 1e9).astype(np.int64)
+    if is_missing.any():
         raise DataError(
             "time is missing",
             expected="a number in every row",
-            found=f"{missing.sum()} rows without",
-            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(missing))),
+            found=f"{is_missing.sum()} rows without",
+            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(is_missing))),
             fix="drop the rows that have no time",
         )
-    if far.any():
+    if is_far.any():
         unit = likely_unit(values * factor, mapping.rate_hz) if values.dtype.kind in "iuf" else "ns"
         raise DataError(
             "time lies further away than ns can say",
             expected="within 292 years of zero",
-            found=str(values[far][0]),
-            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(far))),
+            found=str(values[is_far][0]),
+            where=Where(path=str(path), channel="time_ns", index=int(np.argmax(is_far))),
             fix=f"give the unit of the time column, such as units: {{{column}: {unit}}}",
         )
     return time_ns
@@ -237,11 +239,13 @@ def _time_ns(values: NDArray, factor: float, mapping: TableMap, path: Path) -> N
 
 def _episode(table: _Table, rows: NDArray[np.intp], identity: str) -> Episode:
     """Return one checked episode; a problem in it also names the file."""
-    where = Where(path=str(table.path), episode=identity)
-    made = blocks(table.picks, {name: values[rows] for name, values in table.values.items()})
-    found = gather(table.time_ns[rows], made, rows, where, table.allow_gaps)
-    episode = checked(_meta(table, identity, found.rule, found.invalid), found.arrays, table.path)
-    require_rate(episode["time_ns"] * 1e-9, table.mapping.rate_hz, where, table.say_unit)
+    location = Where(path=str(table.path), episode=identity)
+    channel_blocks = blocks(table.picks, {name: values[rows] for name, values in table.values.items()})
+    episode_arrays = gather(table.time_ns[rows], channel_blocks, rows, location, table.allow_gaps)
+    episode = checked_episode(
+        _meta(table, identity, episode_arrays.rule, episode_arrays.invalid), episode_arrays.arrays, table.path
+    )
+    require_rate(episode["time_ns"] * 1e-9, table.mapping.rate_hz, location, table.say_unit)
     return episode
 
 

@@ -35,7 +35,17 @@ from candata.gap.verdict import FEWEST, class_of, unknown, verdict
 from candata.policies import Motion
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile, Value
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Ranked, Report, Symptom, Verdict
+from candata.schema.report import (
+    DiagnosisData,
+    EpisodeCount,
+    Estimate,
+    Gap,
+    NamedEffect,
+    RankedEffect,
+    Report,
+    Symptom,
+    Verdict,
+)
 
 Array = NDArray[np.float64]
 #: Share of what is possible within which a number counts as at its bound. Chosen.
@@ -238,7 +248,7 @@ def _is_at_bound(c: Candidate, u: Array) -> bool:
     return not c.choices and bool(np.any(ends))
 
 
-def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked, ...]:
+def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[RankedEffect, ...]:
     """Return every candidate alone with its held-out gain and a 90 % interval, best first; dead ones last."""
     backing = support(first.fits, first.base, rng)
     out = []
@@ -248,7 +258,7 @@ def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked
         low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
         c, u = fit.members[0]
         out.append(
-            Ranked(
+            RankedEffect(
                 name=c.name,
                 element=c.element,
                 support=round(float(s), 3),
@@ -263,7 +273,7 @@ def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked
         *((d, "best left out") for d in first.idle),
         *((d, "moves nothing in these motions") for d in first.dead),
     ]
-    dead = [Ranked(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
+    dead = [RankedEffect(name=d, support=0.0, held_out_gain=0.0, reason=reason) for d, reason in reasons]
     return (*out, *dead)
 
 
@@ -278,7 +288,7 @@ def too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
     proposed, motion = more(scene, recs, FEWEST)
     report = Report(
         verdict="too_little_data",
-        data=DataUsed(
+        data=DiagnosisData(
             dataset=title(dataset),
             episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
             channels=tuple(recs.readings),

@@ -9,14 +9,14 @@ from candata.datasets import Dataset
 from candata.gap.folds import FOLDS
 from candata.gap.search import Problem
 from candata.scenes import Scene
-from candata.schema.report import DataUsed, EpisodeCount
+from candata.schema.report import DiagnosisData, EpisodeCount
 
 
-def data_used(dataset: Dataset, problem: Problem, total: int, held_out: int) -> DataUsed:
+def data_used(dataset: Dataset, problem: Problem, total: int, held_out: int) -> DiagnosisData:
     """Return what was looked at: `total` episodes, of which `problem` was searched on and `held_out` measured on."""
     searched = len(problem.recs)
     apart = [f"effects searched on {searched} episodes, measured on the other {held_out}"] * (total > searched)
-    return DataUsed(
+    return DiagnosisData(
         dataset=title(dataset),
         episodes=EpisodeCount(total=total, folds=FOLDS, held_out=held_out),
         floor=problem.floor_kind,

@@ -27,7 +27,7 @@ from candata.gap.shrink import HeldOut, gap, held_out, measures
 from candata.gap.stage import Stage, unheld
 from candata.scenes import Scene
 from candata.schema.effect import EffectsFile
-from candata.schema.report import DataUsed, EpisodeCount, Ranked, Report, Symptom, Unknown
+from candata.schema.report import DiagnosisData, EpisodeCount, RankedEffect, Report, Symptom, UnknownCause
 
 #: Said of an effect that was not looked at.
 NOT_LOOKED_AT = "not looked at: the budget was spent"
@@ -90,8 +90,8 @@ def _nothing_compared(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budg
     recs = sofar.recs
     report = Report(
         verdict="out_of_budget",
-        unknown=Unknown(words=f"Nothing was compared: the budget was spent at the step {_doing(sofar)!r}"),
-        data=DataUsed(
+        unknown=UnknownCause(words=f"Nothing was compared: the budget was spent at the step {_doing(sofar)!r}"),
+        data=DiagnosisData(
             dataset=title(dataset),
             episodes=EpisodeCount(total=len(recs) if recs else len(dataset), folds=0, held_out=0),
             channels=tuple(recs.readings) if recs else (),
@@ -122,15 +122,15 @@ def _looked_at(problem: Problem) -> tuple[Stage, tuple[str, ...]]:
     return stage, tuple(c.label for c in asked if c.label not in told)
 
 
-def _unseen(labels: Sequence[str]) -> tuple[Ranked, ...]:
+def _unseen(labels: Sequence[str]) -> tuple[RankedEffect, ...]:
     """Return the ranking of candidates that were not looked at."""
-    return tuple(Ranked(name=label, support=0.0, held_out_gain=0.0, reason=NOT_LOOKED_AT) for label in labels)
+    return tuple(RankedEffect(name=label, support=0.0, held_out_gain=0.0, reason=NOT_LOOKED_AT) for label in labels)
 
 
-def _unknown(problem: Problem, words: str, held: HeldOut, where: Sequence[Symptom]) -> Unknown:
+def _unknown(problem: Problem, words: str, held: HeldOut, where: Sequence[Symptom]) -> UnknownCause:
     """Return what is not known yet, in words, and where it shows."""
     size, unit = typical_size(problem, held, False, where[0]) if where else (None, None)
-    return Unknown(
+    return UnknownCause(
         acts_on=acts_on(where, slides(problem.replayer.scene)),  # type: ignore[arg-type]
         element=where[0].element if where else None,
         size=size,

@@ -17,7 +17,7 @@ from candata.gap.shrink import trust
 from candata.gap.stopgap import Stopgap, stopgap
 from candata.gap.suspects import Suspect
 from candata.gap.verdict import DOUBTED
-from candata.schema.report import Gap, Symptom, Unknown
+from candata.schema.report import Gap, Symptom, UnknownCause
 
 Array = NDArray[np.float64]
 #: Gives a force when it is first asked for.
@@ -47,7 +47,7 @@ class Described:
         Empty where no force mends it.
     """
 
-    unknown: Unknown
+    unknown: UnknownCause
     stopgap: EffectSet
 
 
@@ -134,7 +134,7 @@ def outdoing(
     return described(found, (), where, nearest) if alike else None
 
 
-def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest: str | None) -> Unknown:
+def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest: str | None) -> UnknownCause:
     """Return the record of what was found."""
     suspect = best.suspects[0]
     force, size = _typical(best)
@@ -144,7 +144,7 @@ def _unknown(problem: Problem, best: Stopgap, where: Sequence[Symptom], nearest:
         text += f"; {_means(suspect)} fitted to it closes {100 * closed:.0f} % of the gap on held-out episodes"
     if nearest is not None:
         text += f"; the nearest effect of the library is {nearest}, which does not explain it"
-    return Unknown(
+    return UnknownCause(
         acts_on=suspect.place,
         element=suspect.element if suspect.place != "object" and len(best.suspects) == 1 else None,
         size=float(f"{size:.3g}"),

@@ -8,7 +8,7 @@ from candata.gap.attribute import Attribution
 from candata.gap.search import Fit, Members
 from candata.gap.shrink import REMAINING, trust
 from candata.gap.worth import LARGEST, searched
-from candata.schema.report import Gap, Symptom, Unknown, Verdict
+from candata.schema.report import Gap, Symptom, UnknownCause, Verdict
 
 #: Share of the gap that must close for `explained`, and for naming anything.
 EXPLAINED, PARTLY = 0.8, 0.3
@@ -60,13 +60,13 @@ def unknown(
     place: str | None,
     size: float | None,
     unit: str | None,
-) -> Unknown | None:
+) -> UnknownCause | None:
     """Return what is not known: filled for `unknown_effect` and `partly_explained`."""
     if word not in ("unknown_effect", "partly_explained"):
         return None
     depends = tuple(dict.fromkeys(s.phase for s in where if s.phase))[:3]
     element = where[0].element if where else None
-    return Unknown(
+    return UnknownCause(
         acts_on=place,  # type: ignore[arg-type]
         element=element,
         size=size,

@@ -6,10 +6,10 @@ from candata.loaders.carrying import carry_splits
 from candata.loaders.feed import Windows, windows
 from candata.loaders.gather import Feed, Gather, batches
 from candata.loaders.increments import integrate
-from candata.loaders.mixing import Mixed, common_channels, mix
-from candata.loaders.normaliser import METHODS, Normaliser, Scale, normalised
+from candata.loaders.mixing import MixedWindows, common_channels, mix
+from candata.loaders.normaliser import METHODS, Normaliser, Scale, normalise_batch
 from candata.loaders.sampling import Sampler, noise
-from candata.loaders.shares import Effective, Mixture, parse_mixture, told
+from candata.loaders.shares import Effective, Mixture, parse_mixture, share_report
 from candata.loaders.splits import Split, find_split, load_split, make_split, save_split, split_digest, split_names
 from candata.loaders.tensors import as_tensors
 
@@ -20,7 +20,7 @@ __all__ = [
     "Effective",
     "Feed",
     "Gather",
-    "Mixed",
+    "MixedWindows",
     "Mixture",
     "Normaliser",
     "Sampler",
@@ -38,12 +38,12 @@ __all__ = [
     "make_split",
     "mix",
     "noise",
-    "normalised",
+    "normalise_batch",
     "open_cache",
     "parse_mixture",
     "save_split",
+    "share_report",
     "split_digest",
     "split_names",
-    "told",
     "windows",
 ]

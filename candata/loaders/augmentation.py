@@ -13,7 +13,7 @@ from candata.schema.record import Record
 
 
 class Augmentation(Record):
-    """How much noise; all off by default.
+    """Amounts of noise; all off by default.
 
     The paper perturbs poses and commands while it simulates and gives no numbers; here recorded windows are perturbed,
     so that what a disturbance does to the object later is not in them: `candata generate-sim` with effects has it.
@@ -34,12 +34,12 @@ class Augmentation(Record):
     command: float = Field(default=0.0, ge=0, allow_inf_nan=False)
 
     @property
-    def off(self) -> bool:
+    def is_off(self) -> bool:
         """Whether nothing is perturbed."""
         return not (self.position_m or self.rotation_rad or self.command)
 
 
-def augment(batch: Mapping[str, Array], how: Augmentation, rng: np.random.Generator) -> Batch:
+def augment(batch: Mapping[str, Array], augmentation: Augmentation, rng: np.random.Generator) -> Batch:
     """Return the batch with noise; the one given stays as it is.
 
     - The pose of the object: one shift d and one turn delta a window, the same for all rows of past and
@@ -54,24 +54,26 @@ def augment(batch: Mapping[str, Array], how: Augmentation, rng: np.random.Genera
     ----------
     batch : mapping
         As `Windows.batch` or a resident gather gives it.
-    how : Augmentation
-        How much.
+    augmentation : Augmentation
+        Standard deviations of the noise.
     rng : numpy.random.Generator
         `noise(seed, step, rank)` makes a step's noise a function of these three.
     """
     out = dict(batch)
     turn, shift = (rng.standard_normal((len(batch["history_pad"]), 3)) for _ in range(2))
-    if "history/object_pose" in batch and (how.position_m or how.rotation_rad):
-        matrix, offset = _rigid(how.rotation_rad * turn, how.position_m * shift)
+    if "history/object_pose" in batch and (augmentation.position_m or augmentation.rotation_rad):
+        matrix, offset = _rigid(augmentation.rotation_rad * turn, augmentation.position_m * shift)
         for name in ("history/object_pose", "future/object_pose"):
-            out[name] = batch[name] @ _like(matrix, batch[name]) + _like(offset, batch[name])
-    if "history/action" in batch and how.command:
-        past = batch["history/action"].shape[1]
-        count, rows, width = len(turn), past + batch["future/action"].shape[1], batch["history/action"].shape[2]
-        added = _like(how.command * rng.standard_normal((count, rows, width), np.float32), batch["history/action"])
-        for name, part in (("history", added[:, :past]), ("future", added[:, past:])):
+            out[name] = batch[name] @ _array_like(matrix, batch[name]) + _array_like(offset, batch[name])
+    if "history/action" in batch and augmentation.command:
+        history_rows = batch["history/action"].shape[1]
+        count, rows, width = len(turn), history_rows + batch["future/action"].shape[1], batch["history/action"].shape[2]
+        action_noise = _array_like(
+            augmentation.command * rng.standard_normal((count, rows, width), np.float32), batch["history/action"]
+        )
+        for name, part in (("history", action_noise[:, :history_rows]), ("future", action_noise[:, history_rows:])):
             out[f"{name}/action"] = batch[f"{name}/action"] + part
-        out["planned/action"] = batch["planned/action"] + added[:, past - 1 : -1]
+        out["planned/action"] = batch["planned/action"] + action_noise[:, history_rows - 1 : -1]
     return out
 
 
@@ -84,13 +86,13 @@ def _rigid(turn: Array, shift: Array) -> tuple[Array, Array]:
     w, x, y, z = exp(turn).T
     matrix = np.zeros((len(turn), 7, 7))
     matrix[:, :3, :3] = np.eye(3)
-    right = [[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]]
-    matrix[:, 3:, 3:] = np.moveaxis(np.array(right), -1, 0).transpose(0, 2, 1)
+    right_product = [[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]]
+    matrix[:, 3:, 3:] = np.moveaxis(np.array(right_product), -1, 0).transpose(0, 2, 1)
     offset = np.concatenate([shift, np.zeros((len(shift), 4))], axis=1)[:, None]
     return matrix, offset
 
 
-def _like(values: Array, sample: Array) -> Array:
+def _array_like(values: Array, sample: Array) -> Array:
     """Return the values as the kind of array that `sample` is, in its dtype and on its device."""
     if isinstance(sample, np.ndarray):
         return values.astype(sample.dtype)

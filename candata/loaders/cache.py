@@ -104,7 +104,7 @@ def open_cache(
     dataset: Dataset,
     channels: Sequence[str] | None = None,
     folder: Path | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = lambda done_count, total: None,
 ) -> Cache:
     """Return the cache of a version, made now unless a whole one stands.
 
@@ -133,12 +133,12 @@ def open_cache(
     """
     name = f"windows-{_key(dataset, channels)}"
     homes = [folder] if folder else [dataset.path / "cache", user_cache()]
-    found = next((cache for home in homes if (cache := _read(home / name))), None)
-    if found is None:
+    cache = next((candidate for home in homes if (candidate := _read(home / name))), None)
+    if cache is None:
         home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]
         shapes = row_shapes(dataset, None if channels is None else [n for n in channels if n != POINT_CLOUD])
         try:
-            found = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
+            cache = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
         except OSError as error:
             raise SetupError(
                 "the cache cannot be written",
@@ -147,7 +147,7 @@ def open_cache(
                 where=Where(path=str(home)),
                 fix="free space, or name another folder: windows(..., cache=FOLDER)",
             ) from None
-    return found
+    return cache
 
 
 def reopen(folder: Path) -> Cache:
@@ -158,14 +158,14 @@ def reopen(folder: Path) -> Cache:
     DataError
         When it is missing or damaged.
     """
-    found = _read(folder)
-    if found is None:
+    cache = _read(folder)
+    if cache is None:
         raise DataError(
             "the cache is missing or damaged",
             where=Where(path=str(folder)),
             fix="open the windows of the dataset again",
         )
-    return found
+    return cache
 
 
 def _key(dataset: Dataset, channels: Sequence[str] | None) -> str:
@@ -200,7 +200,7 @@ def _hash(file: CacheFile) -> str:
 def _make(dataset: Dataset, shapes: Shapes, clouds: bool, target: Path, progress: Progress) -> Cache:
     """Return the cache at `target`, built aside and given its name when whole."""
     durable.ensure_folder(target.parent)
-    with durable.staged(target.parent) as folder:
+    with durable.staging_folder(target.parent) as folder:
         draft = folder / target.name
         draft.mkdir()
         file = _write(dataset, shapes, clouds, draft, progress)
@@ -212,9 +212,9 @@ def _make(dataset: Dataset, shapes: Shapes, clouds: bool, target: Path, progress
             except OSError:
                 if not target.exists():
                     raise
-            found = _read(target)
-            if found is not None:
-                return found
+            cache = _read(target)
+            if cache is not None:
+                return cache
             _move_aside(target, folder)
 
 
@@ -246,11 +246,11 @@ def _write(dataset: Dataset, shapes: Shapes, clouds: bool, folder: Path, progres
     ends = dict(zip(dataset.ids, np.cumsum(counts).tolist(), strict=True))
     # Read as it lies, not by id: each row group is then decoded once.
     order = sorted(dataset.ids, key=lambda i: (dataset.places[i].part.entry.id, dataset.places[i].position))
-    for done, episode in enumerate(dataset.episodes(order), 1):
+    for done_count, episode in enumerate(dataset.episodes(order), 1):
         part = slice(ends[episode.meta.id] - len(episode), ends[episode.meta.id])
         _fill(episode, rows[part], valid[part])
         stretch[part] = _stretches(episode)
-        progress(done, len(order))
+        progress(done_count, len(order))
     rows.flush()
     del rows
     np.save(folder / VALID, valid, allow_pickle=False)
@@ -278,14 +278,14 @@ def _stretches(episode: Episode) -> NDArray[np.int32]:
 def _fill(episode: Episode, rows: NDArray, valid: NDArray[np.bool_]) -> None:
     """Write an episode's rows in place, gaps held, commands as those that follow their row."""
     for name in rows.dtype.names or ():
-        values, good = episode[name], episode.valid(name)
+        values, is_valid = episode[name], episode.valid(name)
         if name == "action" and episode.meta.action == "previous":
-            values, good = (np.concatenate([x[1:], x[-1:]]) for x in (values, good))
-        rows[name] = values if good.all() else _held(name, values, good)
-        valid &= good
+            values, is_valid = (np.concatenate([x[1:], x[-1:]]) for x in (values, is_valid))
+        rows[name] = values if is_valid.all() else _fill_gaps(name, values, is_valid)
+        valid &= is_valid
 
 
-def _held(name: str, values: NDArray, valid: NDArray[np.bool_]) -> NDArray:
+def _fill_gaps(name: str, values: NDArray, valid: NDArray[np.bool_]) -> NDArray:
     """Return values with each gap filled by the last valid row before it, at the start by the first one.
 
     The rows stay flagged; what is filled in is finite, so that a masked loss stays so.
@@ -295,8 +295,8 @@ def _held(name: str, values: NDArray, valid: NDArray[np.bool_]) -> NDArray:
         if name in QUATERNION:
             rest[:, QUATERNION[name].start] = 1
         return rest
-    last = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    return values[np.where(last < 0, np.argmax(valid), last)]
+    last_valid = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    return values[np.where(last_valid < 0, np.argmax(valid), last_valid)]
 
 
 #: Field of the record to the axis it names.
@@ -305,29 +305,29 @@ _NAMED_AXES = {"joint_names": "J", "actuator_names": "A", "fingertip_names": "F"
 
 def _common_names(dataset: Dataset, meta: list[dict], key: str, axis: str, shapes: Shapes) -> tuple[str, ...]:
     """Return the names of an axis; episodes must agree where a channel has that axis."""
-    found = [tuple(fields.get(key, ())) for fields in meta]
-    other = next((i for i, names in enumerate(found) if names != found[0]), None)
-    if other is None:
-        return found[0]
+    names_by_episode = [tuple(fields.get(key, ())) for fields in meta]
+    mismatch = next((i for i, names in enumerate(names_by_episode) if names != names_by_episode[0]), None)
+    if mismatch is None:
+        return names_by_episode[0]
     if not any(axis in CHANNELS[name].shape for name in shapes):
         return ()
     raise DataError(
         f"episodes differ in their {key.replace('_', ' ')}",
-        expected=f"{', '.join(found[0]) or 'none'} (episode {dataset.ids[0]})",
-        found=", ".join(found[other]) or "none",
-        where=Where(path=str(dataset.path), episode=dataset.ids[other]),
+        expected=f"{', '.join(names_by_episode[0]) or 'none'} (episode {dataset.ids[0]})",
+        found=", ".join(names_by_episode[mismatch]) or "none",
+        where=Where(path=str(dataset.path), episode=dataset.ids[mismatch]),
         fix="keep one hand a dataset, its joints in one order",
     )
 
 
 def _require_clouds(dataset: Dataset, clouds: Sequence[str | None]) -> None:
     """Refuse episodes whose object has no point cloud."""
-    lacking = [name for name, cloud in zip(dataset.ids, clouds, strict=True) if cloud is None]
-    if lacking:
+    ids_without_cloud = [name for name, cloud in zip(dataset.ids, clouds, strict=True) if cloud is None]
+    if ids_without_cloud:
         raise DataError(
             "the dataset lacks point clouds",
             expected=f"a point cloud of the object in all {len(dataset)} episodes",
-            found=f"{len(lacking)} without one",
-            where=Where(path=str(dataset.path), episode=lacking[0], channel=POINT_CLOUD),
+            found=f"{len(ids_without_cloud)} without one",
+            where=Where(path=str(dataset.path), episode=ids_without_cloud[0], channel=POINT_CLOUD),
             fix="generate with a scene that has an object, or take a model without a point cloud",
         )

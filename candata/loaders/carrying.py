@@ -1,7 +1,8 @@
-"""What becomes of stored splits when a dataset is made of others: each episode stays in its group, or it is said why.
+"""Stored splits carried to a dataset made of others: each episode stays in its group, or a note says why.
 
-A split is a list of episodes by name, drawn once; drawing it anew over other episodes would put some that trained a
-model into its test. So a subset keeps who was where, and several datasets give one split only where all tell.
+A split is a list of episodes by name, drawn once. Drawing it anew over other episodes would put some that trained a
+model into its test. So a subset keeps who was in which group, and several datasets give one split only where all
+of them store it.
 """
 
 from __future__ import annotations
@@ -12,8 +13,8 @@ from pathlib import Path
 from candata.datasets import Dataset, open_dataset
 from candata.loaders.splits import GROUPS, Split, load_split, save_split, split_names
 
-#: Episode to group, as one parent tells.
-_Told = Mapping[str, str]
+#: Episode to its group in one parent.
+_GroupByEpisode = Mapping[str, str]
 
 
 def carry_splits(
@@ -36,66 +37,74 @@ def carry_splits(
     """
 
     def carry(root: Path) -> None:
-        made = open_dataset(root)
+        dataset = open_dataset(root)
         for name in sorted({name for parent in parents for name in split_names(parent)}):
-            split = _carried(parents, made, name, prefix)
+            split = _carry_split(parents, dataset, name, prefix)
             if isinstance(split, str):
                 note(f"the split {name} is not carried: {split}; `candata registry split` draws a new one")
                 continue
-            save_split(made, split, name)
-            emptied = [g for g in GROUPS if split.fractions[g] and not split.ids(g)]
+            save_split(dataset, split, name)
+            empty_groups = [g for g in GROUPS if split.fractions[g] and not split.ids(g)]
             counts = ", ".join(f"{group} {len(split.ids(group))}" for group in GROUPS)
-            note(f"the split {name} is carried: {counts}{'; empty now: ' * bool(emptied)}{', '.join(emptied)}")
+            note(
+                f"the split {name} is carried: {counts}{'; empty now: ' * bool(empty_groups)}{', '.join(empty_groups)}"
+            )
 
     return carry
 
 
-def _carried(parents: Sequence[Dataset], made: Dataset, name: str, prefix: bool) -> Split | str:
+def _carry_split(parents: Sequence[Dataset], dataset: Dataset, name: str, prefix: bool) -> Split | str:
     """Return the split of the new dataset; else why there is none."""
-    lacking = [parent.name for parent in parents if name not in split_names(parent)]
-    if lacking:
-        return f"{', '.join(lacking)} {'has' if len(lacking) == 1 else 'have'} none of that name"
+    parents_without_split = [parent.name for parent in parents if name not in split_names(parent)]
+    if parents_without_split:
+        verb = "has" if len(parents_without_split) == 1 else "have"
+        return f"{', '.join(parents_without_split)} {verb} none of that name"
     splits = [load_split(parent, name) for parent in parents]
     groups: dict[str, str] = {}
-    for told in (_told(split, f"{parent.name}-" * prefix) for parent, split in zip(parents, splits, strict=True)):
-        for episode in told.keys() & made.places.keys():
-            if groups.setdefault(episode, told[episode]) != told[episode]:
-                return f"{episode} is in {told[episode]} of one and in {groups[episode]} of another"
-    uncovered = [episode for episode in made.ids if episode not in groups]
-    if not groups or (uncovered and len(parents) > 1):
-        return f"{len(uncovered)} of {len(made)} episodes are in none of its groups, such as {uncovered[0]}"
-    kept = {group: tuple(sorted(e for e, g in groups.items() if g == group)) for group in GROUPS}
-    split = _joined(parents, splits, kept)
-    torn = next(_torn(made, split, groups), None)
-    return split if torn is None else f"{split.by} {torn} would be in two of its groups"
+    for group_of in (
+        _group_by_episode(split, f"{parent.name}-" * prefix) for parent, split in zip(parents, splits, strict=True)
+    ):
+        for episode in group_of.keys() & dataset.places.keys():
+            if groups.setdefault(episode, group_of[episode]) != group_of[episode]:
+                return f"{episode} is in {group_of[episode]} of one and in {groups[episode]} of another"
+    ids_without_group = [episode for episode in dataset.ids if episode not in groups]
+    if not groups or (ids_without_group and len(parents) > 1):
+        count, example = len(ids_without_group), ids_without_group[0]
+        return f"{count} of {len(dataset)} episodes are in none of its groups, such as {example}"
+    ids_by_group = {group: tuple(sorted(e for e, g in groups.items() if g == group)) for group in GROUPS}
+    split = _join_splits(parents, splits, ids_by_group)
+    divided_value = next(_divided_values(dataset, split, groups), None)
+    return split if divided_value is None else f"{split.by} {divided_value} would be in two of its groups"
 
 
-def _told(split: Split, prefix: str) -> _Told:
+def _group_by_episode(split: Split, prefix: str) -> _GroupByEpisode:
     """Return the group of each episode of a split."""
     return {f"{prefix}{episode}": group for group in GROUPS for episode in split.ids(group)}
 
 
-def _joined(parents: Sequence[Dataset], splits: Sequence[Split], kept: Mapping[str, tuple[str, ...]]) -> Split:
+def _join_splits(
+    parents: Sequence[Dataset], splits: Sequence[Split], ids_by_group: Mapping[str, tuple[str, ...]]
+) -> Split:
     """Return the split of these groups; of several splits, each fact of the draw in which they agree."""
-    first = splits[0]
+    first_split = splits[0]
     if len(splits) == 1:
-        return first.model_copy(update=kept)
-    total = sum(map(len, kept.values()))
+        return first_split.model_copy(update=ids_by_group)
+    total = sum(map(len, ids_by_group.values()))
     return Split(
         dataset="+".join(split.dataset for split in splits),
         digest="+".join(split.digest for split in splits),
-        seed=first.seed if all(split.seed == first.seed for split in splits) else None,
-        by=first.by if all(split.by == first.by for split in splits) else None,
-        fractions={group: len(ids) / total for group, ids in kept.items()},
-        **kept,
+        seed=first_split.seed if all(split.seed == first_split.seed for split in splits) else None,
+        by=first_split.by if all(split.by == first_split.by for split in splits) else None,
+        fractions={group: len(ids) / total for group, ids in ids_by_group.items()},
+        **ids_by_group,
     )
 
 
-def _torn(made: Dataset, split: Split, groups: _Told) -> Iterator[str]:
+def _divided_values(dataset: Dataset, split: Split, groups: _GroupByEpisode) -> Iterator[str]:
     """Yield values of the field a split was drawn by that are in two groups."""
     if split.by is None:
         return
-    seen: dict[str, str] = {}
-    for episode, value in zip(made.ids, made.catalog([split.by])[split.by].to_pylist(), strict=True):
-        if episode in groups and seen.setdefault(value, groups[episode]) != groups[episode]:
+    group_by_value: dict[str, str] = {}
+    for episode, value in zip(dataset.ids, dataset.catalog([split.by])[split.by].to_pylist(), strict=True):
+        if episode in groups and group_by_value.setdefault(value, groups[episode]) != groups[episode]:
             yield str(value)

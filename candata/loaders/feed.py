@@ -17,7 +17,7 @@ from candata.loaders.cache import Cache, Progress, open_cache
 from candata.loaders.gather import Batch, Gather, OneStore, host_index
 from candata.loaders.index import Pad, present_rows, strides
 from candata.loaders.layout import known_channels
-from candata.loaders.normaliser import METHODS, SAMPLE, Method, Normaliser, Sample, fitted
+from candata.loaders.normaliser import METHODS, SAMPLE, Method, Normaliser, Sample, fit_normaliser
 from candata.loaders.resident import move
 from candata.loaders.sampling import Sampler
 from candata.loaders.splits import Split, find_split, group_ids
@@ -44,7 +44,7 @@ class Windows:
         Rate of the model's steps.
     stride : (E,) int64
         Native rows a step, by episode.
-    present : (n,) int64
+    present_row : (n,) int64
         Row of the cache that is the present of each window.
     owner : (n,) int64
         Episode of each window, an index into `episode_ids`.
@@ -61,14 +61,14 @@ class Windows:
     horizon: int
     rate_hz: float
     stride: NDArray[np.int64]
-    present: NDArray[np.int64]
+    present_row: NDArray[np.int64]
     owner: NDArray[np.int64]
     fit_episodes: NDArray[np.int64]
     method: Method = "robust"
 
     def __len__(self) -> int:
         """Return the number of windows."""
-        return len(self.present)
+        return len(self.present_row)
 
     def __getitem__(self, number: int) -> Batch:
         """Return one window: a batch without the first axis."""
@@ -117,16 +117,16 @@ class Windows:
 
     @cached_property
     def gather(self) -> Gather:
-        """Where each window lies."""
+        """The place of each window."""
         cache = self.cache
         return Gather(
             channels=self.channels,
-            past=self.history,
+            history=self.history,
             steps=np.arange(1 - self.history, self.horizon + 1),
-            present=self.present,
+            present_row=self.present_row,
             owner=self.owner,
             begin=cache.begin,
-            last=cache.end - 1,
+            last_row=cache.end - 1,
             stride=self.stride,
             columns={"cloud": self._cloud_of},
             valid=None if cache.all_valid else cache.valid,
@@ -137,7 +137,7 @@ class Windows:
 
     def __getstate__(self) -> dict[str, Any]:
         """Send the fields alone to a worker: what is derived from the cache maps the file anew."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -199,16 +199,16 @@ class Windows:
         DataError
             When the file of a cloud is missing or damaged.
         """
-        found = [get_cloud(self.dataset.path, name) for name in self.cloud_names]
-        if not found:
+        clouds = [get_cloud(self.dataset.path, name) for name in self.cloud_names]
+        if not clouds:
             return np.zeros((0, 0, 3), np.float32)
-        points = min(map(len, found))
-        return np.stack([thinned(cloud, points) for cloud in found])
+        points = min(map(len, clouds))
+        return np.stack([thin_cloud(cloud, points) for cloud in clouds])
 
     @cached_property
     def normaliser(self) -> Normaliser:
         """Centre and scale of the float channels and of the pose increments, from the training episodes only."""
-        return fitted(
+        return fit_normaliser(
             self.method,
             self.fit_sample(),
             dataset=self.dataset.name,
@@ -222,24 +222,24 @@ class Windows:
         """Return valid rows and poses of the training episodes, evenly spread: what a normaliser is fitted on."""
         rows = np.concatenate([np.arange(self.cache.begin[e], self.cache.end[e]) for e in self.fit_episodes])
         rows = rows[self.cache.valid[rows]]
-        taken = self.cache.rows.take(rows[:: -(-len(rows) // SAMPLE) or 1])
+        sampled_rows = self.cache.rows.take(rows[:: -(-len(rows) // SAMPLE) or 1])
         if "object_pose" not in self.channels:
-            return Sample(taken, np.empty((0, self.horizon + 1, 7)), np.empty((0, self.horizon), bool))
-        present, owner = present_rows(self.cache, self.fit_episodes, self.stride, 1, self.horizon, 1, pad="both")
-        every = -(-len(present) * (self.horizon + 1) // (2 * SAMPLE)) or 1
-        fit = replace(self, history=1, present=present[::every], owner=owner[::every])
+            return Sample(sampled_rows, np.empty((0, self.horizon + 1, 7)), np.empty((0, self.horizon), bool))
+        present_row, owner = present_rows(self.cache, self.fit_episodes, self.stride, 1, self.horizon, 1, pad="both")
+        every = -(-len(present_row) * (self.horizon + 1) // (2 * SAMPLE)) or 1
+        fit = replace(self, history=1, present_row=present_row[::every], owner=owner[::every])
         batch = fit.batch(np.arange(len(fit)))
         poses = np.concatenate([batch["history/object_pose"], batch["future/object_pose"]], axis=1)
-        flagged = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
-        return Sample(taken, poses, ~(flagged[:, 1:] | flagged[:, :-1]))
+        pad = np.concatenate([batch["history_pad"], batch["future_pad"]], axis=1)
+        return Sample(sampled_rows, poses, ~(pad[:, 1:] | pad[:, :-1]))
 
 
-def thinned(cloud: NDArray[np.float32], points: int) -> NDArray[np.float32]:
+def thin_cloud(cloud: NDArray[np.float32], points: int) -> NDArray[np.float32]:
     """Return `points` of a cloud; the points of a cloud are not in random order."""
     if len(cloud) == points:
         return cloud
-    picked = np.random.default_rng(_THINNING_SEED).choice(len(cloud), points, replace=False)
-    return cloud[np.sort(picked)]
+    point_ids = np.random.default_rng(_THINNING_SEED).choice(len(cloud), points, replace=False)
+    return cloud[np.sort(point_ids)]
 
 
 def windows(
@@ -256,7 +256,7 @@ def windows(
     step: int = 1,
     method: Method = "robust",
     cache: str | Path | None = None,
-    progress: Progress = lambda done, total: None,
+    progress: Progress = lambda done_count, total: None,
 ) -> Windows:
     """Return the windows of a dataset: one at every native row that has a whole horizon ahead.
 
@@ -306,16 +306,18 @@ def windows(
     """
     if method not in METHODS:
         raise UnknownNameError("method of a normaliser", method, METHODS)
-    opened = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
-    wanted = None if channels is None else known_channels(channels)
-    found = find_split(opened, splits) if split is not None or splits is not None else None
-    rows = open_cache(opened, wanted, None if cache is None else Path(cache), progress)
+    version = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    channel_names = None if channels is None else known_channels(channels)
+    active_split = find_split(version, splits) if split is not None or splits is not None else None
+    rows = open_cache(version, channel_names, None if cache is None else Path(cache), progress)
     number = {name: i for i, name in enumerate(rows.file.ids)}
-    training = _numbers(number, group_ids(opened, found, "train") if found else opened.ids)
-    chosen = _numbers(number, group_ids(opened, found, split) if found and split else opened.ids)
-    step_of, rate = strides(rows, np.union1d(training, chosen), rate_hz, stride)
-    present, owner = present_rows(rows, chosen, step_of, history, horizon, step, pad)
-    return Windows(opened, rows, found, history, horizon, rate, step_of, present, owner, training, method)
+    training = _numbers(number, group_ids(version, active_split, "train") if active_split else version.ids)
+    episode_numbers = _numbers(
+        number, group_ids(version, active_split, split) if active_split and split else version.ids
+    )
+    step_of, rate = strides(rows, np.union1d(training, episode_numbers), rate_hz, stride)
+    present_row, owner = present_rows(rows, episode_numbers, step_of, history, horizon, step, pad)
+    return Windows(version, rows, active_split, history, horizon, rate, step_of, present_row, owner, training, method)
 
 
 def _numbers(number: dict[str, int], ids: Sequence[str]) -> NDArray[np.int64]:

@@ -18,7 +18,7 @@ Batch = dict[str, Array]
 
 
 class Feed(Protocol):
-    """What gives batches: windows, a mixture of them, or the resident copy of either."""
+    """A source of batches: windows, a mixture of them, or the resident copy of either."""
 
     def batch(self, numbers: ArrayLike) -> Batch:
         """Return the windows with these numbers."""
@@ -27,19 +27,19 @@ class Feed(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Gather:
-    """Where each window lies, and how rows are taken.
+    """The place of each window, and how its rows are taken.
 
     Attributes
     ----------
     channels : tuple of str
         Channels of a row.
-    past : int
+    history : int
         Rows of the past, the present one included.
     steps : (W,) int64
         Steps from the present, the oldest first.
-    present, owner : (n,) int64
+    present_row, owner : (n,) int64
         Row of the present and number of the episode, by window.
-    begin, last, stride : (E,) int64
+    begin, last_row, stride : (E,) int64
         First and last row, and native rows a step, by episode.
     columns : mapping of str to (E,) int64
         What a batch says of each window's episode beside its number.
@@ -54,12 +54,12 @@ class Gather:
     """
 
     channels: tuple[str, ...]
-    past: int
+    history: int
     steps: Array
-    present: Array
+    present_row: Array
     owner: Array
     begin: Array
-    last: Array
+    last_row: Array
     stride: Array
     columns: Mapping[str, Array]
     valid: Array | None
@@ -69,34 +69,34 @@ class Gather:
 
     def __len__(self) -> int:
         """Return the number of windows."""
-        return len(self.present)
+        return len(self.present_row)
 
     def batch(self, numbers: ArrayLike) -> Batch:
         """Return the windows with these numbers; see `Windows.batch`."""
-        chosen = self.index(numbers)
-        owner, present = self.owner[chosen], self.present[chosen]
+        index = self.index(numbers)
+        owner, present_row = self.owner[index], self.present_row[index]
         begin = self.begin[owner]
-        wanted = present[:, None] + self.steps * self.stride[owner][:, None]
-        rows = wanted.clip(begin[:, None], self.last[owner][:, None])
-        flagged = rows != wanted
+        target_rows = present_row[:, None] + self.steps * self.stride[owner][:, None]
+        rows = target_rows.clip(begin[:, None], self.last_row[owner][:, None])
+        pad = rows != target_rows
         if self.valid is not None:
-            flagged = flagged | ~self.valid[rows]
+            pad = pad | ~self.valid[rows]
         if self.stretch is not None:
-            flagged = flagged | (self.stretch[rows] != self.stretch[present][:, None])
-        out = self._named(self.take(rows))
-        out["history_pad"], out["future_pad"] = flagged[:, : self.past], flagged[:, self.past :]
+            pad = pad | (self.stretch[rows] != self.stretch[present_row][:, None])
+        out = self._split_channels(self.take(rows))
+        out["history_pad"], out["future_pad"] = pad[:, : self.history], pad[:, self.history :]
         out |= {name: values[owner] for name, values in self.columns.items()}
-        out["episode"], out["row"] = owner, present - begin
+        out["episode"], out["row"] = owner, present_row - begin
         return out
 
-    def _named(self, block: Any) -> Batch:
+    def _split_channels(self, block: Any) -> Batch:
         """Return past, future and plan of each channel."""
         out: Batch = {}
         for name in self.channels:
             values = block[name]
-            out[f"history/{name}"], out[f"future/{name}"] = values[:, : self.past], values[:, self.past :]
+            out[f"history/{name}"], out[f"future/{name}"] = values[:, : self.history], values[:, self.history :]
             if name == "action":
-                out["planned/action"] = values[:, self.past - 1 : -1]
+                out["planned/action"] = values[:, self.history - 1 : -1]
         return out
 
 
@@ -111,10 +111,10 @@ class OneStore:
 
     rows: NDArray
 
-    def __call__(self, wanted: NDArray[np.int64]) -> NDArray:
+    def __call__(self, row_ids: NDArray[np.int64]) -> NDArray:
         """Return `(B, W) structured`."""
         # mode="clip" skips a buffered check; the rows are within the episodes by construction.
-        return self.rows.take(wanted, mode="clip")
+        return self.rows.take(row_ids, mode="clip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,20 +123,20 @@ class Stores:
 
     rows: tuple[NDArray, ...]
 
-    def __call__(self, wanted: NDArray[np.int64]) -> NDArray:
+    def __call__(self, row_ids: NDArray[np.int64]) -> NDArray:
         """Return `(B, W) structured`; the rows of one window are of one array."""
         row = self.rows[0].dtype
         # As plain bytes: numpy would copy a structured row field by field.
-        block, first = np.empty(wanted.shape, f"V{row.itemsize}"), 0
+        block, offset = np.empty(row_ids.shape, f"V{row.itemsize}"), 0
         for rows in self.rows:
-            here = np.flatnonzero((wanted[:, 0] >= first) & (wanted[:, 0] < first + len(rows)))
-            block[here] = rows.view(block.dtype).take(wanted[here] - first, mode="clip")
-            first += len(rows)
+            window_ids = np.flatnonzero((row_ids[:, 0] >= offset) & (row_ids[:, 0] < offset + len(rows)))
+            block[window_ids] = rows.view(block.dtype).take(row_ids[window_ids] - offset, mode="clip")
+            offset += len(rows)
         return block.view(row)
 
 
-def batches(feed: Feed, sampler: Sampler, first: int = 0) -> Iterator[Batch]:
-    """Yield the batches of all steps from `first` on, without end: the direct path, without a DataLoader.
+def batches(feed: Feed, sampler: Sampler, first_step: int = 0) -> Iterator[Batch]:
+    """Yield the batches of all steps from `first_step` on, without end: the direct path, without a DataLoader.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def batches(feed: Feed, sampler: Sampler, first: int = 0) -> Iterator[Batch]:
         Windows, a mixture, or the resident copy of either.
     sampler : Sampler
         Which windows a step takes: `feed.sampler(...)`.
-    first : int
+    first_step : int
         Step to begin at; a run that goes on begins where it stopped.
     """
-    return (feed.batch(sampler.indices(step)) for step in count_from(first))
+    return (feed.batch(sampler.indices(step)) for step in count_from(first_step))

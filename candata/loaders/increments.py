@@ -20,23 +20,23 @@ def increments(poses: NDArray) -> NDArray[np.float64]:
     """
     poses = np.asarray(poses, np.float64)
     turn = normalise(poses[..., 3:])
-    moved = np.diff(poses[..., :3], axis=-2)
-    return np.concatenate([moved, difference(turn[..., 1:, :], turn[..., :-1, :])], axis=-1)
+    shift = np.diff(poses[..., :3], axis=-2)
+    return np.concatenate([shift, difference(turn[..., 1:, :], turn[..., :-1, :])], axis=-1)
 
 
-def integrate(present: NDArray, steps: NDArray) -> NDArray[np.float64]:
+def integrate(start_pose: NDArray, steps: NDArray) -> NDArray[np.float64]:
     """Return `(..., H, 7) float64`: the poses that increments lead to, the inverse of `increments`.
 
     Parameters
     ----------
-    present : (..., 7)
+    start_pose : (..., 7)
         Position [m] and unit quaternion w x y z to start from.
     steps : (..., H, 6)
         Increments dp [m] and omega [rad].
     """
-    present, steps = np.asarray(present, np.float64), np.asarray(steps, np.float64)
-    position = present[..., None, :3] + np.cumsum(steps[..., :3], axis=-2)
-    turn, turns = normalise(present[..., 3:]), []
+    start_pose, steps = np.asarray(start_pose, np.float64), np.asarray(steps, np.float64)
+    position = start_pose[..., None, :3] + np.cumsum(steps[..., :3], axis=-2)
+    turn, turns = normalise(start_pose[..., 3:]), []
     for k in range(steps.shape[-2]):
         turn = normalise(multiply(exp(steps[..., k, 3:]), turn))
         turns.append(turn)

@@ -1,4 +1,4 @@
-"""Which rows windows are made of: strides, present rows, padding; numbers only."""
+"""The rows that windows are made of: strides, present rows, padding; numbers only."""
 
 from __future__ import annotations
 
@@ -42,39 +42,38 @@ def strides(cache: Cache, episodes: Numbers, rate_hz: float, stride: int | None)
         When an episode's rate is no whole multiple of the model's.
     """
     native = np.array(cache.file.rate_hz)
-    found = sorted(set(native[episodes].tolist()))
+    rates = sorted(set(native[episodes].tolist()))
     result = np.ones(len(native), np.int64)
     if stride is not None:
         if stride < 1:
             raise UsageError("stride is too small", expected="at least 1", found=str(stride))
-        if len(found) > 1:
-            raise UsageError("a stride needs one rate", found=_rates(found), fix="give rate_hz instead of stride")
+        if len(rates) > 1:
+            raise UsageError("a stride needs one rate", found=_rates(rates), fix="give rate_hz instead of stride")
         result[episodes] = stride
-        return result, found[0] / stride
+        return result, rates[0] / stride
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise UsageError("rate_hz must be positive", found=str(rate_hz))
     ratio = native[episodes] / rate_hz
-    whole = np.round(ratio)
-    bad = np.flatnonzero((whole < 1) | (np.abs(ratio - whole) > RATIO_TOLERANCE * ratio))
-    if len(bad):
-        nearest = max(1, round(found[0] / rate_hz))
-        stride_fix = f"take rate_hz = {found[0] / nearest:.10g}, every row" if nearest == 1 else (
-            f"take rate_hz = {found[0] / nearest:.10g}, every {nearest} rows, or resample when importing"
-        )  # fmt: skip
+    native_rows = np.round(ratio)
+    misfits = np.flatnonzero((native_rows < 1) | (np.abs(ratio - native_rows) > RATIO_TOLERANCE * ratio))
+    if len(misfits):
+        nearest_ratio = max(1, round(rates[0] / rate_hz))
+        every = "every row" if nearest_ratio == 1 else f"every {nearest_ratio} rows, or resample when importing"
+        stride_fix = f"take rate_hz = {rates[0] / nearest_ratio:.10g}, {every}"
         raise DataError(
             "the episodes' rate is no whole multiple of the model's",
             expected=f"a multiple of rate_hz = {rate_hz:g}",
-            found=_rates(found),
-            where=Where(episode=cache.file.ids[episodes[bad[0]]]),
-            fix=stride_fix if len(found) == 1 else "take a rate that divides all of them, or resample when importing",
+            found=_rates(rates),
+            where=Where(episode=cache.file.ids[episodes[misfits[0]]]),
+            fix=stride_fix if len(rates) == 1 else "take a rate that divides all of them, or resample when importing",
         )
-    result[episodes] = whole.astype(np.int64)
+    result[episodes] = native_rows.astype(np.int64)
     return result, float(rate_hz)
 
 
-def _rates(found: list[float]) -> str:
+def _rates(rates: list[float]) -> str:
     """Return the rates for people."""
-    return ", ".join(f"{rate:g} Hz" for rate in found)
+    return ", ".join(f"{rate:g} Hz" for rate in rates)
 
 
 def present_rows(
@@ -111,28 +110,28 @@ def present_rows(
             raise UsageError(f"{name} is too small", expected="at least 1", found=str(value))
     if pad not in PADS:
         raise UnknownNameError("padding", pad, PADS)
-    before = (history - 1) * stride[episodes] if pad == "none" else np.zeros(len(episodes), np.int64)
-    after = (1 if pad == "both" else horizon) * stride[episodes]
-    first, behind = cache.begin[episodes] + before, cache.end[episodes] - after
-    ranges = [np.arange(a, b, step) for a, b in zip(first.tolist(), behind.tolist(), strict=True)]
+    rows_before = (history - 1) * stride[episodes] if pad == "none" else np.zeros(len(episodes), np.int64)
+    rows_after = (1 if pad == "both" else horizon) * stride[episodes]
+    first_row, stop_row = cache.begin[episodes] + rows_before, cache.end[episodes] - rows_after
+    ranges = [np.arange(a, b, step) for a, b in zip(first_row.tolist(), stop_row.tolist(), strict=True)]
     rows = np.concatenate([*ranges, np.empty(0, np.int64)]).astype(np.int64)
     owner = np.repeat(episodes, [len(r) for r in ranges])
     if len(rows) and not cache.all_valid:
-        kept = cache.valid[rows]
-        rows, owner = rows[kept], owner[kept]
+        is_valid = cache.valid[rows]
+        rows, owner = rows[is_valid], owner[is_valid]
     if not len(rows):
-        raise _none(cache, episodes, int((before + after).min()) + 1)
+        raise _no_window_error(cache, episodes, int((rows_before + rows_after).min()) + 1)
     return rows, owner
 
 
-def _none(cache: Cache, episodes: Numbers, needed: int) -> DataError:
+def _no_window_error(cache: Cache, episodes: Numbers, needed_rows: int) -> DataError:
     """Return the error for episodes that hold no window."""
     lengths = np.array(cache.file.rows)[episodes]
-    longest = int(np.argmax(lengths))
+    longest_episode = int(np.argmax(lengths))
     return DataError(
-        "no episode is long enough for a window" if lengths.max() < needed else "no window begins at a valid row",
-        expected=f"at least {needed} rows",
+        "no episode is long enough for a window" if lengths.max() < needed_rows else "no window begins at a valid row",
+        expected=f"at least {needed_rows} rows",
         found=f"{len(lengths)} episodes of {lengths.min()} to {lengths.max()} rows",
-        where=Where(episode=cache.file.ids[episodes[longest]]),
+        where=Where(episode=cache.file.ids[episodes[longest_episode]]),
         fix='take a shorter horizon or a higher rate_hz, or pad="both"',
     )

@@ -24,10 +24,10 @@ POINT_CLOUD = "point_cloud"
 NOT_BY_DEFAULT = {"time_ns", "taxels"}
 
 #: Labels by which episodes are told apart in a message, and how many of them or of ids it names.
-_LABELS, _NAMED = ("source", "scene", "object", "task"), 5
+_LABELS, _NAME_LIMIT = ("source", "scene", "object", "task"), 5
 
 #: Longest expression that a message proposes [characters].
-_LONGEST = 1000
+_EXPRESSION_LIMIT = 1000
 
 #: Channel to its shape without the time axis.
 Shapes = dict[str, tuple[int, ...]]
@@ -35,14 +35,14 @@ Shapes = dict[str, tuple[int, ...]]
 
 def row_dtype(shapes: Shapes) -> np.dtype:
     """Return the structured dtype of a row: a field a channel, C alignment, whole 8-byte words."""
-    packed = np.dtype([(name, CHANNELS[name].dtype, shape) for name, shape in shapes.items()], align=True)
-    fields: Any = packed.fields
+    aligned_dtype = np.dtype([(name, CHANNELS[name].dtype, shape) for name, shape in shapes.items()], align=True)
+    fields: Any = aligned_dtype.fields
     return np.dtype(
         {
             "names": list(shapes),
             "formats": [fields[name][0] for name in shapes],
             "offsets": [fields[name][1] for name in shapes],
-            "itemsize": -(-packed.itemsize // 8) * 8,
+            "itemsize": -(-aligned_dtype.itemsize // 8) * 8,
         }
     )
 
@@ -58,8 +58,8 @@ def known_channels(channels: Sequence[str]) -> tuple[str, ...]:
     for name in channels:
         if name not in CHANNELS and name != POINT_CLOUD:
             raise UnknownNameError("channel", name, [*CHANNELS, POINT_CLOUD])
-    ordered = canonical_order([name for name in set(channels) if name != POINT_CLOUD])
-    return (*ordered, *([POINT_CLOUD] if POINT_CLOUD in channels else []))
+    names = canonical_order([name for name in set(channels) if name != POINT_CLOUD])
+    return (*names, *([POINT_CLOUD] if POINT_CLOUD in channels else []))
 
 
 def row_shapes(dataset: Dataset, channels: Sequence[str] | None) -> Shapes:
@@ -80,36 +80,37 @@ def row_shapes(dataset: Dataset, channels: Sequence[str] | None) -> Shapes:
     """
     layouts = _layouts(dataset)
     if channels is None:
-        common = set.intersection(*(set(layout) for _, layout in layouts)) & (set(CHANNELS) - NOT_BY_DEFAULT)
-        if not common:
+        shared_channels = set.intersection(*(set(layout) for _, layout in layouts)) & (set(CHANNELS) - NOT_BY_DEFAULT)
+        if not shared_channels:
             raise DataError("no channel is common to all episodes", where=Where(path=str(dataset.path)))
-        channels = canonical_order(list(common))
+        channels = canonical_order(list(shared_channels))
     return {name: _common_shape(dataset, layouts, name) for name in channels}
 
 
 def _common_shape(dataset: Dataset, layouts: list[tuple[list[str], Shapes]], name: str) -> tuple[int, ...]:
     """Return the shape of a channel, which every episode must hold alike."""
-    lacking = [episode for ids, layout in layouts if name not in layout for episode in ids]
-    if lacking:
-        held = sorted(set.intersection(*(set(layout) for _, layout in layouts)))
-        some = f"{', '.join(sorted(lacking)[:_NAMED])}{', ...' * (len(lacking) > _NAMED)}"
-        common = ", ".join(n for n in held if not n.endswith(VALID_SUFFIX))
+    ids_without_channel = [episode for ids, layout in layouts if name not in layout for episode in ids]
+    if ids_without_channel:
+        shared_channels = sorted(set.intersection(*(set(layout) for _, layout in layouts)))
+        ending = ", ..." * (len(ids_without_channel) > _NAME_LIMIT)
+        examples = ", ".join(sorted(ids_without_channel)[:_NAME_LIMIT]) + ending
+        channel_list = ", ".join(n for n in shared_channels if not n.endswith(VALID_SUFFIX))
         raise DataError(
             f"the dataset lacks the channel {name}",
             expected=f"{name} in all {len(dataset)} episodes",
-            found=f"{len(lacking)} without it ({some}); all have {common}",
-            where=Where(path=str(dataset.path), episode=lacking[0], channel=name),
-            fix=_leave_out(dataset, frozenset(lacking)) + _remedy(name),
+            found=f"{len(ids_without_channel)} without it ({examples}); all have {channel_list}",
+            where=Where(path=str(dataset.path), episode=ids_without_channel[0], channel=name),
+            fix=_leave_out(dataset, frozenset(ids_without_channel)) + _remedy(name),
         )
     shapes = Counter({layout[name]: len(ids) for ids, layout in layouts})
     if len(shapes) > 1:
-        usual = shapes.most_common(1)[0][0]
-        other = next(episode for ids, layout in layouts if layout[name] != usual for episode in ids)
+        usual_shape = shapes.most_common(1)[0][0]
+        mismatch = next(episode for ids, layout in layouts if layout[name] != usual_shape for episode in ids)
         raise DataError(
             f"episodes differ in the shape of {name}",
-            expected=f"{('T', *usual)} in all episodes",
+            expected=f"{('T', *usual_shape)} in all episodes",
             found=" and ".join(str(("T", *shape)) for shape in sorted(shapes)),
-            where=Where(path=str(dataset.path), episode=other, channel=name),
+            where=Where(path=str(dataset.path), episode=mismatch, channel=name),
             fix="keep one hand a dataset",
         )
     return next(iter(shapes))
@@ -119,26 +120,30 @@ def _leave_out(dataset: Dataset, ids: frozenset[str]) -> str:
     """Return the command that makes a dataset without some episodes, for a message; nothing where none is left."""
     if len(ids) == len(dataset):
         return ""
-    where = _without(dataset, ids)
-    if len(where) > _LONGEST:
+    expression = _filter_expression(dataset, ids)
+    if len(expression) > _EXPRESSION_LIMIT:
         return "leave them out by candata registry filter; or "
-    quoted = shlex.quote(where) if set(where) & set('"$`!\\') else f'"{where}"'
-    return f"leave them out: candata registry filter {shlex.quote(str(dataset.path))} {quoted} --out NEW; or "
+    argument = shlex.quote(expression) if set(expression) & set('"$`!\\') else f'"{expression}"'
+    return f"leave them out: candata registry filter {shlex.quote(str(dataset.path))} {argument} --out NEW; or "
 
 
-def _without(dataset: Dataset, ids: frozenset[str]) -> str:
+def _filter_expression(dataset: Dataset, ids: frozenset[str]) -> str:
     """Return what `registry filter` takes to leave some episodes out: by a label that tells, or else by id."""
     table = dataset.catalog(["id", *_LABELS])
-    gone = [name in ids for name in table["id"].to_pylist()]
+    is_left_out = [name in ids for name in table["id"].to_pylist()]
     for label in _LABELS:
-        values = list(zip(table[label].to_pylist(), gone, strict=True))
-        kept = {value for value, out in values if not out}
-        if None not in kept and not kept & {value for value, out in values if out} and len(kept) <= _NAMED:
-            return f"{label} in ({_quoted(kept)})"
-    return f"id not in ({_quoted(ids)})"
+        values = list(zip(table[label].to_pylist(), is_left_out, strict=True))
+        values_to_keep = {value for value, out in values if not out}
+        if (
+            None not in values_to_keep
+            and not values_to_keep & {value for value, out in values if out}
+            and len(values_to_keep) <= _NAME_LIMIT
+        ):
+            return f"{label} in ({_sql_list(values_to_keep)})"
+    return f"id not in ({_sql_list(ids)})"
 
 
-def _quoted(values: Iterable[str]) -> str:
+def _sql_list(values: Iterable[str]) -> str:
     """Return texts as SQL writes them."""
     return ", ".join("'" + value.replace("'", "''") + "'" for value in sorted(values))
 
@@ -164,7 +169,7 @@ def _part_layout(part: RawPart) -> Shapes:
     """Return the shapes that a part's episodes share."""
     path = part.folder / STEPS
     try:
-        stored = parse_json((pq.read_schema(path).metadata or {})[LAYOUT_KEY])
+        shapes = parse_json((pq.read_schema(path).metadata or {})[LAYOUT_KEY])
     except UNREADABLE as error:
-        raise durable.damaged(path, durable.reason(error)) from None
-    return {name: tuple(shape) for name, shape in stored.items()}
+        raise durable.damaged_error(path, durable.reason(error)) from None
+    return {name: tuple(shape) for name, shape in shapes.items()}

@@ -1,4 +1,4 @@
-"""Mixing: windows of several datasets, say simulated and real ones, in shares that are asked for and reported."""
+"""Mixing: windows of several datasets, such as simulated and real ones, in given shares that are reported."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from candata.datasets import Dataset
 from candata.errors import DataError, UnknownNameError, UsageError, Where
-from candata.loaders.feed import Windows, thinned
+from candata.loaders.feed import Windows, thin_cloud
 from candata.loaders.gather import Batch, Gather, Stores, host_index
 from candata.loaders.layout import row_shapes
-from candata.loaders.normaliser import SAMPLE, Normaliser, Sample, fitted
+from candata.loaders.normaliser import SAMPLE, Normaliser, Sample, fit_normaliser
 from candata.loaders.resident import move
 from candata.loaders.sampling import Sampler
 from candata.loaders.shares import Effective, Mixture, effective, parse_mixture
@@ -23,7 +23,7 @@ from candata.schema.channels import canonical_order
 
 
 @dataclass(frozen=True, eq=False)
-class Mixed:
+class MixedWindows:
     """Windows of several sources, one behind the other; map-style as `Windows`, drawn in shares by `sampler`.
 
     Batches are those of `Windows.batch` with `domain` (B,) int64, an index into `names`; `episode` is an index into
@@ -69,40 +69,44 @@ class Mixed:
 
     def resident(self, device: str) -> Gather:
         """Return a copy on the device that gives the same batches as tensors; see `candata.loaders.resident.move`."""
-        return move(self.gather, [one.cache.rows for one in self.sources], device)
+        return move(self.gather, [source.cache.rows for source in self.sources], device)
 
     def effective(self, sampler: Sampler, steps: int) -> tuple[Effective, ...]:
         """Return what each source really gave in the first `steps` steps, all ranks together."""
-        drawn = sampler.drawn(steps)
-        windows = [len(one) for one in self.sources]
-        unique = [min(pair) for pair in zip(drawn, windows, strict=True)]
-        return effective(self.mixture, windows, [_rows(one) for one in self.sources], drawn, unique)
+        draw_counts = sampler.draw_counts(steps)
+        windows = [len(source) for source in self.sources]
+        unique = [min(pair) for pair in zip(draw_counts, windows, strict=True)]
+        return effective(self.mixture, windows, [_rows(source) for source in self.sources], draw_counts, unique)
 
     @cached_property
     def gather(self) -> Gather:
-        """Where each window lies, the rows of the sources standing one behind the other."""
-        parts = [one.gather for one in self.sources]
-        episodes = [len(one.begin) for one in parts]
-        row = _offsets([len(one.cache.rows) for one in self.sources])
+        """The place of each window, the rows of the sources standing one behind the other."""
+        parts = [source.gather for source in self.sources]
+        episodes = [len(part.begin) for part in parts]
+        row = _offsets([len(source.cache.rows) for source in self.sources])
         return Gather(
             channels=parts[0].channels,
-            past=parts[0].past,
+            history=parts[0].history,
             steps=parts[0].steps,
-            present=_joined([one.present for one in parts], row),
-            owner=_joined([one.owner for one in parts], _offsets(episodes)),
-            begin=_joined([one.begin for one in parts], row),
-            last=_joined([one.last for one in parts], row),
-            stride=np.concatenate([one.stride for one in parts]),
+            present_row=_renumber_parts([part.present_row for part in parts], row),
+            owner=_renumber_parts([part.owner for part in parts], _offsets(episodes)),
+            begin=_renumber_parts([part.begin for part in parts], row),
+            last_row=_renumber_parts([part.last_row for part in parts], row),
+            stride=np.concatenate([part.stride for part in parts]),
             columns={"cloud": self._cloud_of, "domain": np.repeat(np.arange(len(parts)), episodes)},
-            valid=_all([one.cache.valid for one in self.sources], all(one.valid is None for one in parts)),
-            stretch=_all([one.cache.stretch for one in self.sources], all(one.stretch is None for one in parts)),
+            valid=_concatenate_flags(
+                [source.cache.valid for source in self.sources], all(part.valid is None for part in parts)
+            ),
+            stretch=_concatenate_flags(
+                [source.cache.stretch for source in self.sources], all(part.stretch is None for part in parts)
+            ),
             index=host_index,
-            take=Stores(tuple(one.cache.rows for one in self.sources)),
+            take=Stores(tuple(source.cache.rows for source in self.sources)),
         )
 
     def __getstate__(self) -> dict[str, Any]:
         """Send the fields alone to a worker."""
-        return {one.name: getattr(self, one.name) for one in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -113,7 +117,7 @@ class Mixed:
     def episode_ids(self) -> tuple[str, ...]:
         """`SOURCE/ID` of all episodes; `episode` of a batch is an index into them."""
         pairs = zip(self.names, self.sources, strict=True)
-        return tuple(f"{name}/{episode}" for name, one in pairs for episode in one.episode_ids)
+        return tuple(f"{name}/{episode}" for name, source in pairs for episode in source.episode_ids)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -147,42 +151,44 @@ class Mixed:
     @cached_property
     def clouds(self) -> NDArray[np.float32]:
         """`(C, N, 3) float32 [m]`: the clouds of all sources, thinned to the smallest N of those that have any."""
-        found = [one.clouds for one in self.sources if len(one.clouds)]
-        points = min((clouds.shape[1] for clouds in found), default=0)
-        thin = [thinned(cloud, points) for clouds in found for cloud in clouds]
-        return np.stack(thin) if thin else np.zeros((0, 0, 3), np.float32)
+        clouds_by_source = [source.clouds for source in self.sources if len(source.clouds)]
+        points = min((clouds.shape[1] for clouds in clouds_by_source), default=0)
+        thinned_clouds = [thin_cloud(cloud, points) for clouds in clouds_by_source for cloud in clouds]
+        return np.stack(thinned_clouds) if thinned_clouds else np.zeros((0, 0, 3), np.float32)
 
     @property
     def _cloud_of(self) -> NDArray[np.int64]:
         """Index of each episode's cloud, -1 without one."""
-        own = [one.gather.columns["cloud"] for one in self.sources]
-        offsets = _offsets([len(one.cloud_names) for one in self.sources])
-        return np.concatenate([np.where(ids < 0, ids, ids + more) for ids, more in zip(own, offsets, strict=True)])
+        cloud_ids = [source.gather.columns["cloud"] for source in self.sources]
+        offsets = _offsets([len(source.cloud_names) for source in self.sources])
+        return np.concatenate(
+            [np.where(ids < 0, ids, ids + offset) for ids, offset in zip(cloud_ids, offsets, strict=True)]
+        )
 
     @cached_property
     def normaliser(self) -> Normaliser:
         """Shared statistics: of the rows as the mixture shows them, each source with its share."""
-        first, samples = self.sources[0], [one.fit_sample() for one in self.sources]
+        first_source, samples = self.sources[0], [source.fit_sample() for source in self.sources]
         shares = tuple(self.mixture.shares.values())
-        rows = _shared([one.rows for one in samples], shares)
-        poses, good = (_shared([one[k] for one in samples], shares) for k in (1, 2))
-        return fitted(
-            first.method,
-            Sample(rows, poses, good),
+        rows = _sample_by_share([sample.rows for sample in samples], shares)
+        poses, is_real = (_sample_by_share([sample[k] for sample in samples], shares) for k in (1, 2))
+        return fit_normaliser(
+            first_source.method,
+            Sample(rows, poses, is_real),
             dataset=str(self.mixture),
-            digest="+".join(one.dataset.digest for one in self.sources),
-            episodes=sum(len(one.fit_episodes) for one in self.sources),
+            digest="+".join(source.dataset.digest for source in self.sources),
+            episodes=sum(len(source.fit_episodes) for source in self.sources),
             rate_hz=self.rate_hz,
-            horizon=first.horizon,
+            horizon=first_source.horizon,
         )
 
     @property
     def normalisers(self) -> dict[str, Normaliser]:
         """Separate statistics: those of each source alone."""
-        return {name: one.normaliser for name, one in zip(self.names, self.sources, strict=True)}
+        return {name: source.normaliser for name, source in zip(self.names, self.sources, strict=True)}
 
 
-def mix(sources: Mapping[str, Windows], mixture: Mixture | str) -> Mixed:
+def mix(sources: Mapping[str, Windows], mixture: Mixture | str) -> MixedWindows:
     """Return the windows of several datasets, to be drawn in shares.
 
     Parameters
@@ -197,7 +203,7 @@ def mix(sources: Mapping[str, Windows], mixture: Mixture | str) -> Mixed:
     UnknownNameError
         When the mixture names a source that is not given.
     UsageError
-        When the text tells no mixture, a source has no share, or windows differ in size, rate or method.
+        When the text is no mixture, a source has no share, or windows differ in size, rate or method.
     DataError
         When channels, their shapes, or the names of joints, actuators or fingertips differ.
     """
@@ -205,18 +211,18 @@ def mix(sources: Mapping[str, Windows], mixture: Mixture | str) -> Mixed:
     for name in mixture.names:
         if name not in sources:
             raise UnknownNameError("source of the mixture", name, sources)
-    idle = [name for name in sources if name not in mixture.names]
-    if idle:
+    sources_without_share = [name for name in sources if name not in mixture.names]
+    if sources_without_share:
         raise UsageError(
-            f"the source {idle[0]} has no share",
+            f"the source {sources_without_share[0]} has no share",
             expected=f"a share for each of {', '.join(sources)}",
             found=str(mixture),
-            fix=f"add a share of {idle[0]}, or leave it out",
+            fix=f"add a share of {sources_without_share[0]}, or leave it out",
         )
-    chosen = {name: sources[name] for name in mixture.names}
+    windows_by_name = {name: sources[name] for name in mixture.names}
     for name in mixture.names[1:]:
-        _check_alike(mixture.names[0], name, chosen)
-    return Mixed(mixture, tuple(chosen.values()))
+        _check_alike(mixture.names[0], name, windows_by_name)
+    return MixedWindows(mixture, tuple(windows_by_name.values()))
 
 
 def common_channels(*datasets: Dataset) -> tuple[str, ...]:
@@ -228,48 +234,61 @@ def common_channels(*datasets: Dataset) -> tuple[str, ...]:
         When there is none.
     """
     shapes = [row_shapes(dataset, None) for dataset in datasets]
-    found = [name for name in shapes[0] if all(one.get(name) == shapes[0][name] for one in shapes)]
-    if not found:
+    common_names = [name for name in shapes[0] if all(layout.get(name) == shapes[0][name] for layout in shapes)]
+    if not common_names:
         raise DataError(
             "the datasets have no channel in common",
-            found="; ".join(f"{one.name}: {', '.join(held)}" for one, held in zip(datasets, shapes, strict=True)),
+            found="; ".join(
+                f"{dataset.name}: {', '.join(channel_shapes)}"
+                for dataset, channel_shapes in zip(datasets, shapes, strict=True)
+            ),
         )
-    return tuple(canonical_order(found))
+    return tuple(canonical_order(common_names))
 
 
-def _check_alike(first: str, second: str, sources: Mapping[str, Windows]) -> None:
+def _check_alike(first_name: str, second_name: str, sources: Mapping[str, Windows]) -> None:
     """Refuse to mix windows that are not of one kind; names both."""
-    a, b = sources[first], sources[second]
+    a, b = sources[first_name], sources[second_name]
     for name in ("history", "horizon", "rate_hz", "method"):
         if getattr(a, name) != getattr(b, name):
             raise UsageError(
-                f"windows of {first} and {second} differ in {name}", expected=f"{first}: {getattr(a, name)}",
-                found=f"{second}: {getattr(b, name)}", fix=f"open both with the same {name}",
-            )  # fmt: skip
-    where = Where(path=str(b.dataset.path))
+                f"windows of {first_name} and {second_name} differ in {name}",
+                expected=f"{first_name}: {getattr(a, name)}",
+                found=f"{second_name}: {getattr(b, name)}",
+                fix=f"open both with the same {name}",
+            )
+    location = Where(path=str(b.dataset.path))
     if a.channels != b.channels:
-        common = [name for name in a.channels if name in b.channels]
+        shared_channels = [name for name in a.channels if name in b.channels]
         raise DataError(
-            f"{first} and {second} hold different channels", expected=f"{first}: {', '.join(a.channels)}",
-            found=f"{second}: {', '.join(b.channels)}", where=where,
-            fix=f"open both with channels={common}, or see common_channels(...)",
-        )  # fmt: skip
+            f"{first_name} and {second_name} hold different channels",
+            expected=f"{first_name}: {', '.join(a.channels)}",
+            found=f"{second_name}: {', '.join(b.channels)}",
+            where=location,
+            fix=f"open both with channels={shared_channels}, or see common_channels(...)",
+        )
     for name, shape in a.cache.file.shapes.items():
         if b.cache.file.shapes[name] != shape:
             raise DataError(
-                f"{first} and {second} differ in the shape of {name}", expected=f"{first}: {('T', *shape)}",
-                found=f"{second}: {('T', *b.cache.file.shapes[name])}", where=where, fix="mix data of one hand",
-            )  # fmt: skip
-    read = ("fingertip_names",) if a.sizes()["fingertips"] else ()
-    for key in ("joint_names", "actuator_names", *read):
-        mine, other = getattr(a, key), getattr(b, key)
-        if mine != other:
-            turned = sorted(mine) == sorted(other)
+                f"{first_name} and {second_name} differ in the shape of {name}",
+                expected=f"{first_name}: {('T', *shape)}",
+                found=f"{second_name}: {('T', *b.cache.file.shapes[name])}",
+                where=location,
+                fix="mix data of one hand",
+            )
+    fingertip_keys = ("fingertip_names",) if a.sizes()["fingertips"] else ()
+    for key in ("joint_names", "actuator_names", *fingertip_keys):
+        first_labels, second_labels = getattr(a, key), getattr(b, key)
+        if first_labels != second_labels:
+            is_reordered = sorted(first_labels) == sorted(second_labels)
             raise DataError(
-                f"{first} and {second} differ in their {key.replace('_', ' ')}" + (": another order" if turned else ""),
-                expected=f"{first}: {', '.join(mine) or 'none'}", found=f"{second}: {', '.join(other) or 'none'}",
-                where=where, fix="import one of them again with the names and the order of the other",
-            )  # fmt: skip
+                f"{first_name} and {second_name} differ in their {key.replace('_', ' ')}"
+                + (": another order" if is_reordered else ""),
+                expected=f"{first_name}: {', '.join(first_labels) or 'none'}",
+                found=f"{second_name}: {', '.join(second_labels) or 'none'}",
+                where=location,
+                fix="import one of them again with the names and the order of the other",
+            )
 
 
 def _rows(windows: Windows) -> int:
@@ -282,21 +301,21 @@ def _offsets(counts: Sequence[int]) -> NDArray[np.int64]:
     return np.cumsum([0, *counts[:-1]])
 
 
-def _joined(parts: Sequence[NDArray], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
+def _renumber_parts(parts: Sequence[NDArray], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return numbers of the parts as numbers of the whole."""
     return np.concatenate([part + offset for part, offset in zip(parts, offsets, strict=True)])
 
 
-def _all(parts: Sequence[NDArray], needless: bool) -> NDArray | None:
+def _concatenate_flags(parts: Sequence[NDArray], needless: bool) -> NDArray | None:
     """Return the flags of all rows; None where no source needs them."""
     return None if needless else np.concatenate(parts)
 
 
-def _shared(parts: Sequence[NDArray], shares: Sequence[float]) -> NDArray:
+def _sample_by_share(parts: Sequence[NDArray], shares: Sequence[float]) -> NDArray:
     """Return what the parts hold, each evenly thinned to its share; where one is too short, some of it comes twice."""
     count = min(SAMPLE, sum(map(len, parts)))
-    taken = []
+    samples = []
     for part, share in zip(parts, shares, strict=True):
         numbers = np.linspace(0, len(part) - 1, max(1, round(count * share))) if len(part) else np.empty(0)
-        taken.append(part[numbers.round().astype(np.int64)])
-    return np.concatenate(taken)
+        samples.append(part[numbers.round().astype(np.int64)])
+    return np.concatenate(samples)

@@ -101,7 +101,7 @@ class Normaliser(Record):
 
 
 class Sample(NamedTuple):
-    """What a normaliser is fitted on.
+    """The rows and poses that a normaliser is fitted on.
 
     Attributes
     ----------
@@ -109,13 +109,13 @@ class Sample(NamedTuple):
         Valid rows; a field a channel.
     poses : (m, H + 1, 7)
         Pose of the present row and of the horizon; m is 0 where the rows hold no object pose.
-    good : (m, H) bool
+    is_real : (m, H) bool
         Steps whose two poses are both real.
     """
 
     rows: NDArray
     poses: NDArray
-    good: NDArray[np.bool_]
+    is_real: NDArray[np.bool_]
 
 
 def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scale:
@@ -141,8 +141,8 @@ def channel_scale(name: str, values: NDArray, method: Method = "robust") -> Scal
     """
     if not len(values):
         raise DataError(f"no valid value of {name} to fit a normaliser on", fix="train on episodes that hold it")
-    flat = np.asarray(values, np.float64).reshape(len(values), -1)
-    centre, scale = _centre_and_scale(flat, method)
+    columns = np.asarray(values, np.float64).reshape(len(values), -1)
+    centre, scale = _centre_and_scale(columns, method)
     if name in QUATERNION:
         scale[:3] = scale[:3].max()
         centre[QUATERNION[name]], scale[QUATERNION[name]] = 0, 1
@@ -163,7 +163,7 @@ def _centre_and_scale(values: NDArray, method: Method) -> tuple[NDArray, NDArray
     return centre, np.maximum(scale, CHANNEL_FLOOR)
 
 
-def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
+def increment_scale(poses: NDArray, is_real: NDArray[np.bool_]) -> Scale:
     """Return mean and standard deviation of the increments by step, `(H, 6)`.
 
     A step that no episode reaches takes those of all steps together.
@@ -172,7 +172,7 @@ def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
     ----------
     poses : (n, H + 1, 7)
         Pose of the present row and of the horizon.
-    good : (n, H) bool
+    is_real : (n, H) bool
         Steps whose two poses are both real.
 
     Raises
@@ -180,17 +180,19 @@ def increment_scale(poses: NDArray, good: NDArray[np.bool_]) -> Scale:
     DataError
         When there is no real increment at all.
     """
-    if not good.any():
+    if not is_real.any():
         raise DataError("no real pose increment to fit a normaliser on", fix="train on episodes that hold the pose")
     steps = increments(poses)
-    taken = [steps[good[:, k], k] if good[:, k].any() else steps[good] for k in range(good.shape[1])]
-    centre = np.stack([step.mean(0) for step in taken])
-    spread = np.stack([step.std(0) for step in taken])
+    steps_by_horizon = [
+        steps[is_real[:, k], k] if is_real[:, k].any() else steps[is_real] for k in range(is_real.shape[1])
+    ]
+    centre = np.stack([step.mean(0) for step in steps_by_horizon])
+    spread = np.stack([step.std(0) for step in steps_by_horizon])
     scale = np.maximum(spread, INCREMENT_FLOOR)
     return Scale(shape=centre.shape, centre=tuple(centre.ravel().tolist()), scale=tuple(scale.ravel().tolist()))
 
 
-def fitted(method: Method, sample: Sample, **facts: Any) -> Normaliser:
+def fit_normaliser(method: Method, sample: Sample, **facts: Any) -> Normaliser:
     """Return the normaliser of a sample.
 
     Parameters
@@ -210,25 +212,27 @@ def fitted(method: Method, sample: Sample, **facts: Any) -> Normaliser:
     rows = sample.rows
     names = float_channels(rows.dtype.names or ())
     scales = {name: channel_scale(name, rows[name], method) for name in names}
-    clipped = {name: _outside(rows[name], scales[name], name) for name in names} if method == "quantile" else {}
+    clipped_counts = (
+        {name: _clipped_count(rows[name], scales[name], name) for name in names} if method == "quantile" else {}
+    )
     return Normaliser(
         method=method,
         rows=len(rows),
-        windows=len(sample.good),
+        windows=len(sample.is_real),
         channels=scales,
-        increments=increment_scale(sample.poses, sample.good) if "object_pose" in names else None,
-        clipped=clipped,
+        increments=increment_scale(sample.poses, sample.is_real) if "object_pose" in names else None,
+        clipped=clipped_counts,
         **facts,
     )
 
 
-def _outside(values: NDArray, scale: Scale, name: str) -> int:
+def _clipped_count(values: NDArray, scale: Scale, name: str) -> int:
     """Return how many values would be clipped."""
-    beyond = np.abs(_scaled(values, scale)) > 1
-    return int(np.delete(beyond, QUATERNION[name], axis=1).sum() if name in QUATERNION else beyond.sum())
+    is_outside = np.abs(_rescale(values, scale)) > 1
+    return int(np.delete(is_outside, QUATERNION[name], axis=1).sum() if name in QUATERNION else is_outside.sum())
 
 
-def normalised(batch: Mapping[str, NDArray], normalisers: Normaliser | Sequence[Normaliser]) -> dict[str, NDArray]:
+def normalise_batch(batch: Mapping[str, NDArray], normalisers: Normaliser | Sequence[Normaliser]) -> dict[str, NDArray]:
     """Return the batch with its float channels normalised; quaternions, flags and indices stay as they are.
 
     Parameters
@@ -245,29 +249,29 @@ def normalised(batch: Mapping[str, NDArray], normalisers: Normaliser | Sequence[
     UnknownNameError
         When a channel was not fitted.
     """
-    shared = isinstance(normalisers, Normaliser)
-    if not shared and "domain" not in batch:
+    is_shared = isinstance(normalisers, Normaliser)
+    if not is_shared and "domain" not in batch:
         raise UsageError("the batch names no domain", expected="windows of mix(...)", fix="give one normaliser")
-    each = [normalisers] if isinstance(normalisers, Normaliser) else list(normalisers)
-    domain = np.zeros(len(batch["history_pad"]), np.int64) if shared else batch["domain"]
+    domain_normalisers = [normalisers] if isinstance(normalisers, Normaliser) else list(normalisers)
+    domain = np.zeros(len(batch["history_pad"]), np.int64) if is_shared else batch["domain"]
     out = dict(batch)
     for key, values in batch.items():
         name = key.partition("/")[2]
         if name not in float_channels((name,) if name in CHANNELS else ()):
             continue
         out[key] = np.empty(values.shape, np.float32)
-        for number, one in enumerate(each):
-            here = domain == number
-            scaled = _scaled(values[here], one.scale_of(name))
-            out[key][here] = scaled.clip(-1, 1) if one.clips else scaled
+        for number, normaliser in enumerate(domain_normalisers):
+            in_domain = domain == number
+            unit_values = _rescale(values[in_domain], normaliser.scale_of(name))
+            out[key][in_domain] = unit_values.clip(-1, 1) if normaliser.clips else unit_values
     return out
 
 
-def _scaled(values: NDArray, scale: Scale) -> NDArray[np.float32]:
+def _rescale(values: NDArray, scale: Scale) -> NDArray[np.float32]:
     """Return values less the centre, over the scale."""
     centre, width = scale.arrays()
-    scaled: NDArray[np.float32] = (values - centre) / width
-    return scaled
+    result: NDArray[np.float32] = (values - centre) / width
+    return result
 
 
 def float_channels(names: tuple[str, ...]) -> tuple[str, ...]:

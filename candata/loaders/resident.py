@@ -27,7 +27,7 @@ def move(gather: Gather, stores: Sequence[NDArray], device: str) -> Gather:
     Parameters
     ----------
     gather : Gather
-        Of the host.
+        The gather of the host.
     stores : sequence of (R,) structured
         Its rows, one array behind the other.
     device : str
@@ -41,33 +41,36 @@ def move(gather: Gather, stores: Sequence[NDArray], device: str) -> Gather:
         When the rows do not fit in half of what is free on the GPU.
     """
     torch = _torch()
-    needed = sum(rows.nbytes for rows in stores)
+    needed_bytes = sum(rows.nbytes for rows in stores)
     free = free_bytes(device)
-    if free is not None and needed > SHARE_OF_FREE * free:
+    if free is not None and needed_bytes > SHARE_OF_FREE * free:
         raise SetupError(
             f"the rows do not fit on {device}",
             expected=f"at most half of what is free there, {SHARE_OF_FREE * free / 1e9:.1f} GB",
-            found=f"{needed / 1e9:.1f} GB",
+            found=f"{needed_bytes / 1e9:.1f} GB",
             fix="hold fewer channels, or gather on the host: windows.batch",
         )
     words = torch.cat([torch.from_numpy(_words(rows)).to(device) for rows in stores])
 
-    def there(values: NDArray) -> Any:
+    def to_device(values: NDArray) -> Any:
         return torch.from_numpy(np.array(values)).to(device)
 
     return replace(
         gather,
-        **{name: there(getattr(gather, name)) for name in ("steps", "present", "owner", "begin", "last", "stride")},
-        columns={name: there(values) for name, values in gather.columns.items()},
-        valid=None if gather.valid is None else there(gather.valid),
-        stretch=None if gather.stretch is None else there(gather.stretch),
+        **{
+            name: to_device(getattr(gather, name))
+            for name in ("steps", "present_row", "owner", "begin", "last_row", "stride")
+        },
+        columns={name: to_device(values) for name, values in gather.columns.items()},
+        valid=None if gather.valid is None else to_device(gather.valid),
+        stretch=None if gather.stretch is None else to_device(gather.stretch),
         index=_index(len(gather), device),
         take=_Words(words, _fields(stores[0].dtype)),
     )
 
 
 def free_bytes(device: str) -> int | None:
-    """Return what is free on a GPU; None where it is not told."""
+    """Return the free memory of a GPU [bytes]; None for other devices."""
     if not device.startswith("cuda"):
         return None
     free: int = _torch().cuda.mem_get_info(device)[0]
@@ -86,19 +89,19 @@ class _Words:
         block = self.words.index_select(0, rows.reshape(-1)).view(_torch().uint8)
         count, width = rows.shape
         return {
-            name: block[:, first:behind].view(kind).view(count, width, *shape)
-            for name, (first, behind, kind, shape) in self.layout.items()
+            name: block[:, start:stop].view(kind).view(count, width, *shape)
+            for name, (start, stop, kind, shape) in self.layout.items()
         }
 
 
 def _fields(row: np.dtype) -> dict[str, tuple[int, int, Any, tuple[int, ...]]]:
     """Return channel to first byte, byte behind, torch's dtype and shape."""
-    torch, found = _torch(), {}
+    torch, layout = _torch(), {}
     fields: Any = row.fields
-    for name, (kind, first) in fields.items():
-        like = torch.from_numpy(np.empty(0, kind.base)).dtype
-        found[name] = (first, first + kind.itemsize, like, kind.shape)
-    return found
+    for name, (kind, offset) in fields.items():
+        torch_dtype = torch.from_numpy(np.empty(0, kind.base)).dtype
+        layout[name] = (offset, offset + kind.itemsize, torch_dtype, kind.shape)
+    return layout
 
 
 def _words(rows: NDArray) -> NDArray[np.int64]:
@@ -111,10 +114,10 @@ def _index(count: int, device: str) -> Callable[[ArrayLike], torch.Tensor]:
     torch = _torch()
 
     def index(numbers: ArrayLike) -> Any:
-        chosen = np.asarray(numbers, np.int64)
-        if len(chosen) and not -count <= chosen.min() <= chosen.max() < count:
-            raise IndexError(f"window {chosen.max()} of {count}")
-        return torch.from_numpy(chosen % count).to(device)
+        window_ids = np.asarray(numbers, np.int64)
+        if len(window_ids) and not -count <= window_ids.min() <= window_ids.max() < count:
+            raise IndexError(f"window {window_ids.max()} of {count}")
+        return torch.from_numpy(window_ids % count).to(device)
 
     return index
 

@@ -1,4 +1,4 @@
-"""Which windows a step takes: a pure function of (seed, step, rank), so that resuming is a number."""
+"""The windows that a step takes: a pure function of (seed, step, rank), so that resuming is a number."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Sampler:
     def __post_init__(self) -> None:
         """Check the numbers."""
         if min(*self.counts, *self.parts, self.batch_size, self.world) < 1 or len(self.counts) != len(self.parts):
-            found = f"counts {self.counts}, parts {self.parts}, batch_size {self.batch_size}, world {self.world}"
-            raise UsageError("sampling needs at least one window a source, batch and process", found=found)
+            values_text = f"counts {self.counts}, parts {self.parts}, batch_size {self.batch_size}, world {self.world}"
+            raise UsageError("sampling needs at least one window a source, batch and process", found=values_text)
         if not (0 <= self.rank < self.world and 0 <= self.seed < 2**64):
             raise UsageError(
                 "rank or seed out of range",
@@ -68,24 +68,24 @@ class Sampler:
 
     def indices(self, step: int) -> Numbers:
         """Return `(batch_size,) int64`: the windows of step `step`, the first being 0."""
-        first = (step * self.world + self.rank) * self.batch_size
-        places = np.arange(first, first + self.batch_size)
+        first_place = (step * self.world + self.rank) * self.batch_size
+        places = np.arange(first_place, first_place + self.batch_size)
         if len(self.counts) == 1:
             return self._lines[0].at(places)
         source, nth = pattern(self.parts)
         period, spot = np.divmod(places, len(source))
-        picked, before = np.empty(self.batch_size, np.int64), 0
+        windows, offset = np.empty(self.batch_size, np.int64), 0
         for number, (count, part) in enumerate(zip(self.counts, self.parts, strict=True)):
-            here = source[spot] == number
-            picked[here] = before + self._lines[number].at(period[here] * part + nth[spot[here]])
-            before += count
-        return picked
+            in_source = source[spot] == number
+            windows[in_source] = offset + self._lines[number].at(period[in_source] * part + nth[spot[in_source]])
+            offset += count
+        return windows
 
-    def steps(self, first: int, behind: int) -> Steps:
-        """Return the batches of steps `first` to `behind - 1` as a DataLoader takes them: `batch_sampler=`."""
-        return Steps(self, first, behind)
+    def steps(self, first_step: int, stop_step: int) -> Steps:
+        """Return the batches of steps `first_step` to `behind - 1` as a DataLoader takes them: `batch_sampler=`."""
+        return Steps(self, first_step, stop_step)
 
-    def drawn(self, steps: int) -> tuple[int, ...]:
+    def draw_counts(self, steps: int) -> tuple[int, ...]:
         """Return how many windows of each source all ranks together take in the first `steps` steps."""
         source, _ = pattern(self.parts)
         period, rest = divmod(steps * self.world * self.batch_size, len(source))
@@ -102,16 +102,16 @@ class Steps:
     """Batches of window numbers of a range of steps: the `batch_sampler` of a DataLoader, read as often as wanted."""
 
     sampler: Sampler
-    first: int
-    behind: int
+    first_step: int
+    stop_step: int
 
     def __len__(self) -> int:
         """Return the number of steps."""
-        return max(0, self.behind - self.first)
+        return max(0, self.stop_step - self.first_step)
 
     def __iter__(self) -> Iterator[Numbers]:
         """Yield the windows of each step."""
-        return (self.sampler.indices(step) for step in range(self.first, self.behind))
+        return (self.sampler.indices(step) for step in range(self.first_step, self.stop_step))
 
 
 @dataclass(frozen=True)
@@ -121,16 +121,16 @@ class _Line:
     count: int
     seed: int
     source: int
-    kept: dict[int, Numbers] = field(default_factory=dict, repr=False, compare=False)
+    order_by_epoch: dict[int, Numbers] = field(default_factory=dict, repr=False, compare=False)
 
     def at(self, places: Numbers) -> Numbers:
         """Return the windows at these places of the line."""
         epoch, position = np.divmod(places, self.count)
-        picked = np.empty(len(places), np.int64)
+        windows = np.empty(len(places), np.int64)
         for number in np.unique(epoch):
-            here = epoch == number
-            picked[here] = self._epoch(int(number))[position[here]]
-        return picked
+            in_epoch = epoch == number
+            windows[in_epoch] = self._epoch(int(number))[position[in_epoch]]
+        return windows
 
     def _epoch(self, number: int) -> Numbers:
         """Return a permutation, from the raw counter-based stream: fixed across versions of numpy.
@@ -138,12 +138,12 @@ class _Line:
         Source: J. Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011 (Philox). numpy promises its
         bit generators' raw streams (NEP 19), not `Generator.permutation`.
         """
-        order = self.kept.get(number)
+        order = self.order_by_epoch.get(number)
         if order is None:
             key = np.array([self.seed, (self.source << _SOURCE_BIT) + number], np.uint64)
             order = np.argsort(np.random.Philox(key=key).random_raw(self.count), kind="stable")
-            self.kept.clear()
-            self.kept[number] = order
+            self.order_by_epoch.clear()
+            self.order_by_epoch[number] = order
         return order
 
 
@@ -154,13 +154,15 @@ def pattern(parts: tuple[int, ...]) -> tuple[Numbers, Numbers]:
     Each place goes to the source that is furthest behind its share, the first of equal ones, so that any stretch of
     places holds the shares nearly, and a whole period holds them exactly.
     """
-    total, drawn = sum(parts), [0] * len(parts)
+    total, draw_counts = sum(parts), [0] * len(parts)
     source, nth = np.empty(total, np.int64), np.empty(total, np.int64)
     for place in range(total):
-        behind = [(place + 1) * part - total * taken for part, taken in zip(parts, drawn, strict=True)]
-        chosen = behind.index(max(behind))
-        source[place], nth[place] = chosen, drawn[chosen]
-        drawn[chosen] += 1
+        deficits = [
+            (place + 1) * part - total * draw_count for part, draw_count in zip(parts, draw_counts, strict=True)
+        ]
+        source_number = deficits.index(max(deficits))
+        source[place], nth[place] = source_number, draw_counts[source_number]
+        draw_counts[source_number] += 1
     return source, nth
 
 

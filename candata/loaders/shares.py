@@ -28,16 +28,16 @@ class Mixture(Record):
         return {name: part / sum(self.parts) for name, part in zip(self.names, self.parts, strict=True)}
 
     def __str__(self) -> str:
-        """Return `sim:0.7,real:0.3`, or fractions where decimals do not tell."""
+        """Return `sim:0.7,real:0.3`, or fractions where decimals are not exact."""
         total = sum(self.parts)
         shares = [Fraction(part, total) for part in self.parts]
-        short = all(LONGEST_PERIOD % share.denominator == 0 for share in shares)
-        told = [f"{float(share):g}" if short else str(share) for share in shares]
-        return ",".join(f"{name}:{share}" for name, share in zip(self.names, told, strict=True))
+        is_decimal = all(LONGEST_PERIOD % share.denominator == 0 for share in shares)
+        texts = [f"{float(share):g}" if is_decimal else str(share) for share in shares]
+        return ",".join(f"{name}:{share}" for name, share in zip(self.names, texts, strict=True))
 
 
 def parse_mixture(text: str) -> Mixture:
-    """Return the mixture that a text such as `sim:0.7,real:0.3` or `a:1/3,b:2/3` tells.
+    """Return the mixture that a text such as `sim:0.7,real:0.3` or `a:1/3,b:2/3` describes.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _share(name: str, text: str) -> Fraction:
 
 
 class Effective(Record):
-    """What a source really gave by some step.
+    """The windows that a source really gave by some step.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Effective(Record):
 
 
 def effective(
-    mixture: Mixture, windows: Sequence[int], rows: Sequence[int], drawn: Sequence[int], unique: Sequence[int]
+    mixture: Mixture, windows: Sequence[int], rows: Sequence[int], draw_counts: Sequence[int], unique: Sequence[int]
 ) -> tuple[Effective, ...]:
     """Return the numbers of each source, in the order of the mixture, with their shares."""
 
@@ -122,19 +122,28 @@ def effective(
 
     return tuple(
         Effective(
-            name=name, asked=asked, epochs=drawn[i] / windows[i],
-            windows=windows[i], windows_share=share(windows, i), rows=rows[i], rows_share=share(rows, i),
-            drawn=drawn[i], drawn_share=share(drawn, i), unique=unique[i], unique_share=share(unique, i),
+            name=name,
+            asked=asked_share,
+            epochs=draw_counts[i] / windows[i],
+            windows=windows[i],
+            windows_share=share(windows, i),
+            rows=rows[i],
+            rows_share=share(rows, i),
+            drawn=draw_counts[i],
+            drawn_share=share(draw_counts, i),
+            unique=unique[i],
+            unique_share=share(unique, i),
         )
-        for i, (name, asked) in enumerate(mixture.shares.items())
-    )  # fmt: skip
+        for i, (name, asked_share) in enumerate(mixture.shares.items())
+    )
 
 
-def told(found: Sequence[Effective]) -> str:
+def share_report(sources: Sequence[Effective]) -> str:
     """Return a line a source: what was asked for, and what it really gave."""
     return "\n".join(
-        f"{one.name}: asked {one.asked:.1%}, drew {one.drawn:,} windows ({one.drawn_share:.1%}), {one.unique:,} of "
-        f"{one.windows:,} distinct ({one.unique_share:.1%} of all distinct), {one.epochs:.2f} epochs; "
-        f"unweighted it would be {one.windows_share:.1%} of the windows, {one.rows_share:.1%} of the rows"
-        for one in found
+        f"{source.name}: asked {source.asked:.1%}, drew {source.drawn:,} windows ({source.drawn_share:.1%}), "
+        f"{source.unique:,} of {source.windows:,} distinct ({source.unique_share:.1%} of all distinct), "
+        f"{source.epochs:.2f} epochs; "
+        f"unweighted it would be {source.windows_share:.1%} of the windows, {source.rows_share:.1%} of the rows"
+        for source in sources
     )

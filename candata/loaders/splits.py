@@ -22,7 +22,7 @@ FRACTIONS: Mapping[str, float] = {"train": 0.8, "val": 0.1, "test": 0.1}
 #: Name under which a split is looked for when none is given.
 DEFAULT = "default"
 
-By = Literal["object", "scene", "task", "source"]
+SplitField = Literal["object", "scene", "task", "source"]
 
 
 class Split(Record):
@@ -35,7 +35,7 @@ class Split(Record):
     dataset: str
     digest: str
     seed: int | None
-    by: By | None = None
+    by: SplitField | None = None
     fractions: dict[str, float]
     train: tuple[str, ...]
     val: tuple[str, ...]
@@ -51,12 +51,12 @@ class Split(Record):
         """
         if group not in GROUPS:
             raise UnknownNameError("group of a split", group, GROUPS)
-        found: tuple[str, ...] = getattr(self, group)
-        return found
+        episode_ids: tuple[str, ...] = getattr(self, group)
+        return episode_ids
 
 
 def make_split(
-    dataset: Dataset, fractions: Mapping[str, float] = FRACTIONS, seed: int = 0, by: By | None = None
+    dataset: Dataset, fractions: Mapping[str, float] = FRACTIONS, seed: int = 0, by: SplitField | None = None
 ) -> Split:
     """Return a split of the dataset's episodes, the same for a seed and a set of ids.
 
@@ -83,20 +83,22 @@ def make_split(
     DataError
         When there are fewer episodes (or groups) than groups to fill, or an episode does not state `by`.
     """
-    shares = _checked(fractions)
+    shares = _complete_shares(fractions)
     bundles = _bundles(dataset, by)
-    wanted = [name for name in GROUPS if shares[name] > 0]
-    if len(bundles) < len(wanted):
+    groups = [name for name in GROUPS if shares[name] > 0]
+    if len(bundles) < len(groups):
         raise DataError(
             "too few episodes to split",
-            expected=f"at least {len(wanted)} {'episodes' if by is None else by + 's'}: {', '.join(wanted)}",
+            expected=f"at least {len(groups)} {'episodes' if by is None else by + 's'}: {', '.join(groups)}",
             found=str(len(bundles)),
             where=Where(path=str(dataset.path)),
             fix="add episodes, or give fewer groups a share",
         )
     order = sorted(bundles, key=lambda name: hashlib.sha256(f"{seed}|{name}".encode()).digest())
-    chosen = _assign(order, {name: len(bundles[name]) for name in order}, {n: shares[n] for n in wanted})
-    ids = {group: tuple(sorted(i for name in names for i in bundles[name])) for group, names in chosen.items()}
+    bundles_by_group = _assign(order, {name: len(bundles[name]) for name in order}, {n: shares[n] for n in groups})
+    ids = {
+        group: tuple(sorted(i for name in names for i in bundles[name])) for group, names in bundles_by_group.items()
+    }
     return Split(
         dataset=dataset.name,
         digest=dataset.digest,
@@ -107,7 +109,7 @@ def make_split(
     )
 
 
-def _checked(fractions: Mapping[str, float]) -> dict[str, float]:
+def _complete_shares(fractions: Mapping[str, float]) -> dict[str, float]:
     """Return the three shares."""
     for name in fractions:
         if name not in GROUPS:
@@ -118,17 +120,17 @@ def _checked(fractions: Mapping[str, float]) -> dict[str, float]:
     return shares
 
 
-def _bundles(dataset: Dataset, by: By | None) -> dict[str, list[str]]:
+def _bundles(dataset: Dataset, field: SplitField | None) -> dict[str, list[str]]:
     """Return what must stay together: bundle name to episode ids."""
-    if by is None:
+    if field is None:
         return {name: [name] for name in dataset.ids}
-    if by not in ("object", "scene", "task", "source"):
-        raise UnknownNameError("field to split by", by, ("object", "scene", "task", "source"))
+    if field not in ("object", "scene", "task", "source"):
+        raise UnknownNameError("field to split by", field, ("object", "scene", "task", "source"))
     bundles: dict[str, list[str]] = {}
-    for name, value in zip(dataset.ids, dataset.catalog()[by].to_pylist(), strict=True):
+    for name, value in zip(dataset.ids, dataset.catalog()[field].to_pylist(), strict=True):
         if value is None:
             raise DataError(
-                f"an episode does not state its {by}",
+                f"an episode does not state its {field}",
                 where=Where(path=str(dataset.path), episode=name),
                 fix="split by another field, or by episode",
             )
@@ -139,16 +141,16 @@ def _bundles(dataset: Dataset, by: By | None) -> dict[str, list[str]]:
 def _assign(order: list[str], sizes: dict[str, int], shares: dict[str, float]) -> dict[str, list[str]]:
     """Return group to bundles: each to the group furthest below its share; none stays empty."""
     total = sum(sizes.values())
-    missing = {group: share * total for group, share in shares.items()}
-    chosen: dict[str, list[str]] = {group: [] for group in shares}
+    shortfall = {group: share * total for group, share in shares.items()}
+    bundles_by_group: dict[str, list[str]] = {group: [] for group in shares}
     for name in order:
-        group = max(missing, key=lambda g: missing[g])
-        chosen[group].append(name)
-        missing[group] -= sizes[name]
-    for group in [g for g, names in chosen.items() if not names]:
-        richest = max(chosen, key=lambda g: len(chosen[g]))
-        chosen[group].append(chosen[richest].pop())
-    return chosen
+        group = max(shortfall, key=lambda g: shortfall[g])
+        bundles_by_group[group].append(name)
+        shortfall[group] -= sizes[name]
+    for group in [g for g, names in bundles_by_group.items() if not names]:
+        richest = max(bundles_by_group, key=lambda g: len(bundles_by_group[g]))
+        bundles_by_group[group].append(bundles_by_group[richest].pop())
+    return bundles_by_group
 
 
 def save_split(dataset: Dataset, split: Split, name: str = DEFAULT) -> Path:
@@ -217,23 +219,24 @@ def group_ids(dataset: Dataset, split: Split, group: str) -> tuple[str, ...]:
         When the group is empty, or names episodes that this version lacks.
     """
     ids = split.ids(group)
-    where = Where(path=str(dataset.path))
+    location = Where(path=str(dataset.path))
     if not ids:
-        filled = ", ".join(f"{name} {len(split.ids(name))}" for name in GROUPS)
+        group_sizes = ", ".join(f"{name} {len(split.ids(name))}" for name in GROUPS)
         raise DataError(
             f"the group {group} of the split is empty",
             expected="at least 1 episode",
-            found=filled,
-            where=where,
+            found=group_sizes,
+            where=location,
             fix=f"make a split that gives {group} a share",
         )
-    lacking = [name for name in ids if name not in dataset.places]
-    if lacking:
+    missing_ids = [name for name in ids if name not in dataset.places]
+    if missing_ids:
         raise DataError(
             "the split is of another dataset or version",
             expected=f"episodes of {split.dataset}@{split.digest[:12]}",
-            found=f"{dataset.name}@{dataset.digest[:12]}, which lacks {len(lacking)} of {len(ids)}: {lacking[0]}, ...",
-            where=where,
+            found=f"{dataset.name}@{dataset.digest[:12]}, which lacks {len(missing_ids)} of {len(ids)}: "
+            f"{missing_ids[0]}, ...",
+            where=location,
             fix="open that version, or make a split of this one",
         )
     return ids

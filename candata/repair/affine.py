@@ -16,7 +16,7 @@ from candata.schema.record import Record
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
-#: Model array -> (kind of spec element, attribute) of what a parameter of the toolbox can write.
+#: Model array -> (kind of spec element, attribute) that a parameter of the toolbox can write.
 SPEC = {
     "geom_friction": ("geom", "friction"),
     "geom_solref": ("geom", "solref"),
@@ -36,13 +36,13 @@ SPEC = {
     "body_inertia": ("body", "inertia"),
     "body_ipos": ("body", "ipos"),
 }
-#: Attributes of which the model's array is the first number only: damping may grow with speed.
-FIRST = ("damping",)
-#: How far from a straight line still counts as one, of the largest change.
+#: Attributes whose model array holds the first number only: damping may grow with speed.
+FIRST_NUMBER_ONLY = ("damping",)
+#: Largest distance from a straight line that still counts as one, as a share of the largest change.
 STRAIGHT = 1e-9
 
 
-class Place(Record):
+class ParameterTarget(Record):
     """One number of a model that a parameter sets; `index` null where the attribute is one number."""
 
     kind: str
@@ -53,7 +53,7 @@ class Place(Record):
     slope: float
 
 
-class Free(Record):
+class FreeParameter(Record):
     """One parameter with bounds and start; `places` for each of its components."""
 
     name: str
@@ -64,10 +64,12 @@ class Free(Record):
     high: tuple[float, ...]
     start: tuple[float, ...]
     own: tuple[float, ...]
-    places: tuple[tuple[Place, ...], ...]
+    places: tuple[tuple[ParameterTarget, ...], ...]
 
 
-def free_parameters(scene: Scene, effects: Sequence[EffectSetting], which: int, names: mujoco.MjModel) -> list[Free]:
+def free_parameters(
+    scene: Scene, effects: Sequence[EffectSetting], effect_number: int, names: mujoco.MjModel
+) -> list[FreeParameter]:
     """Return the parameters of one of the effects, the others kept; none where it does not act along straight lines.
 
     Parameters
@@ -75,75 +77,81 @@ def free_parameters(scene: Scene, effects: Sequence[EffectSetting], which: int, 
     scene : Scene
     effects : sequence of EffectSetting
         All effects, at their start values.
-    which : int
-        Index of the one asked for.
+    effect_number : int
+        Index of the effect whose parameters are asked for.
     names : mujoco.MjModel
         A model of the same elements in which each that matters has a name.
     """
-    s = effects[which]
+    s = effects[effect_number]
     kind, x = effect(s.name), flatten(s, scene)
     if any(p.choices for p in kind.parameters):
         return []
-    owned, out, first = active(s.name, scene, s.element), [], 0
+    is_active, out, offset = active(s.name, scene, s.element), [], 0
     for p in parameters_on(s.name, scene, s.element):
-        ids = np.flatnonzero(owned[first : first + p.size(scene)]) + first
-        first += p.size(scene)
+        ids = np.flatnonzero(is_active[offset : offset + p.size(scene)]) + offset
+        offset += p.size(scene)
         low, high = p.bounds(scene)
-        places = [_places(scene, effects, which, x, int(i), (low, high), names) for i in ids]
+        places = [_places(scene, effects, effect_number, x, int(i), (low, high), names) for i in ids]
         if not all(places):
             return []
         neutral = p.identity(scene) if p.neutral is None else p.neutral(scene)
         label = f"{s.name}.{s.element}.{p.name}" if s.element else f"{s.name}.{p.name}"
-        wide = len(ids)
+        width = len(ids)
         out.append(
-            Free(
-                name=label, effect=s.name, parameter=p.name, unit=p.unit, low=(low,) * wide, high=(high,) * wide,
-                start=tuple(x[ids].tolist()), own=(float(neutral),) * wide,
-                places=tuple(tuple(found or ()) for found in places),
+            FreeParameter(
+                name=label,
+                effect=s.name,
+                parameter=p.name,
+                unit=p.unit,
+                low=(low,) * width,
+                high=(high,) * width,
+                start=tuple(x[ids].tolist()),
+                own=(float(neutral),) * width,
+                places=tuple(tuple(component_places or ()) for component_places in places),
             )
-        )  # fmt: skip
+        )
     return out
 
 
 def _places(
     scene: Scene,
     effects: Sequence[EffectSetting],
-    which: int,
+    effect_number: int,
     x: Array,
     component: int,
     bounds: tuple[float, float],
     names: mujoco.MjModel,
-) -> list[Place] | None:
-    """Return what one component moves; None where that is not a straight line, or nothing that can be written."""
-    s = effects[which]
+) -> list[ParameterTarget] | None:
+    """Return the numbers that one component moves along straight lines; None where none can be written."""
+    s = effects[effect_number]
     models, values = [], [bounds[0] + share * (bounds[1] - bounds[0]) for share in (0.25, 0.5, 0.8)]
     for value in values:
         at = x.copy()
         at[component] = value
-        some = [*effects[:which], setting(s.name, at, scene, s.element), *effects[which + 1 :]]
-        models.append(build_worlds(scene, [some]).models[0])
-    out: list[Place] = []
+        settings = [*effects[:effect_number], setting(s.name, at, scene, s.element), *effects[effect_number + 1 :]]
+        models.append(build_worlds(scene, [settings]).models[0])
+    out: list[ParameterTarget] = []
     for d in differences(models[0], models[2]):
         numbers = [read(m, d.field) for m in models]
         slope = (numbers[2] - numbers[0]) / (values[2] - values[0])
-        bent = np.abs(numbers[0] + slope * (values[1] - values[0]) - numbers[1])
-        known = d.field in SPEC or d.field in OPTIONS
-        if not known or bent.max() > STRAIGHT * np.abs(numbers[2] - numbers[0]).max():
+        deviation = np.abs(numbers[0] + slope * (values[1] - values[0]) - numbers[1])
+        is_writable = d.field in SPEC or d.field in OPTIONS
+        if not is_writable or deviation.max() > STRAIGHT * np.abs(numbers[2] - numbers[0]).max():
             return None
         offset = numbers[0] - slope * values[0]
         out += [_place(names, d.field, int(i), int(j), offset, slope) for i, j in np.argwhere(slope != 0)]
     return out or None
 
 
-def _place(names: mujoco.MjModel, field: str, row: int, column: int, offset: Array, slope: Array) -> Place:
+def _place(names: mujoco.MjModel, field: str, row: int, column: int, offset: Array, slope: Array) -> ParameterTarget:
     """Return one number of a model by the name of its element."""
     numbers = {"offset": float(offset[row, column]), "slope": float(slope[row, column])}
-    wide = offset.shape[1] > 1
+    is_vector = offset.shape[1] > 1
     if field in OPTIONS:
-        return Place(kind="option", name="", attribute=field, index=column if wide else None, **numbers)
+        return ParameterTarget(kind="option", name="", attribute=field, index=column if is_vector else None, **numbers)
     kind, attribute = SPEC[field]
     if kind == "joint":
         row = int(names.dof_jntid[row])
     element = getattr(names, kind)(row)
-    index = column if wide or attribute in FIRST else None
-    return Place(kind=kind, name=element.name, attribute=attribute, index=index, **numbers)
+    index = column if is_vector or attribute in FIRST_NUMBER_ONLY else None
+    return ParameterTarget(kind=kind, name=element.name, attribute=attribute, index=index, **numbers)

@@ -18,8 +18,8 @@ from candata.scenes.model_file import compiled, model_path, read_model
 from candata.schema.scene import SceneFile
 
 Way = Literal["patch", "whole"]
-#: What candata's own sensors are called, which it adds again when it loads a scene.
-_OWN = "candata_"
+#: How the names of candata's own sensors begin; it adds them again when it loads a scene.
+_SENSOR_PREFIX = "candata_"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def is_file(scene: Scene) -> bool:
 
 
 def ways(scene: Scene) -> tuple[Way, ...]:
-    """Return how a scene can be exported: MJCF of a user's as a patch, all else as a whole model."""
+    """Return how a scene can be exported: a user's MJCF as a patch or a whole model, all else as a whole model."""
     return ("patch", "whole") if is_file(scene) and _source(scene).suffix.lower() == ".xml" else ("whole",)
 
 
@@ -51,30 +51,30 @@ def _absolute(path: str | Path) -> Path:
     return Path(os.path.abspath(path))
 
 
-def copied(scene: Scene, way: Way, folder: Path) -> Copy:
+def copy_scene(scene: Scene, way: Way, folder: Path) -> Copy:
     """Return a copy of a scene's files in `folder`, with all that the model names (meshes, textures, includes)."""
     folder.mkdir(parents=True)
     if not is_file(scene):
-        return _saved(scene, folder, folder / "scene.xml", folder / "scene.yaml")
-    own, source = _absolute(scene.name), _absolute(_source(scene))
-    needed = [own, source, *(_absolute(p) for p in mujoco.mju_getXMLDependencies(str(source)))]
-    top = Path(os.path.commonpath([p.parent for p in needed]))
-    for path in dict.fromkeys(needed):
-        to = folder / path.relative_to(top)
-        to.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(path, to)
-    at, model = folder / own.relative_to(top), folder / source.relative_to(top)
-    return Copy(folder, at, model) if way == "patch" else _saved(scene, folder, model.with_suffix(".xml"), at)
+        return _save_model(scene, folder, folder / "scene.xml", folder / "scene.yaml")
+    scene_path, source = _absolute(scene.name), _absolute(_source(scene))
+    source_paths = [scene_path, source, *(_absolute(p) for p in mujoco.mju_getXMLDependencies(str(source)))]
+    top = Path(os.path.commonpath([p.parent for p in source_paths]))
+    for path in dict.fromkeys(source_paths):
+        target = folder / path.relative_to(top)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(path, target)
+    at, model = folder / scene_path.relative_to(top), folder / source.relative_to(top)
+    return Copy(folder, at, model) if way == "patch" else _save_model(scene, folder, model.with_suffix(".xml"), at)
 
 
-def _saved(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
+def _save_model(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
     """Return a copy whose model is one file as MuJoCo saves it, servos of a URDF included."""
     spec = _spec(scene)
     if is_file(scene) and _source(scene).suffix.lower() == ".urdf":
         _with_meshes(spec, _source(scene), model.parent)
     assemble(scene.name, scene.file, spec)
     for sensor in list(spec.sensors):
-        if sensor.name.startswith(_OWN):
+        if sensor.name.startswith(_SENSOR_PREFIX):
             spec.delete(sensor)
     compiled(spec, scene.name)
     model.write_text(spec.to_xml())
@@ -101,7 +101,7 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
 def _with_meshes(spec: mujoco.MjSpec, source: Path, folder: Path) -> None:
     """Copy the meshes of a URDF beside a model in `folder`, and let the spec name them there.
 
-    MuJoCo lists what an MJCF depends on, of a URDF nothing.
+    MuJoCo lists the files that an MJCF depends on, but none for a URDF.
     """
     for mesh in spec.meshes:
         at = source.parent / spec.meshdir / mesh.file

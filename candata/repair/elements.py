@@ -1,4 +1,4 @@
-"""Which element of an MJCF text is which object of the compiled model."""
+"""The elements of an MJCF text that belong to the objects of the compiled model."""
 
 from __future__ import annotations
 
@@ -12,63 +12,65 @@ from candata.repair.markup import Node
 
 #: (kind, id in the compiled model); ids of an option or a root are 0.
 Key = tuple[str, int]
-#: Elements that make others: what they make has no text of its own.
+#: Elements that make others, which have no text of their own.
 _MAKERS = frozenset({"replicate", "composite", "flexcomp", "attach"})
 _JOINTS = ("joint", "freejoint")
 
 
-def located(spec: mujoco.MjSpec, root: Node) -> dict[Key, Node]:
-    """Return where the objects of a compiled spec stand in its text; what cannot be told apart is left out.
+def locate_elements(spec: mujoco.MjSpec, root: Node) -> dict[Key, Node]:
+    """Return the text element of each object of a compiled spec; objects that cannot be told apart are left out.
 
     Named elements are found by name, others by their order within the body.
     """
-    found: dict[Key, Node] = {}
-    world = [child for section in root.each("worldbody") for child in section.children]
-    _body(spec.worldbody, world, found)
-    for kind, section, things in (
+    node_of: dict[Key, Node] = {}
+    world = [child for section in root.children_of_tag("worldbody") for child in section.children]
+    _body(spec.worldbody, world, node_of)
+    for kind, section, objects in (
         ("actuator", "actuator", spec.actuators),
         ("pair", "contact", spec.pairs),
         ("mesh", "asset", spec.meshes),
     ):
-        nodes = [n for part in root.each(section) for n in part.children if kind == "actuator" or n.tag == kind]
-        _match(kind, things, nodes, found)
-    return found
+        nodes = [
+            n for part in root.children_of_tag(section) for n in part.children if kind == "actuator" or n.tag == kind
+        ]
+        _match(kind, objects, nodes, node_of)
+    return node_of
 
 
-def _body(body: mujoco.MjsBody, children: Sequence[Node], found: dict[Key, Node]) -> None:
-    """Add what stands in one body, and in those it carries."""
-    inner = list(_framed(children))
-    ordered = not any(n.tag in _MAKERS for n in inner)
-    for kind, things, tags in (
+def _body(body: mujoco.MjsBody, children: Sequence[Node], node_of: dict[Key, Node]) -> None:
+    """Add the elements of one body, and of those it carries."""
+    inner = list(_flatten_frames(children))
+    is_ordered = not any(n.tag in _MAKERS for n in inner)
+    for kind, objects, tags in (
         ("geom", body.geoms, ("geom",)),
         ("joint", body.joints, _JOINTS),
         ("site", body.sites, ("site",)),
         ("body", body.bodies, ("body",)),
     ):
         nodes = [n for n in inner if n.tag in tags]
-        _match(kind, things, nodes, found, ordered)
+        _match(kind, objects, nodes, node_of, is_ordered)
     for child in body.bodies:
-        node = found.get(("body", child.id))
+        node = node_of.get(("body", child.id))
         if node is not None:
-            _body(child, node.children, found)
+            _body(child, node.children, node_of)
 
 
-def _framed(children: Iterable[Node]) -> Iterator[Node]:
+def _flatten_frames(children: Iterable[Node]) -> Iterator[Node]:
     """Yield elements of a body, those in frames in place of the frame."""
     for child in children:
         if child.tag == "frame":
-            yield from _framed(child.children)
+            yield from _flatten_frames(child.children)
         else:
             yield child
 
 
-def _match(kind: str, things: Sequence[Any], nodes: Sequence[Node], found: dict[Key, Node], ordered: bool = True):
+def _match(kind: str, objects: Sequence[Any], nodes: Sequence[Node], node_of: dict[Key, Node], is_ordered: bool = True):
     """Pair objects and elements: by order where the counts agree, else by name."""
-    if ordered and len(things) == len(nodes):
-        found |= {(kind, thing.id): node for thing, node in zip(things, nodes, strict=True)}
+    if is_ordered and len(objects) == len(nodes):
+        node_of |= {(kind, obj.id): node for obj, node in zip(objects, nodes, strict=True)}
         return
     by_name = {_name(node): node for node in nodes}
-    found |= {(kind, thing.id): by_name[thing.name] for thing in things if thing.name in by_name}
+    node_of |= {(kind, obj.id): by_name[obj.name] for obj in objects if obj.name in by_name}
 
 
 def _name(node: Node) -> str | None:

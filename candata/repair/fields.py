@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Model array -> (kind of element, attribute) where the attribute is the number itself.
-PLAIN = {
+#: Model array -> (kind of element, attribute) if the attribute is the number itself.
+DIRECT_FIELDS = {
     "geom_friction": ("geom", "friction"),
     "geom_solref": ("geom", "solref"),
     "geom_solimp": ("geom", "solimp"),
@@ -29,7 +29,7 @@ PLAIN = {
 GEOMETRY = ("geom_size", "geom_pos", "site_pos", "body_pos", "mesh_vert")
 INERTIA = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
 SERVO = ("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited")
-FIELDS = (*PLAIN, *GEOMETRY, *INERTIA, *SERVO)
+FIELDS = (*DIRECT_FIELDS, *GEOMETRY, *INERTIA, *SERVO)
 #: Options of the solver and of the world.
 OPTIONS = ("gravity", "timestep", "cone", "impratio", "integrator")
 #: Words of MJCF for the numbers of an option.
@@ -58,30 +58,30 @@ class Difference:
 def read(model: mujoco.MjModel, field: str) -> Array:
     """Return one array (or option) of a model as rows of numbers, `(n, w)`."""
     values = getattr(model.opt, field) if field in OPTIONS else getattr(model, field)
-    found = np.array(values, float)
-    return found.reshape(
-        1 if field in OPTIONS else len(found), int(np.prod(found.shape[0 if field in OPTIONS else 1 :]))
+    numbers = np.array(values, float)
+    return numbers.reshape(
+        1 if field in OPTIONS else len(numbers), int(np.prod(numbers.shape[0 if field in OPTIONS else 1 :]))
     )
 
 
-def differences(first: mujoco.MjModel, second: mujoco.MjModel, rtol: float = 0.0) -> list[Difference]:
+def differences(first_model: mujoco.MjModel, second_model: mujoco.MjModel, rtol: float = 0.0) -> list[Difference]:
     """Return the fields in which two models differ by more than `rtol`, of a row's largest number.
 
     Fields of another shape differ in every row.
     """
     out = []
     for field in (*FIELDS, *OPTIONS):
-        one, other = read(first, field), read(second, field)
-        if one.shape != other.shape:
-            out.append(Difference(field, tuple(range(max(len(one), len(other))))))
+        first_values, second_values = read(first_model, field), read(second_model, field)
+        if first_values.shape != second_values.shape:
+            out.append(Difference(field, tuple(range(max(len(first_values), len(second_values))))))
             continue
-        size = np.maximum(np.abs(one), np.abs(other)).max(axis=1, initial=0.0)
-        # What is zero but for rounding compares with the largest number of its kind.
+        size = np.maximum(np.abs(first_values), np.abs(second_values)).max(axis=1, initial=0.0)
+        # A number that is zero but for rounding is compared with the largest number of its kind.
         size = size + 0.1 * size.max(initial=0.0)
-        apart = np.abs(one - other).max(axis=1, initial=0.0)
+        distance = np.abs(first_values - second_values).max(axis=1, initial=0.0)
         if field == "body_iquat":  # a quaternion and its negative are one rotation
-            apart = np.minimum(apart, np.abs(one + other).max(axis=1, initial=0.0))
-        rows = np.flatnonzero(apart > rtol * size)
+            distance = np.minimum(distance, np.abs(first_values + second_values).max(axis=1, initial=0.0))
+        rows = np.flatnonzero(distance > rtol * size)
         if len(rows):
             out.append(Difference(field, tuple(rows.tolist())))
     return out

@@ -38,18 +38,18 @@ class Node:
     file: Path
     start: int
     end: int
-    close: int
+    end_tag: int
     line: int
     children: list[Node] = field(default_factory=list)
 
-    def each(self, tag: str) -> Iterator[Node]:
+    def children_of_tag(self, tag: str) -> Iterator[Node]:
         """Yield the children called `tag`."""
         return (child for child in self.children if child.tag == tag)
 
 
 @dataclass(frozen=True)
 class Edit:
-    """What changes at one element: attributes set (None: removed), another tag, or text put inside at its start.
+    """The changes at one element: attributes set (None: removed), another tag, or text put inside at its start.
 
     `before_end` puts the text before the end tag instead.
     """
@@ -57,11 +57,11 @@ class Edit:
     node: Node
     attributes: Mapping[str, str | None] = field(default_factory=dict)
     tag: str | None = None
-    inside: str = ""
+    inner_text: str = ""
     before_end: bool = False
 
 
-def parse(main: Path) -> Node:
+def parse(main_file: Path) -> Node:
     """Return the root of an MJCF file with its includes in place.
 
     Raises
@@ -69,10 +69,10 @@ def parse(main: Path) -> Node:
     SceneError
         When a file is no XML that can be edited as text, or an included file is missing.
     """
-    return _parsed(main, main.parent)
+    return _parse_file(main_file, main_file.parent)
 
 
-def _parsed(path: Path, base: Path) -> Node:
+def _parse_file(path: Path, base: Path) -> Node:
     """Return the root of one file; included paths are relative to the main file, else to this one."""
     try:
         raw = path.read_bytes()
@@ -93,7 +93,7 @@ def _include(node: Node, base: Path) -> None:
             continue
         name = child.attributes.get("file", "")
         at = base / name if (base / name).is_file() else child.file.parent / name
-        children += _parsed(at, base).children
+        children += _parse_file(at, base).children
     node.children = children
 
 
@@ -103,26 +103,26 @@ def _tree(raw: bytes, path: Path) -> Node:
     stack: list[Node] = []
     roots: list[Node] = []
 
-    def opened(tag: str, attributes: dict[str, str]) -> None:
+    def on_start(tag: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
-        found = _START.match(raw, start)
-        if found is None:
+        match = _START.match(raw, start)
+        if match is None:
             raise SceneError(f"a tag of {path.name} cannot be edited as text", where=Where(path=str(path)))
-        node = Node(tag, attributes, path, start, found.end(), start, parser.CurrentLineNumber)
+        node = Node(tag, attributes, path, start, match.end(), start, parser.CurrentLineNumber)
         (stack[-1].children if stack else roots).append(node)
         stack.append(node)
 
-    def closed(tag: str) -> None:
+    def on_end(tag: str) -> None:
         node = stack.pop()
         if not raw[node.start : node.end].endswith(b"/>"):
-            node.close = parser.CurrentByteIndex
+            node.end_tag = parser.CurrentByteIndex
 
-    parser.StartElementHandler, parser.EndElementHandler = opened, closed
+    parser.StartElementHandler, parser.EndElementHandler = on_start, on_end
     parser.Parse(raw, True)
     return roots[0]
 
 
-def edited(edits: Sequence[Edit]) -> dict[Path, bytes]:
+def edited_files(edits: Sequence[Edit]) -> dict[Path, bytes]:
     """Return the new bytes of each file that changes; all else stays byte by byte.
 
     Raises
@@ -131,7 +131,7 @@ def edited(edits: Sequence[Edit]) -> dict[Path, bytes]:
         When text is to go inside an element that closes itself.
     """
     changes: dict[Path, list[tuple[int, int, bytes]]] = {}
-    for edit in merged(edits):
+    for edit in merge_edits(edits):
         changes.setdefault(edit.node.file, []).extend(_spans(edit))
     out = {}
     for path, spans in changes.items():
@@ -142,17 +142,17 @@ def edited(edits: Sequence[Edit]) -> dict[Path, bytes]:
     return out
 
 
-def merged(edits: Sequence[Edit]) -> list[Edit]:
+def merge_edits(edits: Sequence[Edit]) -> list[Edit]:
     """Return the edits, those of one element as one."""
     out: dict[int, Edit] = {}
     for edit in edits:
-        before = out.get(id(edit.node), Edit(edit.node))
+        previous = out.get(id(edit.node), Edit(edit.node))
         out[id(edit.node)] = Edit(
             edit.node,
-            {**before.attributes, **edit.attributes},
-            edit.tag or before.tag,
-            before.inside + edit.inside,
-            edit.before_end or before.before_end,
+            {**previous.attributes, **edit.attributes},
+            edit.tag or previous.tag,
+            previous.inner_text + edit.inner_text,
+            edit.before_end or previous.before_end,
         )
     return list(out.values())
 
@@ -163,44 +163,44 @@ def _spans(edit: Edit) -> list[tuple[int, int, bytes]]:
     tag = raw[node.start : node.end]
     text = tag
     for name, value in edit.attributes.items():
-        text = _with(text, name, value)
+        text = _set_attribute(text, name, value)
     spans = []
     if edit.tag is not None:
         text = b"<" + edit.tag.encode() + text[1 + len(node.tag.encode()) :]
-        if node.close != node.start:
-            spans.append((node.close + 2, node.close + 2 + len(node.tag.encode()), edit.tag.encode()))
-    if edit.inside:
-        if node.close == node.start:
+        if node.end_tag != node.start:
+            spans.append((node.end_tag + 2, node.end_tag + 2 + len(node.tag.encode()), edit.tag.encode()))
+    if edit.inner_text:
+        if node.end_tag == node.start:
             raise SceneError(f"<{node.tag}> of {node.file.name} has no room for a child", where=at(node))
-        spans.append(_inside(edit, raw))
+        spans.append(_insertion(edit, raw))
     if text != tag:
         spans.append((node.start, node.end, text))
     return spans
 
 
-def _inside(edit: Edit, raw: bytes) -> tuple[int, int, bytes]:
+def _insertion(edit: Edit, raw: bytes) -> tuple[int, int, bytes]:
     """Return the place of new text inside an element, indented as its neighbours are."""
     node = edit.node
     if edit.before_end:
-        return node.close, node.close, edit.inside.encode() + b"\n"
-    first = re.match(rb"\s*\n([ \t]*)<", raw[node.end :])
-    if first is None:
-        return node.end, node.end, edit.inside.encode()
-    return node.end, node.end, b"\n" + first.group(1) + edit.inside.encode()
+        return node.end_tag, node.end_tag, edit.inner_text.encode() + b"\n"
+    first_child = re.match(rb"\s*\n([ \t]*)<", raw[node.end :])
+    if first_child is None:
+        return node.end, node.end, edit.inner_text.encode()
+    return node.end, node.end, b"\n" + first_child.group(1) + edit.inner_text.encode()
 
 
-def _with(tag: bytes, name: str, value: str | None) -> bytes:
+def _set_attribute(tag: bytes, name: str, value: str | None) -> bytes:
     """Return a start tag with one attribute set, appended or removed."""
-    found = re.search(rb"\s+" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", tag)
-    if found is not None:
+    match = re.search(rb"\s+" + re.escape(name.encode()) + rb"\s*=\s*(\"[^\"]*\"|'[^']*')", tag)
+    if match is not None:
         if value is None:
-            return tag[: found.start()] + tag[found.end() :]
-        start, end = found.span(1)
+            return tag[: match.start()] + tag[match.end() :]
+        start, end = match.span(1)
         return tag[:start] + f'"{value}"'.encode() + tag[end:]
     if value is None:
         return tag
-    close = 2 if tag.endswith(b"/>") else 1
-    head = tag[:-close].rstrip()
+    tail_length = 2 if tag.endswith(b"/>") else 1
+    head = tag[:-tail_length].rstrip()
     return head + f' {name}="{value}"'.encode() + tag[len(head) :]
 
 

@@ -13,10 +13,10 @@ import yaml
 
 from candata.datasets.drafts import draft_beside, place
 from candata.errors import SceneError, UsageError
-from candata.repair.copies import Copy, Way, copied, ways
+from candata.repair.copies import Copy, Way, copy_scene, ways
 from candata.repair.fields import INERTIA, differences
-from candata.repair.markup import Edit, edited, merged, parse
-from candata.repair.parts import Held, Left, holds, left, outside
+from candata.repair.markup import Edit, edited_files, merge_edits, parse
+from candata.repair.parts import HeldEffect, OmittedEffect, effects_to_add, holds, omitted_effect
 from candata.repair.writes import edits
 from candata.scenes import Scene, load_scene
 from candata.scenes.first_load import vouch
@@ -25,7 +25,7 @@ from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.record import Record
 from candata.simulate.world import build_worlds
 
-EFFECTS, DIFF, LISTING = "effects.yaml", "changes.diff", "export.json"
+EFFECTS, DIFF, LISTING_FILE = "effects.yaml", "changes.diff", "export.json"
 #: Agreement asked of the exported model: meshes are stored in single precision, MuJoCo saves a whole model with six
 #: digits; an edit that went wrong is off by far more.
 AGREEMENT: dict[Way, float] = {"patch": 1e-6, "whole": 2e-5}
@@ -47,7 +47,7 @@ class Change(Record):
         return (f"{self.file}:{self.line}", self.element, self.attribute, self.before or "-", self.after or "-")
 
 
-class Exported(Record):
+class MjcfExport(Record):
     """What an export wrote.
 
     `way` is patch (the user's own files, byte by byte the same but for the attributes in `changes`) or whole (the
@@ -58,8 +58,8 @@ class Exported(Record):
     scene: str
     model: str
     way: Way
-    held: tuple[Held, ...] = ()
-    left: tuple[Left, ...] = ()
+    held: tuple[HeldEffect, ...] = ()
+    left: tuple[OmittedEffect, ...] = ()
     changes: tuple[Change, ...] = ()
     diff: str | None = None
     effects: str | None = None
@@ -67,12 +67,12 @@ class Exported(Record):
     @property
     def headline(self) -> str:
         """One line for people."""
-        how = "your files, patched" if self.way == "patch" else "the whole model, as MuJoCo saves it"
+        way_text = "your files, patched" if self.way == "patch" else "the whole model, as MuJoCo saves it"
         names = ", ".join(e.label for e in self.held) or "no effect"
-        return f"{self.scene}: {how}; holds {names}"
+        return f"{self.scene}: {way_text}; holds {names}"
 
 
-def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> Exported:
+def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> MjcfExport:
     """Return what was written to `out`: the scene's MJCF with the effects in it, a diff, and what MJCF cannot hold.
 
     What is written is loaded again and compared with the model that the effects make in candata; an effect for which
@@ -87,26 +87,26 @@ def export_mjcf(scene: Scene, effects: Sequence[EffectSetting], out: Path) -> Ex
     """
     build_worlds(scene, [effects])
     with fresh_folder(out) as draft:
-        way, held, reasons = _best(scene, [s for s in effects if holds(s)], draft)
-        copy = copied(scene, way, draft / "out")
-        before = {path: path.read_bytes() for path in copy.folder.rglob("*.xml")}
-        changes = apply_effects(copy, scene, held)
-        diff = _diff(copy, before)
-        rest = [e for e in (left(s, reasons.get(s.model_dump_json())) for s in effects) if e is not None]
-        found = Exported(
+        way, held_effects, reasons = _best_way(scene, [s for s in effects if holds(s)], draft)
+        copy = copy_scene(scene, way, draft / "out")
+        original_bytes = {path: path.read_bytes() for path in copy.folder.rglob("*.xml")}
+        changes = apply_effects(copy, scene, held_effects)
+        diff = _diff(copy, original_bytes)
+        rest = [e for e in (omitted_effect(s, reasons.get(s.model_dump_json())) for s in effects) if e is not None]
+        export = MjcfExport(
             folder=str(out),
             scene=str(copy.scene.relative_to(copy.folder)),
             model=str(copy.model.relative_to(copy.folder)),
             way=way,
-            held=tuple(Held(name=s.name, element=s.element, parameters=s.parameters) for s in held),
+            held=tuple(HeldEffect(name=s.name, element=s.element, parameters=s.parameters) for s in held_effects),
             left=tuple(rest),
             changes=tuple(changes),
             diff=DIFF if diff else None,
-            effects=EFFECTS if outside(rest) else None,
+            effects=EFFECTS if effects_to_add(rest) else None,
         )
-        _write(found, copy, diff)
+        _write(export, copy, diff)
         place(copy.folder, out)
-    return found
+    return export
 
 
 @contextmanager
@@ -124,7 +124,9 @@ def fresh_folder(out: Path) -> Iterator[Path]:
         yield draft
 
 
-def _best(scene: Scene, asked: Sequence[EffectSetting], draft: Path) -> tuple[Way, list[EffectSetting], dict[str, str]]:
+def _best_way(
+    scene: Scene, effects: Sequence[EffectSetting], draft: Path
+) -> tuple[Way, list[EffectSetting], dict[str, str]]:
     """Return the way that holds the most effects (a patch if it holds as many), those effects, and why not the others.
 
     Raises
@@ -132,54 +134,54 @@ def _best(scene: Scene, asked: Sequence[EffectSetting], draft: Path) -> tuple[Wa
     SceneError
         When the model cannot be written in any way.
     """
-    tried: list[tuple[Way, list[EffectSetting], dict[str, str]]] = []
-    why: str | None = None
+    attempts: list[tuple[Way, list[EffectSetting], dict[str, str]]] = []
+    reason: str | None = None
     for way in ways(scene):
-        if _refused(scene, asked, way, draft) is None:
-            return way, list(asked), {}
-        why = _refused(scene, (), way, draft)
-        if why is None:
-            tried.append((way, *_most(scene, asked, way, draft)))
-    if not tried:
-        raise SceneError(f"the model of scene {scene.name} cannot be written as MJCF", found=why)
-    return max(tried, key=lambda entry: len(entry[1]))
+        if _refusal(scene, effects, way, draft) is None:
+            return way, list(effects), {}
+        reason = _refusal(scene, (), way, draft)
+        if reason is None:
+            attempts.append((way, *_writable_effects(scene, effects, way, draft)))
+    if not attempts:
+        raise SceneError(f"the model of scene {scene.name} cannot be written as MJCF", found=reason)
+    return max(attempts, key=lambda entry: len(entry[1]))
 
 
-def _most(
-    scene: Scene, asked: Sequence[EffectSetting], way: Way, draft: Path
+def _writable_effects(
+    scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Path
 ) -> tuple[list[EffectSetting], dict[str, str]]:
     """Return the effects that can be written, added one by one, and why the others cannot."""
-    held: list[EffectSetting] = []
+    held_effects: list[EffectSetting] = []
     reasons: dict[str, str] = {}
-    for s in asked:
-        why = _refused(scene, [*held, s], way, draft)
-        if why is None:
-            held.append(s)
+    for s in effects:
+        reason = _refusal(scene, [*held_effects, s], way, draft)
+        if reason is None:
+            held_effects.append(s)
         else:
-            reasons[s.model_dump_json()] = why
-    return held, reasons
+            reasons[s.model_dump_json()] = reason
+    return held_effects, reasons
 
 
-def _refused(scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Path) -> str | None:
+def _refusal(scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Path) -> str | None:
     """Return why a model written with `effects` is not the one that candata simulates; None when it is."""
     folder = draft / "trial"
     try:
-        copy = copied(scene, way, folder)
+        copy = copy_scene(scene, way, folder)
         apply_effects(copy, scene, effects)
-        written = load_scene(copy.scene).model
+        written_model = load_scene(copy.scene).model
     except (SceneError, ValueError) as error:
         return str(error).splitlines()[0]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     target = build_worlds(scene, [effects]).models[0]
-    still = target.body_weldid == 0
-    apart = [
+    is_fixed = target.body_weldid == 0
+    differing_fields = [
         d.field
-        for d in differences(written, target, AGREEMENT[way])
+        for d in differences(written_model, target, AGREEMENT[way])
         # Inertia of what never moves is of no consequence.
-        if d.field not in INERTIA or len(written.body_mass) != len(still) or not still[list(d.ids)].all()
+        if d.field not in INERTIA or len(written_model.body_mass) != len(is_fixed) or not is_fixed[list(d.ids)].all()
     ]
-    return f"the model written differs in {', '.join(apart)}" if apart else None
+    return f"the model written differs in {', '.join(differing_fields)}" if differing_fields else None
 
 
 def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) -> list[Change]:
@@ -188,11 +190,11 @@ def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) ->
     root = parse(copy.model)
     spec = parsed(copy.model)
     compiled(spec, scene.name)
-    found = merged(edits(scene.model, target, spec, root))
-    for path, raw in edited(found).items():
+    merged_edits = merge_edits(edits(scene.model, target, spec, root))
+    for path, raw in edited_files(merged_edits).items():
         path.write_bytes(raw)
     vouch(copy.model)
-    return [change for edit in found for change in _changes(edit, copy)]
+    return [change for edit in merged_edits for change in _changes(edit, copy)]
 
 
 def _changes(edit: Edit, copy: Copy) -> list[Change]:
@@ -209,15 +211,17 @@ def _changes(edit: Edit, copy: Copy) -> list[Change]:
         out.append(
             Change(file=file, line=node.line, element=element, attribute="(tag)", before=node.tag, after=edit.tag)
         )
-    if edit.inside:
-        out.append(Change(file=file, line=node.line, element=element, attribute="(child)", after=edit.inside.strip()))
+    if edit.inner_text:
+        out.append(
+            Change(file=file, line=node.line, element=element, attribute="(child)", after=edit.inner_text.strip())
+        )
     return out
 
 
-def _diff(copy: Copy, before: dict[Path, bytes]) -> bytes:
+def _diff(copy: Copy, original_bytes: dict[Path, bytes]) -> bytes:
     """Return the unified diff of all files that changed, paths from the copy's folder."""
     out = b""
-    for path, raw in sorted(before.items()):
+    for path, raw in sorted(original_bytes.items()):
         name = path.relative_to(copy.folder).as_posix().encode()
         lines = difflib.diff_bytes(
             difflib.unified_diff, _lines(raw), _lines(path.read_bytes()), b"a/" + name, b"b/" + name
@@ -228,15 +232,17 @@ def _diff(copy: Copy, before: dict[Path, bytes]) -> bytes:
 
 def _lines(raw: bytes) -> list[bytes]:
     """Return lines with their ends; one that ends with the file says so, as diffs do."""
-    *whole, last = raw.split(b"\n")
-    return [line + b"\n" for line in whole] + ([last + b"\n\\ No newline at end of file\n"] if last else [])
+    *complete_lines, last_line = raw.split(b"\n")
+    return [line + b"\n" for line in complete_lines] + (
+        [last_line + b"\n\\ No newline at end of file\n"] if last_line else []
+    )
 
 
-def _write(found: Exported, copy: Copy, diff: bytes) -> None:
+def _write(export: MjcfExport, copy: Copy, diff: bytes) -> None:
     """Write the diff, the listing, and the effects that are left beside the model."""
-    if found.diff:
-        (copy.folder / found.diff).write_bytes(diff)
-    if found.effects:
-        file = EffectsFile(scene=os.path.relpath(copy.scene, copy.folder), effects=outside(found.left))
-        (copy.folder / found.effects).write_text(yaml.safe_dump(file.model_dump(mode="json"), sort_keys=False))
-    (copy.folder / LISTING).write_text(found.model_dump_json(indent=2) + "\n")
+    if export.diff:
+        (copy.folder / export.diff).write_bytes(diff)
+    if export.effects:
+        file = EffectsFile(scene=os.path.relpath(copy.scene, copy.folder), effects=effects_to_add(export.left))
+        (copy.folder / export.effects).write_text(yaml.safe_dump(file.model_dump(mode="json"), sort_keys=False))
+    (copy.folder / LISTING_FILE).write_text(export.model_dump_json(indent=2) + "\n")

@@ -1,4 +1,4 @@
-"""Which part of each effect MJCF can hold, and where the rest belongs."""
+"""The part of each effect that MJCF can hold, and where the rest belongs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PACE = "clock: stamp the recording with its true rate, or step this much more o
 _AS_CANDATA = "run the effects.yaml beside this with candata"
 
 
-class Held(Record):
+class HeldEffect(Record):
     """An effect that the exported model holds."""
 
     name: str
@@ -28,7 +28,7 @@ class Held(Record):
         return f"{self.name} on {self.element}" if self.element else self.name
 
 
-class Left(Held):
+class OmittedEffect(HeldEffect):
     """An effect, or its part, that the exported model does not hold: why, and where to apply it instead."""
 
     whole: bool
@@ -42,30 +42,34 @@ def holds(s: EffectSetting) -> bool:
     return kind.edit is not None and kind.pace is None
 
 
-def left(s: EffectSetting, why: str | None = None) -> Left | None:
-    """Return what of an effect stays outside of the model; None where nothing does.
+def omitted_effect(s: EffectSetting, reason: str | None = None) -> OmittedEffect | None:
+    """Return the part of an effect that stays outside the model; None where nothing does.
 
     Parameters
     ----------
     s : EffectSetting
-    why : str, optional
+    reason : str, optional
         Why an effect that acts in the model could not be written.
     """
     kind = effect(s.name)
     hooks = [("command", _COMMAND), ("reading", _READING), ("force", _FORCE), ("pace", _PACE)]
     places = [text for name, text in hooks if getattr(kind, name) is not None]
-    whole = why is not None or not holds(s)
-    if not whole and not places:
+    is_whole = reason is not None or not holds(s)
+    if not is_whole and not places:
         return None
-    if why is None:
-        why = f"MJCF has no attribute for it: {kind.about}"
-    if not whole:
-        why = f"the model holds what acts in it; the rest is no part of MJCF: {kind.about}"
+    if reason is None:
+        reason = f"MJCF has no attribute for it: {kind.about}"
+    if not is_whole:
+        reason = f"the model holds what acts in it; the rest is no part of MJCF: {kind.about}"
     apply = "; ".join(places) if places else "set it in code after loading the model"
-    own = f"; or {_AS_CANDATA}" if whole else ""
-    return Left(name=s.name, element=s.element, parameters=s.parameters, whole=whole, why=why, apply=apply + own)
+    candata_hint = f"; or {_AS_CANDATA}" if is_whole else ""
+    return OmittedEffect(
+        name=s.name, element=s.element, parameters=s.parameters, whole=is_whole, why=reason, apply=apply + candata_hint
+    )
 
 
-def outside(found: Sequence[Left]) -> tuple[EffectSetting, ...]:
+def effects_to_add(omitted_effects: Sequence[OmittedEffect]) -> tuple[EffectSetting, ...]:
     """Return the effects that candata still has to add to the exported model."""
-    return tuple(EffectSetting(name=e.name, element=e.element, parameters=e.parameters) for e in found if e.whole)
+    return tuple(
+        EffectSetting(name=e.name, element=e.element, parameters=e.parameters) for e in omitted_effects if e.whole
+    )

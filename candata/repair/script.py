@@ -13,7 +13,7 @@ import mujoco
 from mujoco import sysid
 
 HERE = Path(__file__).resolve().parent
-#: Where each component of a parameter acts: number = offset + slope x value.
+#: The places in the model that each component of a parameter sets: number = offset + slope x value.
 TARGETS = json.loads((HERE / "targets.json").read_text())
 
 
@@ -36,10 +36,10 @@ def modifier(components):
 
 def parameters():
     """Return the parameters with bounds, start values, and what they act on."""
-    found = sysid.ParameterDict.load_from_disk(HERE / "parameters.yaml")
-    for name, parameter in found.items():
+    parameters = sysid.ParameterDict.load_from_disk(HERE / "parameters.yaml")
+    for name, parameter in parameters.items():
         parameter.modifier = modifier(TARGETS[name])
-    return found
+    return parameters
 
 
 def sequences():
@@ -48,17 +48,17 @@ def sequences():
     model = spec.compile()
     groups = {}
     for path in sorted((HERE / "sequences").glob("*.npz")):
-        one = sysid.SystemTrajectory.load_from_disk(path, model)
-        key = (len(one.control.times), len(one.sensordata.times))
-        groups.setdefault(key, []).append((path.stem, one))
+        trajectory = sysid.SystemTrajectory.load_from_disk(path, model)
+        key = (len(trajectory.control.times), len(trajectory.sensordata.times))
+        groups.setdefault(key, []).append((path.stem, trajectory))
     return [
         sysid.ModelSequences(
             f"rows_{rows}",
             spec,
             [name for name, _ in group],
-            [one.initial_state for _, one in group],
-            [one.control for _, one in group],
-            [one.sensordata for _, one in group],
+            [trajectory.initial_state for _, trajectory in group],
+            [trajectory.control for _, trajectory in group],
+            [trajectory.sensordata for _, trajectory in group],
         )
         for (_, rows), group in groups.items()
     ]
@@ -66,7 +66,7 @@ def sequences():
 
 if __name__ == "__main__":
     residual = sysid.build_residual_fn(models_sequences=sequences())
-    found, result = sysid.optimize(parameters(), residual)
-    found.save_to_disk(HERE / "identified.yaml")
-    print(found)
+    identified, result = sysid.optimize(parameters(), residual)
+    identified.save_to_disk(HERE / "identified.yaml")
+    print(identified)
 '''

@@ -19,10 +19,10 @@ from candata.errors import DataError, Where
 from candata.gap.memory import ACT
 from candata.gap.recordings import Recordings, recordings
 from candata.gap.starts import Starts, starts
-from candata.repair.affine import Free, free_parameters
-from candata.repair.copies import Copy, copied
+from candata.repair.affine import FreeParameter, free_parameters
+from candata.repair.copies import Copy, copy_scene
 from candata.repair.mjcf import Change, apply_effects, fresh_folder
-from candata.repair.parts import Held, Left, left
+from candata.repair.parts import HeldEffect, OmittedEffect, omitted_effect
 from candata.repair.script import IDENTIFY
 from candata.scenes import Scene
 from candata.scenes.model_file import compiled, parsed
@@ -35,7 +35,7 @@ SENSOR, CONTROL = 0, 5  # `SignalType` of the toolbox (MuJoCo 4.0): MjSensor, Mj
 #: Names of the object's sensors in the exported model.
 POSITION, ROTATION = "object_position", "object_rotation"
 #: Time stamps are this much early, as the toolbox rounds their number up.
-EARLY = 1e-12
+STAMP_ADVANCE = 1e-12
 _COMMAND = "filter the controls in custom_rollout (a delay: also the actuator's own `delay` and `nsample`)"
 _READING = "modify_residual, with signal_modifier.apply_delay, apply_bias or apply_gain"
 
@@ -45,9 +45,9 @@ class SysidExport(Record):
 
     folder: str
     model: str
-    parameters: tuple[Free, ...]
-    fixed: tuple[Held, ...]
-    left: tuple[Left, ...]
+    parameters: tuple[FreeParameter, ...]
+    fixed: tuple[HeldEffect, ...]
+    left: tuple[OmittedEffect, ...]
     sequences: int
     sensors: tuple[str, ...]
     changes: tuple[Change, ...] = ()
@@ -56,8 +56,8 @@ class SysidExport(Record):
     def headline(self) -> str:
         """One line for people."""
         names = ", ".join(f"{p.name} {p.start[0]:.4g}" + (" ..." if p.start[1:] else "") for p in self.parameters)
-        fixed = f"; fixed in the model: {', '.join(h.label for h in self.fixed)}" if self.fixed else ""
-        return f"{self.model}: {self.sequences} sequences; free: {names or 'nothing'}{fixed}"
+        fixed_text = f"; fixed in the model: {', '.join(h.label for h in self.fixed)}" if self.fixed else ""
+        return f"{self.model}: {self.sequences} sequences; free: {names or 'nothing'}{fixed_text}"
 
 
 def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Dataset, out: Path) -> SysidExport:
@@ -78,27 +78,27 @@ def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Datase
     if len(dataset) == 0:
         raise DataError("the dataset is empty", expected="recorded episodes", where=Where(path=str(dataset.path)))
     recs = recordings(scene, dataset.episodes())
-    kept = [s for s in effects if _in_model(s)]
+    model_effects = [s for s in effects if _in_model(s)]
     with fresh_folder(out) as draft:
-        copy = copied(scene, "whole", draft / "out")
-        sensors = _sensed(copy, scene, recs)
-        changes = apply_effects(copy, scene, kept)
+        copy = copy_scene(scene, "whole", draft / "out")
+        sensors = _write_sensors(copy, scene, recs)
+        changes = apply_effects(copy, scene, model_effects)
         model = compiled(parsed(copy.model), scene.name)
-        free = _free(scene, kept, model)
-        moved = {p.effect for p in free}
-        found = SysidExport(
+        free = _free(scene, model_effects, model)
+        free_names = {p.effect for p in free}
+        export = SysidExport(
             folder=str(out),
             model=str(copy.model.relative_to(copy.folder)),
             parameters=tuple(free),
-            fixed=tuple(_held(s) for s in kept if s.name not in moved),
-            left=tuple(_left(s) for s in effects if s not in kept),
+            fixed=tuple(_held_effect(s) for s in model_effects if s.name not in free_names),
+            left=tuple(_omitted_effect(s) for s in effects if s not in model_effects),
             sequences=len(recs),
             sensors=sensors,
             changes=tuple(changes),
         )
-        _write(found, copy, scene, recs, model)
+        _write(export, copy, scene, recs, model)
         place(copy.folder, out)
-    return found
+    return export
 
 
 def _in_model(s: EffectSetting) -> bool:
@@ -107,43 +107,43 @@ def _in_model(s: EffectSetting) -> bool:
     return kind.edit is not None and not any((kind.command, kind.reading, kind.force, kind.pace))
 
 
-def _held(s: EffectSetting) -> Held:
+def _held_effect(s: EffectSetting) -> HeldEffect:
     """Return an effect that the model holds."""
-    return Held(name=s.name, element=s.element, parameters=s.parameters)
+    return HeldEffect(name=s.name, element=s.element, parameters=s.parameters)
 
 
-def _left(s: EffectSetting) -> Left:
+def _omitted_effect(s: EffectSetting) -> OmittedEffect:
     """Return an effect that the toolbox has no parameter for, and where its code takes it."""
     kind = effect(s.name)
-    where = [text for hook, text in ((kind.command, _COMMAND), (kind.reading, _READING)) if hook is not None]
-    apply = "; ".join(where) or left(s, "").apply  # type: ignore[union-attr]
-    why = f"it is no number of the model: {kind.about}"
-    return Left(name=s.name, element=s.element, parameters=s.parameters, whole=True, why=why, apply=apply)
+    hook_texts = [text for hook, text in ((kind.command, _COMMAND), (kind.reading, _READING)) if hook is not None]
+    apply = "; ".join(hook_texts) or omitted_effect(s, "").apply  # type: ignore[union-attr]
+    reason = f"it is no number of the model: {kind.about}"
+    return OmittedEffect(name=s.name, element=s.element, parameters=s.parameters, whole=True, why=reason, apply=apply)
 
 
-def _free(scene: Scene, kept: Sequence[EffectSetting], model: mujoco.MjModel) -> list[Free]:
+def _free(scene: Scene, effects: Sequence[EffectSetting], model: mujoco.MjModel) -> list[FreeParameter]:
     """Return the parameters of all effects; of two that set the same number, the first."""
-    out: list[Free] = []
-    taken: set[tuple[str, str, str, int | None]] = set()
-    for which in range(len(kept)):
-        found = free_parameters(scene, kept, which, model)
-        slots = {(p.kind, p.name, p.attribute, p.index) for f in found for part in f.places for p in part}
-        if not slots & taken:
-            out += found
-            taken |= slots
+    out: list[FreeParameter] = []
+    used_slots: set[tuple[str, str, str, int | None]] = set()
+    for number in range(len(effects)):
+        parameters = free_parameters(scene, effects, number, model)
+        slots = {(p.kind, p.name, p.attribute, p.index) for f in parameters for part in f.places for p in part}
+        if not slots & used_slots:
+            out += parameters
+            used_slots |= slots
     return out
 
 
-def _sensed(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
+def _write_sensors(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
     """Write a model whose only sensors are what was recorded, all of whose elements have names; return the sensors."""
     spec = parsed(copy.model)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
-    for kind, things in (("geom", spec.geoms), ("pair", spec.pairs), ("body", spec.bodies), ("joint", spec.joints)):
-        taken = {thing.name for thing in things}
-        for number, thing in enumerate(things):
-            if not thing.name:
-                thing.name = next(n for n in (f"{kind}_{number}{'_' * k}" for k in range(9)) if n not in taken)
+    for kind, elements in (("geom", spec.geoms), ("pair", spec.pairs), ("body", spec.bodies), ("joint", spec.joints)):
+        used_names = {element.name for element in elements}
+        for number, element in enumerate(elements):
+            if not element.name:
+                element.name = next(n for n in (f"{kind}_{number}{'_' * k}" for k in range(9)) if n not in used_names)
     kinds, objects = mujoco.mjtSensor, mujoco.mjtObj
     names: list[str] = []
     if "joint_position" in recs.readings:
@@ -159,21 +159,21 @@ def _sensed(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
     return tuple(names)
 
 
-def _write(found: SysidExport, copy: Copy, scene: Scene, recs: Recordings, model: mujoco.MjModel) -> None:
+def _write(export: SysidExport, copy: Copy, scene: Scene, recs: Recordings, model: mujoco.MjModel) -> None:
     """Write parameters, targets, sequences, program and listing."""
     states = {
         p.name: {
             "name": p.name, "nominal": list(p.own), "min_value": list(p.low), "max_value": list(p.high),
             "value": list(p.start), "frozen": False,
         }
-        for p in found.parameters
+        for p in export.parameters
     }  # fmt: skip
     folder = copy.folder
     (folder / "parameters.yaml").write_text(yaml.safe_dump(states, default_flow_style=False))
-    targets = {p.name: [[place.model_dump() for place in part] for part in p.places] for p in found.parameters}
+    targets = {p.name: [[place.model_dump() for place in part] for part in p.places] for p in export.parameters}
     (folder / "targets.json").write_text(json.dumps(targets, indent=1) + "\n")
-    (folder / "identify.py").write_text(IDENTIFY.replace("MODEL", found.model))
-    (folder / "export.json").write_text(found.model_dump_json(indent=2) + "\n")
+    (folder / "identify.py").write_text(IDENTIFY.replace("MODEL", export.model))
+    (folder / "export.json").write_text(export.model_dump_json(indent=2) + "\n")
     (folder / "sequences").mkdir()
     begin = starts(scene, recs)
     for e, name in enumerate(recs.ids):
@@ -185,27 +185,27 @@ def _sequence(scene: Scene, recs: Recordings, begin: Starts, e: int, model: mujo
 
     Forces ride along for the user's own residual; the toolbox does not read them.
     """
-    first, last = int(begin.rows[e]), int(recs.lengths[e])
+    first_row, stop_row = int(begin.rows[e]), int(recs.lengths[e])
     step, rate = float(model.opt.timestep), scene.file.rate_hz
     steps = max(1, round(1 / rate / step))
-    control = np.zeros(((last - first) * steps, model.nu))
-    control[:, scene.actuator_ids] = np.repeat(recs.commands[e, first:last], steps, axis=0)
-    columns = [recs.readings[c][e, first:last] for c in ("joint_position", "object_pose") if c in recs.readings]
+    control = np.zeros(((stop_row - first_row) * steps, model.nu))
+    control[:, scene.actuator_ids] = np.repeat(recs.commands[e, first_row:stop_row], steps, axis=0)
+    columns = [recs.readings[c][e, first_row:stop_row] for c in ("joint_position", "object_pose") if c in recs.readings]
     data = np.concatenate(columns, axis=1)
-    seen = np.isfinite(data).all(1)
+    is_read = np.isfinite(data).all(1)
     # The toolbox stamps what a step began with by the time at its end: readings have to come one physics step late.
-    times = np.arange(last - first) / rate + step
+    times = np.arange(stop_row - first_row) / rate + step
     out = {
-        "control_times": np.arange(len(control)) * step * (1 - EARLY),
+        "control_times": np.arange(len(control)) * step * (1 - STAMP_ADVANCE),
         "control_data": control,
         "control_signal_mapping": _mapping([f"{model.actuator(a).name}_ctrl" for a in range(model.nu)], CONTROL, {}),
-        "sensordata_times": times[seen],
-        "sensordata_data": data[seen],
+        "sensordata_times": times[is_read],
+        "sensordata_data": data[is_read],
         "sensordata_signal_mapping": _sensor_mapping(model),
         "initial_state": _state(model, begin.take(np.array([e]))),
     }
     if "fingertip_force" in recs.readings:
-        out["fingertip_force"] = recs.readings["fingertip_force"][e, first:last][seen]
+        out["fingertip_force"] = recs.readings["fingertip_force"][e, first_row:stop_row][is_read]
     return out
 
 

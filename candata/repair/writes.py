@@ -9,21 +9,21 @@ import mujoco
 import numpy as np
 
 from candata.errors import SceneError
-from candata.repair.elements import Key, located
-from candata.repair.fields import INERTIA, OPTIONS, PLAIN, WORDS, Array, differences, words
+from candata.repair.elements import Key, locate_elements
+from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, words
 from candata.repair.markup import Edit, Node, at
 
 Attributes = dict[str, str | None]
 #: What an inertial element may say instead of `quat` and `diaginertia`.
 _OTHER_INERTIA = ("fullinertia", "axisangle", "euler", "xyaxes", "zaxis")
-#: Attributes of servo shortcuts that `general` has not.
+#: Attributes of servo shortcuts that `general` lacks.
 _SHORTCUTS = ("kp", "kv", "dampratio", "timeconst", "area", "diameter", "bias")
-_DECLARED = {"position": "pos", "velocity": "vel", "intvelocity": "vel"}
+_SERVO_INPUT = {"position": "pos", "velocity": "vel", "intvelocity": "vel"}
 _GAINS = ("fixed", "affine", "muscle")
 _BIASES = ("none", "affine", "muscle")
 _DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle")
-#: Which number of a size is half the length, by shape that may be given by its ends.
-_HALF = {
+#: Index of the number of a size that is half the length, by shape that may be given by its ends.
+_HALF_LENGTH_INDEX = {
     mujoco.mjtGeom.mjGEOM_CAPSULE: 1,
     mujoco.mjtGeom.mjGEOM_CYLINDER: 1,
     mujoco.mjtGeom.mjGEOM_BOX: 2,
@@ -35,21 +35,21 @@ _SIZES = {mujoco.mjtGeom.mjGEOM_SPHERE: 1, mujoco.mjtGeom.mjGEOM_CAPSULE: 2, muj
 
 @dataclass(frozen=True)
 class _Change:
-    """The model as it is and as it shall be, the spec of the text, and where things stand in it."""
+    """The model as it is and as it shall be, the spec of the text, and the element of each object in it."""
 
-    own: mujoco.MjModel
+    source: mujoco.MjModel
     target: mujoco.MjModel
     spec: mujoco.MjSpec
     root: Node
     nodes: Mapping[Key, Node]
 
 
-def edits(own: mujoco.MjModel, target: mujoco.MjModel, spec: mujoco.MjSpec, root: Node) -> list[Edit]:
-    """Return the edits of an MJCF text that turn its compiled model `own` into `target`.
+def edits(source: mujoco.MjModel, target: mujoco.MjModel, spec: mujoco.MjSpec, root: Node) -> list[Edit]:
+    """Return the edits of an MJCF text that turn its compiled model `source` into `target`.
 
     Parameters
     ----------
-    own, target : mujoco.MjModel
+    source, target : mujoco.MjModel
         As compiled from the text, and as edited by effects.
     spec : mujoco.MjSpec
         The text, compiled.
@@ -61,22 +61,24 @@ def edits(own: mujoco.MjModel, target: mujoco.MjModel, spec: mujoco.MjSpec, root
     SceneError
         When an element that changes is not to be found in the text.
     """
-    change = _Change(own, target, spec, root, located(spec, root))
-    found = {d.field: d.ids for d in differences(own, target)}
+    change = _Change(source, target, spec, root, locate_elements(spec, root))
+    changed_rows = {d.field: d.ids for d in differences(source, target)}
     attributes: dict[Key, Attributes] = {}
-    for name, (kind, attribute) in PLAIN.items():
-        for i in found.get(name, ()):
-            key = (kind, int(own.dof_jntid[i]) if kind == "joint" else i)
+    for name, (kind, attribute) in DIRECT_FIELDS.items():
+        for i in changed_rows.get(name, ()):
+            key = (kind, int(source.dof_jntid[i]) if kind == "joint" else i)
             attributes.setdefault(key, {})[attribute] = words(_row(target, name, i))
     _springs(change, attributes)
-    for i in found.get("actuator_forcelimited", ()):
+    for i in changed_rows.get("actuator_forcelimited", ()):
         attributes.setdefault(("actuator", i), {})["forcelimited"] = str(bool(target.actuator_forcelimited[i])).lower()
-    moved = _geometry(change, found, attributes)
+    touched_bodies = _geometry(change, changed_rows, attributes)
     out = [Edit(_node(change, key), values) for key, values in attributes.items() if key[0] != "actuator"]
-    out += _servos(change, found, attributes)
-    bodies = {i for name in INERTIA for i in found.get(name, ())} | moved
-    out += [_inertial(change, found, i) for i in sorted(bodies) if own.body_weldid[i] and own.body_mass[i] > 0]
-    return out + _options(change, [name for name in OPTIONS if name in found])
+    out += _servos(change, changed_rows, attributes)
+    bodies = {i for name in INERTIA for i in changed_rows.get(name, ())} | touched_bodies
+    out += [
+        _inertial(change, changed_rows, i) for i in sorted(bodies) if source.body_weldid[i] and source.body_mass[i] > 0
+    ]
+    return out + _options(change, [name for name in OPTIONS if name in changed_rows])
 
 
 def _row(model: mujoco.MjModel, field: str, index: int) -> Array:
@@ -105,82 +107,88 @@ def _springs(change: _Change, attributes: dict[Key, Attributes]) -> None:
     for joint in change.spec.joints:
         values = attributes.get(("joint", joint.id), {})
         if "damping" in values and np.any(joint.springdamper):
-            values |= {"springdamper": "0 0", "stiffness": words(float(change.own.jnt_stiffness[joint.id]))}
+            values |= {"springdamper": "0 0", "stiffness": words(float(change.source.jnt_stiffness[joint.id]))}
 
 
-def _geometry(change: _Change, found: Mapping[str, tuple[int, ...]], attributes: dict[Key, Attributes]) -> set[int]:
+def _geometry(
+    change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: dict[Key, Attributes]
+) -> set[int]:
     """Add places and sizes that change; return the bodies whose inertia would follow them."""
-    own, target = change.own, change.target
-    scales = _mesh_scales(change) if "mesh_vert" in found else {}
+    source, target = change.source, change.target
+    scales = _mesh_scales(change) if "mesh_vert" in changed_rows else {}
     for mesh in change.spec.meshes:
         if mesh.id in scales:
             attributes.setdefault(("mesh", mesh.id), {})["scale"] = words(scales[mesh.id] * np.array(mesh.scale))
-    touched = set(found.get("geom_pos", ())) | set(found.get("geom_size", ()))
+    geom_ids = set(changed_rows.get("geom_pos", ())) | set(changed_rows.get("geom_size", ()))
     for geom in change.spec.geoms:
-        if geom.id in touched:
+        if geom.id in geom_ids:
             values = attributes.setdefault(("geom", geom.id), {})
-            values |= _placed(change, geom, scales.get(int(own.geom_dataid[geom.id])))
-    for kind, things in (("site", change.spec.sites), ("body", change.spec.bodies)):
-        for thing in things:
-            if thing.id in found.get(f"{kind}_pos", ()):
-                moved = _row(target, f"{kind}_pos", thing.id) - _row(own, f"{kind}_pos", thing.id)
-                attributes.setdefault((kind, thing.id), {})["pos"] = words(np.array(thing.pos) + moved)
-    return {int(own.geom_bodyid[g]) for g in touched}
+            values |= _placement(change, geom, scales.get(int(source.geom_dataid[geom.id])))
+    for kind, elements in (("site", change.spec.sites), ("body", change.spec.bodies)):
+        for element in elements:
+            if element.id in changed_rows.get(f"{kind}_pos", ()):
+                shift = _row(target, f"{kind}_pos", element.id) - _row(source, f"{kind}_pos", element.id)
+                attributes.setdefault((kind, element.id), {})["pos"] = words(np.array(element.pos) + shift)
+    return {int(source.geom_bodyid[g]) for g in geom_ids}
 
 
 def _mesh_scales(change: _Change) -> dict[int, float]:
     """Return by how much each mesh that changes grows, read off the geoms that show it."""
-    own, target = change.own, change.target
-    shown = np.flatnonzero((own.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (own.geom_size != target.geom_size).any(1))
-    return {int(own.geom_dataid[g]): float(target.geom_size[g].max() / own.geom_size[g].max()) for g in shown}
+    source, target = change.source, change.target
+    geom_ids = np.flatnonzero(
+        (source.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & (source.geom_size != target.geom_size).any(1)
+    )
+    return {int(source.geom_dataid[g]): float(target.geom_size[g].max() / source.geom_size[g].max()) for g in geom_ids}
 
 
-def _placed(change: _Change, geom: mujoco.MjsGeom, scale: float | None) -> Attributes:
+def _placement(change: _Change, geom: mujoco.MjsGeom, scale: float | None) -> Attributes:
     """Return the place and size of one geom in the words of its text: ends, or position and size."""
-    own, target, i = change.own, change.target, geom.id
+    source, target, i = change.source, change.target, geom.id
     if scale is not None:
         return {"pos": words(scale * np.array(geom.pos))}
     size = words(target.geom_size[i][: _SIZES.get(geom.type, 3)])
-    grown: Attributes = {"size": size} if (own.geom_size[i] != target.geom_size[i]).any() else {}
+    size_attributes: Attributes = {"size": size} if (source.geom_size[i] != target.geom_size[i]).any() else {}
     ends = np.array(geom.fromto)
-    moved = target.geom_pos[i] - own.geom_pos[i]
+    shift = target.geom_pos[i] - source.geom_pos[i]
     if not np.isfinite(ends).all():
-        return grown | ({"pos": words(np.array(geom.pos) + moved)} if moved.any() else {})
-    along = _HALF[geom.type]
-    longer = target.geom_size[i][along] / own.geom_size[i][along]
-    middle, half = (ends[:3] + ends[3:]) / 2, (ends[3:] - ends[:3]) / 2
-    new = np.concatenate([middle + moved - longer * half, middle + moved + longer * half])
-    return {"fromto": words(new), **grown}
+        return size_attributes | ({"pos": words(np.array(geom.pos) + shift)} if shift.any() else {})
+    length_index = _HALF_LENGTH_INDEX[geom.type]
+    stretch = target.geom_size[i][length_index] / source.geom_size[i][length_index]
+    centre, half_axis = (ends[:3] + ends[3:]) / 2, (ends[3:] - ends[:3]) / 2
+    new_ends = np.concatenate([centre + shift - stretch * half_axis, centre + shift + stretch * half_axis])
+    return {"fromto": words(new_ends), **size_attributes}
 
 
-def _inertial(change: _Change, found: Mapping[str, tuple[int, ...]], body: int) -> Edit:
+def _inertial(change: _Change, changed_rows: Mapping[str, tuple[int, ...]], body: int) -> Edit:
     """Return the edit that gives a body its inertia in numbers: what changes of an element, or a new one."""
     node, target = _node(change, ("body", body)), change.target
     place: Attributes = {"pos": words(target.body_ipos[body])}
     mass: Attributes = {"mass": words(float(target.body_mass[body]))}
     turn: Attributes = {"quat": words(target.body_iquat[body]), "diaginertia": words(target.body_inertia[body])}
-    stands = next(node.each("inertial"), None)
-    if stands is None:
+    element = next(node.children_of_tag("inertial"), None)
+    if element is None:
         text = " ".join(f'{k}="{v}"' for k, v in (place | turn | mass).items())
-        return Edit(node, inside=f"<inertial {text}/>")
+        return Edit(node, inner_text=f"<inertial {text}/>")
     values: Attributes = {}
     for names, part in (
         (("body_ipos",), place),
         (("body_mass",), mass),
         (("body_inertia", "body_iquat"), turn | {name: None for name in _OTHER_INERTIA}),
     ):
-        values |= part if any(body in found.get(name, ()) for name in names) else {}
-    return Edit(stands, values)
+        values |= part if any(body in changed_rows.get(name, ()) for name in names) else {}
+    return Edit(element, values)
 
 
-def _servos(change: _Change, found: Mapping[str, tuple[int, ...]], attributes: Mapping[Key, Attributes]) -> list[Edit]:
+def _servos(
+    change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: Mapping[Key, Attributes]
+) -> list[Edit]:
     """Return the edits of actuators: gains in the words of a position servo where it can say them."""
-    geared = set(found.get("actuator_gainprm", ())) | set(found.get("actuator_biasprm", ()))
-    changed = sorted(geared | {i for kind, i in attributes if kind == "actuator"})
+    gain_ids = set(changed_rows.get("actuator_gainprm", ())) | set(changed_rows.get("actuator_biasprm", ()))
+    actuator_ids = sorted(gain_ids | {i for kind, i in attributes if kind == "actuator"})
     out = []
-    for i in changed:
+    for i in actuator_ids:
         node, values = _node(change, ("actuator", i)), dict(attributes.get(("actuator", i), {}))
-        if i not in geared:
+        if i not in gain_ids:
             out.append(Edit(node, values))
         elif node.tag == "position" and _is_position(change.target, i):
             out.append(Edit(node, values | _gains(change, i)))
@@ -191,13 +199,13 @@ def _servos(change: _Change, found: Mapping[str, tuple[int, ...]], attributes: M
 
 def _gains(change: _Change, i: int) -> Attributes:
     """Return the gains of a position servo that change; a damping ratio becomes the damping that it meant."""
-    own, target = change.own, change.target
+    source, target = change.source, change.target
     values: Attributes = {}
-    if own.actuator_gainprm[i, 0] != target.actuator_gainprm[i, 0]:
+    if source.actuator_gainprm[i, 0] != target.actuator_gainprm[i, 0]:
         values["kp"] = words(float(target.actuator_gainprm[i, 0]))
     # A spec holds a damping ratio as a positive number where the damping is a negative one.
     by_ratio = next(a.biasprm[2] > 0 for a in change.spec.actuators if a.id == i)
-    if by_ratio or own.actuator_biasprm[i, 2] != target.actuator_biasprm[i, 2]:
+    if by_ratio or source.actuator_biasprm[i, 2] != target.actuator_biasprm[i, 2]:
         values |= {"kv": words(float(-target.actuator_biasprm[i, 2])), "dampratio": None}
     return values
 
@@ -209,10 +217,10 @@ def _is_position(model: mujoco.MjModel, i: int) -> bool:
 
 
 def _general(change: _Change, node: Node, i: int) -> Attributes:
-    """Return the attributes with which `general` says what this actuator is."""
+    """Return the attributes with which `general` describes this actuator."""
     target = change.target
     kinds = (target.actuator_gaintype[i], target.actuator_biastype[i], target.actuator_dyntype[i])
-    if any(kind >= len(known) for kind, known in zip(kinds, (_GAINS, _BIASES, _DYNAMICS), strict=True)):
+    if any(kind >= len(names) for kind, names in zip(kinds, (_GAINS, _BIASES, _DYNAMICS), strict=True)):
         raise SceneError(f"actuator {target.actuator(i).name} has a law that `general` cannot say", where=at(node))
     gain, bias = (np.array(getattr(target, f"actuator_{name}prm")[i]) for name in ("gain", "bias"))
     used = [np.flatnonzero(v)[-1] + 1 if v.any() else 1 for v in (gain, bias)]
@@ -223,15 +231,15 @@ def _general(change: _Change, node: Node, i: int) -> Attributes:
     values |= {"gaintype": _GAINS[kinds[0]], "biastype": _BIASES[kinds[1]]}
     if kinds[2]:
         values |= {"dyntype": _DYNAMICS[kinds[2]], "dynprm": words(target.actuator_dynprm[i][:3])}
-    if node.tag in _DECLARED:
-        values["input"] = _DECLARED[node.tag]
+    if node.tag in _SERVO_INPUT:
+        values["input"] = _SERVO_INPUT[node.tag]
     return values
 
 
 def _options(change: _Change, names: list[str]) -> list[Edit]:
     """Return the edits of options: in the section that says them last, else in the last, else in a new one."""
-    sections = list(change.root.each("option"))
-    fresh: dict[str, str] = {}
+    sections = list(change.root.children_of_tag("option"))
+    new_attributes: dict[str, str] = {}
     out = []
     for name in names:
         value = getattr(change.target.opt, name)
@@ -240,8 +248,8 @@ def _options(change: _Change, names: list[str]) -> list[Edit]:
         if says:
             out.append(Edit(says[-1], {name: text}))
         else:
-            fresh[name] = text
-    if fresh:
-        option = "  <option " + " ".join(f'{k}="{v}"' for k, v in fresh.items()) + "/>"
-        out.append(Edit(change.root, inside=option, before_end=True))
+            new_attributes[name] = text
+    if new_attributes:
+        option = "  <option " + " ".join(f'{k}="{v}"' for k, v in new_attributes.items()) + "/>"
+        out.append(Edit(change.root, inner_text=option, before_end=True))
     return out

@@ -11,7 +11,7 @@ from candata.datasets.writing import write_text
 from candata.reports.chart import Axis, chart, dots, line
 from candata.reports.document import render_page
 from candata.reports.heat import confusion
-from candata.schema.bench import BenchFile, Bin, Row
+from candata.schema.bench import BenchFile, BenchRow, Bin
 
 #: Last column of the table by whether a target is met; None when there is no target.
 MARKS = {True: "met", False: "MISSED", None: ""}
@@ -40,8 +40,8 @@ def write_bench(bench: BenchFile, out: Path) -> Path:
 
 def bench_page(bench: BenchFile) -> str:
     """Return the page as text; it asks for nothing from elsewhere."""
-    missed_count = sum(row.met is False for row in bench.rows)
-    target_count = sum(row.met is not None for row in bench.rows)
+    missed_count = sum(row.is_met is False for row in bench.rows)
+    target_count = sum(row.is_met is not None for row in bench.rows)
     return render_page(
         "bench",
         title=f"Blind check: {bench.scene}",
@@ -75,7 +75,7 @@ def calibration(bins: Sequence[Bin]) -> Markup:
 
 def _measure_rows(bench: BenchFile) -> list[tuple[str, ...]]:
     """Return the rows of the table."""
-    return [(row.measure, value_text(row), str(row.n), target_text(row), MARKS[row.met]) for row in bench.rows]
+    return [(row.measure, value_text(row), str(row.n), target_text(row), MARKS[row.is_met]) for row in bench.rows]
 
 
 def _miss_rows(bench: BenchFile) -> list[tuple[str, ...]]:
@@ -99,14 +99,14 @@ def _baseline_rows(bench: BenchFile) -> list[tuple[str, ...]]:
     return [(name, *(value_text(t[name]) if name in t else "-" for t in tables)) for name in measures]
 
 
-def value_text(row: Row) -> str:
+def value_text(row: BenchRow) -> str:
     """Return a measured value with its unit."""
     if row.value is None:
         return "-"
     return f"{row.value:.1f} {row.unit}" if row.unit else f"{row.value:.3f}"
 
 
-def target_text(row: Row) -> str:
+def target_text(row: BenchRow) -> str:
     """Return the target of a row in words; empty for none."""
     low, high = ("" if v is None else f"{v:g}" for v in (row.low, row.high))
     unit = f" {row.unit}" if row.unit else ""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from candata.datasets.compare import Compared, Comparison, Row, Side, Spread
-from candata.datasets.distance import Drawn
+from candata.datasets.compare import Comparison, ComparisonResult, ComparisonRow, Side, Spread
+from candata.datasets.distance import Bars
 from candata.reports.chart import Axis, chart, join_markup, linear_axis
 from candata.reports.distributions import bars
 from candata.reports.document import render_page
@@ -64,7 +64,7 @@ class StatisticRow:
     percent: float
 
 
-def page(pair: Compared) -> str:
+def page(pair: ComparisonResult) -> str:
     """Return the page as text."""
     comparison = pair.comparison
     sides = (comparison.this, comparison.against)
@@ -100,7 +100,7 @@ def verdict(comparison: Comparison) -> str:
     return f"{subject} by more than luck would make episodes of one world differ."
 
 
-def row_unit(row: Row, units: Mapping[str, str]) -> str:
+def row_unit(row: ComparisonRow, units: Mapping[str, str]) -> str:
     """Return the unit of a row as people read it."""
     return readable_unit(row.unit, row.element, units)
 
@@ -116,15 +116,15 @@ def _answer(comparison: Comparison, group: str, title: str, units: Mapping[str, 
     return title, f"{count} of {len(rows)} differ", f"Most: {name}, median {medians.strip()}."
 
 
-def _distribution_pairs(pair: Compared, units: Mapping[str, str]) -> list[DistributionPair]:
+def _distribution_pairs(pair: ComparisonResult, units: Mapping[str, str]) -> list[DistributionPair]:
     """Return the distributions of the first rows: those that differ, a few in any case."""
     rows = pair.comparison.rows
     count = min(max(LEAST_DRAWN, sum(bool(row.differs) for row in rows)), MOST_DRAWN)
-    entries = list(zip(rows, pair.drawn, strict=True))[:count]
+    entries = list(zip(rows, pair.bars, strict=True))[:count]
     return [_distribution_pair(row, histograms, row_unit(row, units)) for row, histograms in entries]
 
 
-def _distribution_pair(row: Row, histograms: Drawn, unit: str) -> DistributionPair:
+def _distribution_pair(row: ComparisonRow, histograms: Bars, unit: str) -> DistributionPair:
     """Return both distributions of a row under its name."""
     title = f"{row.statistic} {row.element}".strip()
     distance = f"{digits(row.spreads)} spreads apart" if row.spreads is not None else "always the same"
@@ -140,7 +140,7 @@ def _distribution_pair(row: Row, histograms: Drawn, unit: str) -> DistributionPa
     return DistributionPair(title, chart(x, y, marks, label, 84, unit or "share", "share"), "", distance)
 
 
-def _statistic_row(row: Row, units: Mapping[str, str], largest_spreads: float) -> StatisticRow:
+def _statistic_row(row: ComparisonRow, units: Mapping[str, str], largest_spreads: float) -> StatisticRow:
     """Return one row of the table."""
     cells = (
         row.statistic,

@@ -62,7 +62,7 @@ def distributions(elements: Iterable[ChannelDistribution], units: Mapping[str, s
 def _histogram(element: ChannelDistribution, units: Mapping[str, str]) -> HistogramFigure:
     """Return one histogram, with its range and what the bars leave out in words."""
     unit = readable_unit(element.element.unit, element.element.name, units)
-    title, values = element.element.name or element.channel, element.found
+    title, values = element.element.name or element.channel, element.distribution
     if values is None:
         return HistogramFigure(title, Markup(""), "no valid value")
     if values.high - values.low <= EQUAL_SHARE * max(abs(values.low), abs(values.high)):

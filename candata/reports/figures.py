@@ -28,7 +28,7 @@ from candata.reports.chart import (
 )
 from candata.reports.document import render
 from candata.reports.numbers import digits, percent
-from candata.schema.report import Estimate, Gap, Ranked, Report
+from candata.schema.report import Estimate, Gap, RankedEffect, Report
 
 #: Candidates drawn in the ranking.
 MOST_RANKED = 12
@@ -67,7 +67,7 @@ def candidates(report: Report) -> Markup:
     return render("candidates", rows=rows, ticks=ticks, undrawn_count=undrawn_count)
 
 
-def _candidate_row(candidate: Ranked, share: float | None, x: Axis) -> CandidateRow:
+def _candidate_row(candidate: RankedEffect, share: float | None, x: Axis) -> CandidateRow:
     """Return one candidate; `share` is None for one that is not named."""
     css_class, y = "" if share is None else "named", Axis(0, 1)
     reason = f"; {words.readable_name(candidate.reason)}" if candidate.reason else ""
@@ -85,12 +85,12 @@ def _candidate_row(candidate: Ranked, share: float | None, x: Axis) -> Candidate
     )
 
 
-def drawn_candidates(report: Report) -> list[Ranked]:
+def drawn_candidates(report: Report) -> list[RankedEffect]:
     """Return the best candidates that were tested, each effect on few of its elements, and those that are named."""
     named_keys = {(effect.name, effect.element) for effect in report.effects}
     candidates_tested = [c for c in report.ranking if not c.reason or (c.name, c.element) in named_keys]
     variants = Counter[str]()
-    best_ranked: list[Ranked] = []
+    best_ranked: list[RankedEffect] = []
     for candidate in candidates_tested:
         variants[candidate.name] += 1
         if variants[candidate.name] <= MOST_VARIANTS and len(best_ranked) < MOST_RANKED:

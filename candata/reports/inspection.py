@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from candata.datasets.elements import JOINT_UNITS
 from candata.datasets.summary import ChannelSummary, Summary
-from candata.datasets.survey import Shown, Survey
+from candata.datasets.survey import ExampleEpisode, Survey
 from candata.reports import space, traces
 from candata.reports.distributions import distributions
 from candata.reports.document import render_page
@@ -72,7 +72,7 @@ def page(survey: Survey, episode: str | None = None) -> str:
         phase_key=traces.phase_key(False),
         fingertips=summary.fingertip_contact_shares or {"any": summary.contact_share},
         is_one_episode=episode is not None,
-        episodes=[_episode_figures(survey_entry) for survey_entry in survey.shown[: 1 if episode else None]],
+        episodes=[_episode_figures(survey_entry) for survey_entry in survey.examples[: 1 if episode else None]],
         path_key=PATH_KEY,
         scope="this episode" if episode or summary.episodes == 1 else f"all {summary.episodes:,} episodes",
         distributions=distributions(survey.distributions, units),
@@ -178,7 +178,7 @@ def _unit(channel: ChannelSummary, units: Mapping[str, str]) -> str:
     return ", ".join(joint_unit_names) or readable_unit(unit, "", units)
 
 
-def _episode_figures(survey_entry: Shown) -> EpisodeFigures:
+def _episode_figures(survey_entry: ExampleEpisode) -> EpisodeFigures:
     """Return the figures of one episode, and what it has no channel for."""
     episode = survey_entry.episode
     path, contact, forces = space.path(episode), traces.timeline(episode), traces.forces(episode)
@@ -195,7 +195,7 @@ def _episode_figures(survey_entry: Shown) -> EpisodeFigures:
     )
 
 
-def _facts(survey_entry: Shown) -> str:
+def _facts(survey_entry: ExampleEpisode) -> str:
     """Return what an episode is, in one line."""
     episode, meta = survey_entry.episode, survey_entry.episode.meta
     seed = f"seed {meta.seed}" if meta.seed is not None else None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from candata import plugins
 from candata.errors import UnknownNameError
 from candata.schema.effect import Value
-from candata.schema.report import Bound, Bounded, Estimate
+from candata.schema.report import Estimate, IntervalEnd, KnownEnds
 
 #: Unit that a parameter's name ends in (the naming rule of effects), the longest ending first.
 SUFFIX_UNITS = (
@@ -26,7 +26,7 @@ SUFFIX_UNITS = (
 #: SI unit to the unit shown for small values, and the factor to it.
 SMALL_UNITS = {"s": ("ms", 1e3), "m": ("mm", 1e3), "rad": ("mrad", 1e3), "kg": ("g", 1e3)}
 #: What explains the recordings as well as a value of which only this end is known.
-EQUALLY_GOOD: dict[Bounded | None, str] = {"low": "more", "high": "less"}
+EQUALLY_GOOD: dict[KnownEnds | None, str] = {"low": "more", "high": "less"}
 #: Below this SI value the small unit reads better.
 SMALL_BELOW = {"s": 1.0, "m": 0.5, "rad": 0.5, "kg": 0.5}
 
@@ -117,7 +117,7 @@ def percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _numbers(value: Value | Bound) -> tuple[float, ...] | None:
+def _numbers(value: Value | IntervalEnd) -> tuple[float, ...] | None:
     """Return the value as numbers, or None when it is a word or missing."""
     if value is None or isinstance(value, str):
         return None

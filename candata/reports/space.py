@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from candata.datasets.summary import ANY, touches
+from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.reports.chart import join_markup, linear_axis
 from candata.reports.envelope import turning_rows
 from candata.reports.numbers import digits
@@ -44,7 +44,7 @@ def path(episode: Episode) -> Markup:
         return Markup("")
     centre, half_m = _cube(pose[valid_rows, :3], LEAST_HALF_M)
     points = CUBE_HALF * (pose[:, :3] - centre) / half_m
-    touch = touches(episode).get(ANY, np.zeros(len(episode), bool))
+    touch = touches(episode).get(ANY_FINGERTIP, np.zeros(len(episode), bool))
     rows = turning_rows(points, STRETCHES)
     marks = [
         *_frame(centre, half_m),

@@ -12,7 +12,7 @@ from candata.gap.evidence import Range
 from candata.reports import advice, figures, words
 from candata.reports.numbers import digits, format_estimate, percent, unit_of
 from candata.schema.record import Record
-from candata.schema.report import Estimate, NextMotion, Report, Unknown, Verdict
+from candata.schema.report import Estimate, NextMotion, Report, UnknownCause, Verdict
 
 #: Fields of a report that the page shows in parts of their own.
 SHOWN_FIELDS = frozenset(
@@ -82,7 +82,7 @@ def _range_text(search_range: Range, unit: str) -> str:
     return f"{' to '.join(text.value.strip('[]').split(', '))} {text.unit}".strip()
 
 
-def unknown_rows(part: Unknown) -> list[tuple[str, str]]:
+def unknown_rows(part: UnknownCause) -> list[tuple[str, str]]:
     """Return what is known of the part that no effect explains: where it acts, its size, what it depends on."""
     size = f"{digits(part.size)} {part.unit or ''}".strip() if part.size is not None else ""
     return [

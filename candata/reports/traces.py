@@ -9,7 +9,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from candata.datasets.elements import actuator_labels, fingertip_labels, joint_labels
-from candata.datasets.summary import ANY, touches
+from candata.datasets.summary import ANY_FINGERTIP, touches
 from candata.reports.chart import Axis, areas, chart, join_markup, line, linear_axis, mark
 from candata.reports.document import render
 from candata.reports.envelope import bounds, envelope, runs
@@ -75,16 +75,16 @@ def forces(episode: Episode) -> Markup:
 def timeline(episode: Episode) -> Markup:
     """Return when each fingertip touches, under the phases of the contact; empty where contact is not known."""
     touch = touches(episode)
-    if ANY not in touch:
+    if ANY_FINGERTIP not in touch:
         return Markup("")
-    time_s, tips = episode.time_s, [name for name in touch if name != ANY]
+    time_s, tips = episode.time_s, [name for name in touch if name != ANY_FINGERTIP]
     rows = ["phase", *(tips or ["any"])]
     x = linear_axis([0.0, _length_s(episode)], 8)
     y = Axis(-0.5, len(rows) - 0.5, tuple((float(len(rows) - 1 - k), name) for k, name in enumerate(rows)))
-    phases = contact_phases(touch[ANY], episode.meta.rate_hz)
+    phases = contact_phases(touch[ANY_FINGERTIP], episode.meta.rate_hz)
     marks = [_strokes(x, y, time_s, phases == p, len(rows) - 1, f"phase {p}") for p in DRAWN_PHASES]
     for k, name in enumerate(rows[1:]):
-        marks.append(_strokes(x, y, time_s, touch[name if tips else ANY], len(rows) - 2 - k, "touching"))
+        marks.append(_strokes(x, y, time_s, touch[name if tips else ANY_FINGERTIP], len(rows) - 2 - k, "touching"))
     label = "contact of each fingertip over time"
     return render("timeline", key=phase_key(), chart=chart(x, y, join_markup(marks), label, 20 * len(rows), "time [s]"))
 

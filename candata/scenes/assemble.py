@@ -25,7 +25,7 @@ from candata.schema.yaml_text import read_yaml
 LIBRARY = "candata.scenes.library"
 #: Endings of files that are models.
 _MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
-#: The physics step that a model has which says nothing of it [s] (MuJoCo XML reference, option/timestep).
+#: Physics step of a model that names none [s] (MuJoCo XML reference, option/timestep).
 USUAL_STEP_S = 0.002
 #: Physics steps a control step. Measured: this many of `cube_toss`, the lightest scene, take half a second.
 MOST_SUBSTEPS = 100_000
@@ -91,17 +91,17 @@ class Scene:
         return transmission.levers(self.model, self.actuator_ids.tolist())
 
     def stiffness(self, actuators: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
-        """Return the position gains `(n,)` of actuators: of a servo what holds its length, whatever its command."""
-        held = -self.model.actuator_biasprm[actuators, 1]
-        return np.where(held > 0, held, self.model.actuator_gainprm[actuators, 0])
+        """Return the position gains `(n,)` of actuators: a servo's gain on its length, else that on its command."""
+        length_gain = -self.model.actuator_biasprm[actuators, 1]
+        return np.where(length_gain > 0, length_gain, self.model.actuator_gainprm[actuators, 0])
 
     @cached_property
     def driven_hinges(self) -> NDArray[np.int64]:
-        """Indices into `file.joints` of hinge joints that an actuator pulls: where drive effects act."""
-        driven = {joint for own in self.levers.values() for joint in own}
+        """Indices into `file.joints` of hinge joints that an actuator pulls: drive effects act on these."""
+        pulled_joints = {joint for lever_arms in self.levers.values() for joint in lever_arms}
         hinge = mujoco.mjtJoint.mjJNT_HINGE
         return np.array(
-            [i for i, j in enumerate(self.joint_ids) if j in driven and self.model.jnt_type[j] == hinge], int
+            [i for i, j in enumerate(self.joint_ids) if j in pulled_joints and self.model.jnt_type[j] == hinge], int
         )
 
     @cached_property
@@ -129,7 +129,7 @@ class Scene:
         """Ids of the object's colliding geoms."""
         if self.object_id is None:
             return np.zeros(0, int)
-        return _colliding(self.model, subtree(self.model, self.object_id))
+        return _colliding_geoms(self.model, subtree(self.model, self.object_id))
 
     @cached_property
     def fingertip_bodies(self) -> NDArray[np.int64]:
@@ -143,16 +143,16 @@ class Scene:
 
     @cached_property
     def internal_sensors(self) -> dict[int, NDArray[np.int64]]:
-        """Addresses `(3,)` of what the bodies of one fingertip exert on one another, which is no force from outside.
+        """Addresses `(3,)` of the forces that the bodies of one fingertip exert on one another: no force from outside.
 
         Keyed by the fingertip's index; only fingertips that consist of several bodies have one.
         """
-        found = {
+        sensor_of = {
             name: self.model.sensor(name)
             for name in (f"{sensors.INTERNAL}{i}" for i in range(len(self.file.fingertips)))
             if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name) >= 0
         }
-        return {int(name.removeprefix(sensors.INTERNAL)): s.adr[0] + np.arange(3) for name, s in found.items()}
+        return {int(name.removeprefix(sensors.INTERNAL)): s.adr[0] + np.arange(3) for name, s in sensor_of.items()}
 
     @cached_property
     def frame_sensors(self) -> NDArray[np.int64]:
@@ -166,8 +166,8 @@ class Scene:
     @cached_property
     def touch_sensors(self) -> NDArray[np.int64]:
         """`(R,)` addresses of the flags that tell whether a robot's links touch the object."""
-        found = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(sensors.TOUCH)]
-        return np.array([self.model.sensor(s).adr[0] for s in found], int)
+        sensor_ids = [s for s in range(self.model.nsensor) if self.model.sensor(s).name.startswith(sensors.TOUCH)]
+        return np.array([self.model.sensor(s).adr[0] for s in sensor_ids], int)
 
     @cached_property
     def digest(self) -> str:
@@ -188,14 +188,14 @@ class Scene:
 
 def subtree(model: mujoco.MjModel, body: int) -> set[int]:
     """Return the ids of `body` and all bodies it carries."""
-    found = {body}
+    bodies = {body}
     for child in range(body + 1, model.nbody):
-        if model.body_parentid[child] in found:
-            found.add(child)
-    return found
+        if model.body_parentid[child] in bodies:
+            bodies.add(child)
+    return bodies
 
 
-def _colliding(model: mujoco.MjModel, bodies: set[int]) -> NDArray[np.int64]:
+def _colliding_geoms(model: mujoco.MjModel, bodies: set[int]) -> NDArray[np.int64]:
     """Return ids of the geoms of `bodies` that can collide."""
     touch = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     return np.flatnonzero(np.isin(model.geom_bodyid, list(bodies)) & touch)
@@ -232,14 +232,14 @@ def load_scene(name: str | Path) -> Scene:
 
 def _no_scene(path: Path) -> UsageError:
     """Return the error of a path that leads to a model, a folder or anything else but a scene file."""
-    beside = (path if path.is_dir() else path.parent) / "scene.yaml"
-    ways = [f"give {beside}"] if beside.is_file() else []
-    what = "is a folder" if path.is_dir() else "is no scene file" if path.exists() else "does not exist"
+    scene_path = (path if path.is_dir() else path.parent) / "scene.yaml"
+    ways = [f"give {scene_path}"] if scene_path.is_file() else []
+    problem = "is a folder" if path.is_dir() else "is no scene file" if path.exists() else "does not exist"
     if path.is_file() and path.suffix.lower() in _MODELS:
-        what = "is a model, which does not say which part plays which role"
+        problem = "is a model, which does not say which part plays which role"
         ways.append(f"candata scene init {path}, then give the scene file that it writes")
     return UsageError(
-        f"{path} {what}",
+        f"{path} {problem}",
         expected="a scene.yaml, or the name of a built-in scene",
         where=Where(path=str(path)),
         fix=", or: ".join(ways),
@@ -317,12 +317,12 @@ def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:
 
 def _check_commands(name: str, model: mujoco.MjModel) -> None:
     """Refuse an actuator that takes more than one number a step: a column of `action` is one number."""
-    several = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] != 1]
-    if several:
+    actuator_ids = [a for a in range(model.nactuator) if model.actuator_ctrlnum[a] != 1]
+    if actuator_ids:
         raise SceneError(
-            f"scene {name}: actuator {model.actuator(several[0]).name} takes several numbers at once",
+            f"scene {name}: actuator {model.actuator(actuator_ids[0]).name} takes several numbers at once",
             expected="actuators of one command each",
-            found=f"{model.actuator_ctrlnum[several[0]]} numbers",
+            found=f"{model.actuator_ctrlnum[actuator_ids[0]]} numbers",
             fix="use <position>, <velocity>, <motor> or <general> on each joint in its place",
         )
 

@@ -75,55 +75,57 @@ def _surface(model: mujoco.MjModel, geom: int) -> _Surface | None:
     return makers[kind](size) if kind in makers else None
 
 
-def _box(half: Array) -> _Surface:
+def _box(half_extents: Array) -> _Surface:
     """Return the surface of a box of half extents `half (3,)`."""
-    faces = 8 * half.prod() / half
+    faces = 8 * half_extents.prod() / half_extents
 
     def draw(n: int, rng: np.random.Generator) -> Array:
-        found = rng.uniform(-half, half, (n, 3))
+        points = rng.uniform(-half_extents, half_extents, (n, 3))
         axis = rng.choice(3, n, p=faces / faces.sum())
-        found[np.arange(n), axis] = np.where(rng.random(n) < 0.5, -1, 1) * half[axis]
-        return found
+        points[np.arange(n), axis] = np.where(rng.random(n) < 0.5, -1, 1) * half_extents[axis]
+        return points
 
     return _Surface(float(faces.sum()), draw)
 
 
 def _directions(n: int, rng: np.random.Generator) -> Array:
     """Return `(n, 3)` unit vectors, uniform on the sphere."""
-    found = rng.standard_normal((n, 3))
-    return found / np.linalg.norm(found, axis=1, keepdims=True)
+    vectors = rng.standard_normal((n, 3))
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
-def _ellipsoid(half: Array) -> _Surface:
+def _ellipsoid(semi_axes: Array) -> _Surface:
     """Return the surface of an ellipsoid: the sphere's points, kept by how much it stretches the area there.
 
     Source: at direction u the area element is abc |u / (a, b, c)| times the sphere's; the whole area is
     K. Thomsen's formula (within 1.1 %, exact for a sphere).
     """
     exponent = 1.6075
-    a, b, c = half**exponent
+    a, b, c = semi_axes**exponent
     area = 4 * np.pi * ((a * b + b * c + c * a) / 3) ** (1 / exponent)
 
     def draw(n: int, rng: np.random.Generator) -> Array:
-        kept = np.zeros((0, 3))
-        while len(kept) < n:
+        directions = np.zeros((0, 3))
+        while len(directions) < n:
             u = _directions(max(n, 1), rng)
-            share = np.linalg.norm(u / half, axis=1) * half.min()
-            kept = np.concatenate([kept, u[rng.random(len(u)) < share]])
-        return kept[:n] * half
+            share = np.linalg.norm(u / semi_axes, axis=1) * semi_axes.min()
+            directions = np.concatenate([directions, u[rng.random(len(u)) < share]])
+        return directions[:n] * semi_axes
 
     return _Surface(float(area), draw)
 
 
 def _cylinder(size: Array) -> _Surface:
     """Return the surface of a cylinder of radius and half height `size[:2]`."""
-    radius, half = size[:2]
-    side, lid = 4 * np.pi * radius * half, np.pi * radius**2
+    radius, half_height = size[:2]
+    side, lid = 4 * np.pi * radius * half_height, np.pi * radius**2
 
     def draw(n: int, rng: np.random.Generator) -> Array:
         part = rng.choice(3, n, p=np.array([side, lid, lid]) / (side + 2 * lid))
         reach = np.where(part == 0, radius, radius * np.sqrt(rng.random(n)))
-        height = np.choose(part, [rng.uniform(-half, half, n), np.full(n, half), np.full(n, -half)])
+        height = np.choose(
+            part, [rng.uniform(-half_height, half_height, n), np.full(n, half_height), np.full(n, -half_height)]
+        )
         angle = rng.uniform(0, 2 * np.pi, n)
         return np.stack([reach * np.cos(angle), reach * np.sin(angle), height], axis=1)
 
@@ -132,14 +134,14 @@ def _cylinder(size: Array) -> _Surface:
 
 def _capsule(size: Array) -> _Surface:
     """Return the surface of a capsule of radius and half length `size[:2]`."""
-    radius, half = size[:2]
-    side, caps = 4 * np.pi * radius * half, 4 * np.pi * radius**2
+    radius, half_length = size[:2]
+    side, caps = 4 * np.pi * radius * half_length, 4 * np.pi * radius**2
 
     def draw(n: int, rng: np.random.Generator) -> Array:
         ball = radius * _directions(n, rng)
-        ball[:, 2] += np.copysign(half, ball[:, 2])
+        ball[:, 2] += np.copysign(half_length, ball[:, 2])
         angle = rng.uniform(0, 2 * np.pi, n)
-        tube = [radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-half, half, n)]
+        tube = [radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-half_length, half_length, n)]
         on_side = rng.random(n) < side / (side + caps)
         return np.where(on_side[:, None], np.stack(tube, axis=1), ball)
 
@@ -151,14 +153,14 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> _Surface:
     v, f = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
     vertices = np.array(model.mesh_vert[v : v + model.mesh_vertnum[mesh]], float)
     corner = vertices[model.mesh_face[f : f + model.mesh_facenum[mesh]]]
-    first, second = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-    areas = np.linalg.norm(np.cross(first, second), axis=1) / 2
+    first_edge, second_edge = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    areas = np.linalg.norm(np.cross(first_edge, second_edge), axis=1) / 2
 
     def draw(n: int, rng: np.random.Generator) -> Array:
         face = rng.choice(len(areas), n, p=areas / areas.sum())
         s, t = rng.random((2, n, 1))
         # Points beyond the diagonal of the parallelogram are turned back into the triangle.
         s, t = np.where(s + t > 1, 1 - s, s), np.where(s + t > 1, 1 - t, t)
-        return corner[face, 0] + s * first[face] + t * second[face]
+        return corner[face, 0] + s * first_edge[face] + t * second_edge[face]
 
     return _Surface(float(areas.sum()), draw)

@@ -1,4 +1,4 @@
-"""What a hand and a built-in scene export."""
+"""The contracts of a hand and of a built-in scene."""
 
 from __future__ import annotations
 

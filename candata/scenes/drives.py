@@ -1,4 +1,4 @@
-"""What kind of drive an actuator is, and the units of its gains."""
+"""The kind of drive that an actuator is, and the units of its gains."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Units(NamedTuple):
     effort: str
 
 
-_TURNING, _SLIDING = Units("N m/rad", "N m s/rad", "N m"), Units("N/m", "N s/m", "N")
+_HINGE_UNITS, _SLIDE_UNITS = Units("N m/rad", "N m s/rad", "N m"), Units("N/m", "N s/m", "N")
 
 
 class Drive(NamedTuple):
-    """What an actuator does with its command: kind, gains (None: it has none) and their units."""
+    """The law of an actuator: kind, gains (None: it has none) and their units."""
 
     kind: str
     kp: float | None
@@ -51,9 +51,9 @@ def drive_of(model: mujoco.MjModel, actuator: int) -> Drive:
     """Return kind and gains of an actuator (MuJoCo XML reference, "actuator": the shortcuts and what they set)."""
     stiffness, damping = (float(0.0 - b) for b in model.actuator_biasprm[actuator, 1:3])
     units = _units(model, actuator)
-    known = _known_kind(model, actuator)
-    if known:
-        return Drive(known, None, None, units)
+    kind = _known_kind(model, actuator)
+    if kind:
+        return Drive(kind, None, None, units)
     if position_servos(model, np.array([actuator]))[0]:
         return Drive("position servo", stiffness, damping, units)
     affine = model.actuator_biastype[actuator] == _BIAS.mjBIAS_AFFINE
@@ -67,7 +67,7 @@ def drive_of(model: mujoco.MjModel, actuator: int) -> Drive:
         )
     if affine and model.actuator_biasprm[actuator, :3].any():
         return Drive("general", stiffness or None, damping or None, units)
-    return Drive("torque motor" if units == _TURNING else "force motor", None, None, units)
+    return Drive("torque motor" if units == _HINGE_UNITS else "force motor", None, None, units)
 
 
 def _known_kind(model: mujoco.MjModel, actuator: int) -> str:
@@ -82,19 +82,19 @@ def _known_kind(model: mujoco.MjModel, actuator: int) -> str:
 
 def _units(model: mujoco.MjModel, actuator: int) -> Units:
     """Return an actuator's units: those of turning where all that it pulls turns, else those of sliding."""
-    pulled = levers(model, [actuator]).get(actuator, {})
-    slides = [model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE for joint in pulled]
-    return _TURNING if pulled and not any(slides) else _SLIDING
+    joints = levers(model, [actuator]).get(actuator, {})
+    slides = [model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE for joint in joints]
+    return _HINGE_UNITS if joints and not any(slides) else _SLIDE_UNITS
 
 
 def pulled_by(model: mujoco.MjModel, actuator: int) -> str:
     """Return in words what an actuator pulls: `joint index1`, `tendon jaws`."""
-    first = int(model.actuator_trnid[actuator, 0])
+    target_id = int(model.actuator_trnid[actuator, 0])
     if actuator in driven_joints(model, [actuator]):
-        return f"joint {model.joint(first).name or first}"
+        return f"joint {model.joint(target_id).name or target_id}"
     kind = _TRN(model.actuator_trntype[actuator])
     if kind == _TRN.mjTRN_TENDON:
-        return f"tendon {model.tendon(first).name or first}"
+        return f"tendon {model.tendon(target_id).name or target_id}"
     if kind == _TRN.mjTRN_BODY:
-        return f"body {model.body(first).name or first}"
-    return f"site {model.site(first).name or first}"
+        return f"body {model.body(target_id).name or target_id}"
+    return f"site {model.site(target_id).name or target_id}"

@@ -31,22 +31,24 @@ def resolve_meshes(spec: mujoco.MjSpec, urdf: Path) -> None:
     """
     for mesh in spec.meshes:
         if mesh.file.partition("://")[0] in _SCHEMES:
-            mesh.file = str(_found(mesh.file, urdf).absolute())
+            mesh.file = str(_find_mesh(mesh.file, urdf).absolute())
 
 
-def _found(uri: str, urdf: Path) -> Path:
+def _find_mesh(uri: str, urdf: Path) -> Path:
     """Return the file that a mesh's path means."""
-    tried = list(dict.fromkeys(candidates(uri, urdf)))
-    there = [(file, root) for file, root in tried if file.is_file()]
-    for file, root in there:
+    candidate_files = list(dict.fromkeys(candidates(uri, urdf)))
+    existing_files = [(file, root) for file, root in candidate_files if file.is_file()]
+    for file, root in existing_files:
         if file.resolve().is_relative_to(root.resolve()):
             return file
-    places = [str(file) for file, _ in tried]
-    more = f" and {len(places) - _MOST_PLACES} more places" if len(places) > _MOST_PLACES else ""
+    places = [str(file) for file, _ in candidate_files]
+    more_text = f" and {len(places) - _MOST_PLACES} more places" if len(places) > _MOST_PLACES else ""
     raise SceneError(
         f"mesh {uri} of {urdf.name} is not found",
-        expected=f"a file at {', '.join(places[:_MOST_PLACES])}{more}",
-        found=f"{there[0][0]}, which a link or `..` leads out of {there[0][1]}" if there else "nothing there",
+        expected=f"a file at {', '.join(places[:_MOST_PLACES])}{more_text}",
+        found=f"{existing_files[0][0]}, which a link or `..` leads out of {existing_files[0][1]}"
+        if existing_files
+        else "nothing there",
         where=Where(path=str(urdf)),
         fix=f"copy the file to {_home(uri, urdf)}, or put {urdf.name} into its package",
     )
@@ -55,9 +57,9 @@ def _found(uri: str, urdf: Path) -> Path:
 def _home(uri: str, urdf: Path) -> Path:
     """Return where a mesh would be found."""
     scheme, _, rest = uri.partition("://")
-    inside = PurePosixPath(rest) if scheme == "file" else PurePosixPath(rest.partition("/")[2])
-    plain = not inside.is_absolute() and ".." not in inside.parts
-    return urdf.parent / (inside if plain else inside.name)
+    relative = PurePosixPath(rest) if scheme == "file" else PurePosixPath(rest.partition("/")[2])
+    stays_inside = not relative.is_absolute() and ".." not in relative.parts
+    return urdf.parent / (relative if stays_inside else relative.name)
 
 
 def candidates(uri: str, urdf: Path) -> Iterator[Candidate]:
@@ -91,4 +93,4 @@ def _package_folders(urdf: Path) -> Iterator[Path]:
         yield start.parent
         if start.parent.name in _URDF_FOLDERS:
             yield start.parent.parent
-        yield from [above for above in start.parents if (above / _MANIFEST).is_file()][:1]
+        yield from [parent for parent in start.parents if (parent / _MANIFEST).is_file()][:1]

@@ -38,34 +38,34 @@ def check_text(path: Path) -> None:
     _check_file(path, path.parent, (), 0, 1)
 
 
-def _check_file(path: Path, base: Path, above: tuple[Path, ...], document: int, copies: int) -> None:
+def _check_file(path: Path, base: Path, ancestors: tuple[Path, ...], document: int, copies: int) -> None:
     """Check one file and those that it attaches or includes, beside `base`.
 
-    `above` are the files that led to it; those from `document` on include one another, and are one document.
+    `ancestors` are the files that led to it; those from `document` on include one another, and are one document.
     """
-    own = path.resolve()
-    above = (*above, own)
-    if len(above) > MOST_NESTED:
-        found = f"files that attach or include one another {len(above)} deep"
-        raise too_large(path, found, f"at most {MOST_NESTED} deep")
+    real_path = path.resolve()
+    ancestors = (*ancestors, real_path)
+    if len(ancestors) > MOST_NESTED:
+        size_text = f"files that attach or include one another {len(ancestors)} deep"
+        raise too_large(path, size_text, f"at most {MOST_NESTED} deep")
     root = _root(path)
-    for node, count in _unfolded(root, copies) if root is not None else ():
+    for node, count in _unfold_copies(root, copies) if root is not None else ():
         if count > MOST_COPIES:
             raise too_large(path, f"a <{node.tag}> that unfolds to {count:,} copies", f"at most {MOST_COPIES:,}")
-        sides = [_whole(node.get(side)) for side in _SIDES.get(node.tag, ())]
+        sides = [_integer(node.get(side)) for side in _SIDES.get(node.tag, ())]
         if sides and sides[0] * sides[1] > MOST_SAMPLES:
-            found = f"a <{node.tag}> of {sides[0]:,} x {sides[1]:,} samples"
-            raise too_large(path, found, f"at most {MOST_SAMPLES:,} samples")
+            size_text = f"a <{node.tag}> of {sides[0]:,} x {sides[1]:,} samples"
+            raise too_large(path, size_text, f"at most {MOST_SAMPLES:,} samples")
         if node.tag not in ("model", "include") or not (child := base / node.get("file", "")).is_file():
             continue
-        if node.tag == "include" and child.resolve() in above[document:]:
+        if node.tag == "include" and child.resolve() in ancestors[document:]:
             continue  # MuJoCo finds by itself a file that includes itself
-        if child.resolve() in above:
-            raise _attached_to_itself(path, (*above[above.index(child.resolve()) :], child))
+        if child.resolve() in ancestors:
+            raise _attached_to_itself(path, (*ancestors[ancestors.index(child.resolve()) :], child))
         if node.tag == "include":
-            _check_file(child, base, above, document, count)
+            _check_file(child, base, ancestors, document, count)
         else:
-            _check_file(child, child.parent, above, len(above), count)
+            _check_file(child, child.parent, ancestors, len(ancestors), count)
 
 
 def _attached_to_itself(path: Path, chain: tuple[Path, ...]) -> SceneError:
@@ -108,19 +108,19 @@ def _root(path: Path) -> ElementTree.Element | None:
     return root
 
 
-def _unfolded(root: ElementTree.Element, copies: int) -> Iterator[tuple[ElementTree.Element, int]]:
+def _unfold_copies(root: ElementTree.Element, copies: int) -> Iterator[tuple[ElementTree.Element, int]]:
     """Yield each element of a model, and of how many copies of it the whole consists."""
-    waiting = [(root, copies)]
-    while waiting:
-        node, count = waiting.pop()
+    stack = [(root, copies)]
+    while stack:
+        node, count = stack.pop()
         if node.tag in ("replicate", "composite", "flexcomp"):
             for number in (node.get("count") or "1").split():
-                count *= max(1, _whole(number))
+                count *= max(1, _integer(number))
         yield node, count
-        waiting += [(child, count) for child in node]
+        stack += [(child, count) for child in node]
 
 
-def _whole(text: str | None) -> int:
+def _integer(text: str | None) -> int:
     """Return a whole number of an attribute; 0 where there is none."""
     try:
         return int(float(text or 0))

@@ -1,4 +1,4 @@
-"""Whether the parts of a model can play the roles that a scene gives them."""
+"""Checks that the parts of a model can play the roles that a scene gives them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from candata.schema.scene import SceneFile
 
 _HINGE, _SLIDE, _FREE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_FREE
 _BY_JOINT = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-#: What an effect's element is called that is all fingertips together.
+#: Name of an effect's element that is all fingertips together.
 _ALL_TIPS = "fingertips"
 
 
@@ -44,10 +44,10 @@ def check_roles(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
 
 def _free_instead(body: mujoco.MjsBody, free: Sequence[str]) -> str:
     """Return what to do about an object that is not free."""
-    carrier = next((above.name for above in _above(body) if above.name in free), None)
+    carrier = next((parent.name for parent in _carrying_bodies(body) if parent.name in free), None)
     if carrier is not None:
         return f"name the free body that carries it: `object: {carrier}`"
-    ways = [f"name a free body: {_listed(free)}"] if free else []
+    ways = [f"name a free body: {_name_list(free)}"] if free else []
     if body.name != "world":
         move = "" if body.parent.name == "world" else f"move {body.name} to the top level of <worldbody>, and "
         ways.append(f"{move}add <freejoint/> to {body.name}{' in place of its joints' if len(body.joints) else ''}")
@@ -65,12 +65,12 @@ def check_recorded(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     if file.joints or file.object is not None:
         return
     joints, free = scalar_joints(spec), free_bodies(spec)
-    fixes = [f"list those whose positions are recorded: `joints: [{_listed(joints)}]`"] if joints else []
+    fixes = [f"list those whose positions are recorded: `joints: [{_name_list(joints)}]`"] if joints else []
     fixes += [f"name what is tracked: `object: {free[0]}`"] if free else []
     raise SceneError(
         f"scene {scene} has {'actuators but ' if file.actuator_names else ''}neither joints nor an object",
         expected="`joints`, `object`, or both: a recording needs joint positions or the pose of an object",
-        found=f"the model has hinge and slide joints {_listed(joints)}; free bodies {_listed(free)}",
+        found=f"the model has hinge and slide joints {_name_list(joints)}; free bodies {_name_list(free)}",
         where=Where(path=scene),
         fix=", or ".join(fixes) or "name a joint of the model, or give a body a <freejoint/>",
     )
@@ -83,13 +83,13 @@ def _check_object(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     free = free_bodies(spec)
     body = spec.body(file.object)
     if body is None:
-        _refuse_other_kind(scene, "object", file.object, spec, f"a body with one free joint: {_listed(free)}")
+        _refuse_other_kind(scene, "object", file.object, spec, f"a body with one free joint: {_name_list(free)}")
         raise UnknownNameError(f"object of scene {scene}:", file.object, free or _names(spec.bodies), Where(path=scene))
     if file.object not in free:
         raise SceneError(
             f"object {body.name} of scene {scene} is not free",
             expected="a body with one free joint",
-            found=_holding(body),
+            found=_holder_text(body),
             where=Where(path=scene),
             fix=_free_instead(body, free),
         )
@@ -104,19 +104,21 @@ def _check_object(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
 
 def _check_joints(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     """Refuse joints that have no single position, or that are named twice."""
-    known = scalar_joints(spec)
+    joint_names = scalar_joints(spec)
     for name in file.joints:
         joint = spec.joint(name)
         if joint is None:
-            _refuse_other_kind(scene, "joint", name, spec, f"one of the hinge and slide joints {_listed(known)}")
-            raise UnknownNameError(f"joint of scene {scene}:", name, known, Where(path=scene))
+            _refuse_other_kind(
+                scene, "joint", name, spec, f"one of the hinge and slide joints {_name_list(joint_names)}"
+            )
+            raise UnknownNameError(f"joint of scene {scene}:", name, joint_names, Where(path=scene))
         if joint.type in (_HINGE, _SLIDE):
             continue
         free, body = joint.type == _FREE, joint.parent.name
         as_object = f"; if the pose of {body} is recorded, name it: `object: {body}`" if body != file.object else ""
         raise SceneError(
             f"joint {name} of scene {scene} is {_kind(joint)}, which has no single position",
-            expected=f"hinge and slide joints: {_listed(known)}",
+            expected=f"hinge and slide joints: {_name_list(joint_names)}",
             found=f"{_kind(joint)} of body {body}: {'seven numbers' if free else 'four numbers, a quaternion'}",
             where=Where(path=scene),
             fix=f"leave {name} out of `joints`"
@@ -130,14 +132,14 @@ def _check_actuators(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
 
     An actuator may drive a joint that is not listed: its commands are known, and its start is estimated.
     """
-    known = _names(spec.actuators)
+    actuator_names = _names(spec.actuators)
     if not isinstance(file.actuators, dict):
         for name in file.actuators:
-            if name not in known:
-                driving = [a.name for a in spec.actuators if _drives(a, name) and a.name]
-                meant = f"one of the actuators {_listed(driving or known)}"
-                _refuse_other_kind(scene, "actuator", name, spec, meant)
-                raise UnknownNameError(f"actuator of scene {scene}:", name, known, Where(path=scene))
+            if name not in actuator_names:
+                driver_names = [a.name for a in spec.actuators if _drives(a, name) and a.name]
+                expected_text = f"one of the actuators {_name_list(driver_names or actuator_names)}"
+                _refuse_other_kind(scene, "actuator", name, spec, expected_text)
+                raise UnknownNameError(f"actuator of scene {scene}:", name, actuator_names, Where(path=scene))
         _refuse_twice(scene, "actuator", file.actuators)
         return
     joints = scalar_joints(spec)
@@ -145,23 +147,25 @@ def _check_actuators(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
         if spec.joint(name) is not None and name not in joints:
             raise SceneError(
                 f"actuator {name} of scene {scene} would be a servo of {_kind(spec.joint(name))}",
-                expected=f"gains of hinge and slide joints: {_listed(joints)}",
+                expected=f"gains of hinge and slide joints: {_name_list(joints)}",
                 found=_kind(spec.joint(name)),
                 where=Where(path=scene),
                 fix=f"leave {name} out of `actuators`",
             )
         if name not in joints:
-            meant = f"gains are given to joints: {_listed(joints)}"
-            _refuse_other_kind(scene, "actuator", name, spec, meant)
+            expected_text = f"gains are given to joints: {_name_list(joints)}"
+            _refuse_other_kind(scene, "actuator", name, spec, expected_text)
             raise UnknownNameError(f"actuator of scene {scene}:", name, joints, Where(path=scene))
-        own = next((a for a in spec.actuators if a.name == name or (_drives(a, name) and _is_servo(a))), None)
-        if own is not None:
+        model_actuator = next(
+            (a for a in spec.actuators if a.name == name or (_drives(a, name) and _is_servo(a))), None
+        )
+        if model_actuator is not None:
             raise SceneError(
                 f"actuator {name} of scene {scene} would be a second one: the model drives that joint",
                 expected="gains only of joints that the model does not drive",
-                found=f"actuator {own.name or 'without a name'} on {own.target}",
+                found=f"actuator {model_actuator.name or 'without a name'} on {model_actuator.target}",
                 where=Where(path=scene),
-                fix=f"list the model's own actuators by name: `actuators: [{_listed(known)}]`",
+                fix=f"list the model's own actuators by name: `actuators: [{_name_list(actuator_names)}]`",
             )
 
 
@@ -174,22 +178,31 @@ def _check_fingertips(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
             _refuse_other_kind(scene, "fingertip", name, spec, "a body or a geom that collides")
             raise UnknownNameError(f"fingertip of scene {scene}:", name, {*bodies, *geoms}, Where(path=scene))
         body = spec.body(name) or spec.geom(name).parent
-        own = [geom for part in _tree(body) for geom in part.geoms] if name in bodies else [spec.geom(name)]
-        why = fix = ""
+        tip_geoms = [geom for part in _tree(body) for geom in part.geoms] if name in bodies else [spec.geom(name)]
+        problem = fix = ""
         if body.name == "world":
-            why, fix = "is a part of the world, which no finger carries", "name a body of the hand, or a geom of one"
+            problem, fix = (
+                "is a part of the world, which no finger carries",
+                "name a body of the hand, or a geom of one",
+            )
         elif body.name in of_object:
-            why, fix = f"is a part of the object {file.object}", "name a body of the hand, or a geom of one"
-        elif not any(_touches(spec, geom) for geom in own):
-            near = [part.name for part in _above(body) if part.name and any(_collides(g) for g in part.geoms)]
-            why = "has no geom that collides: its force would always be zero"
-            fix = f"name what touches, such as {near[0]}" if near else "name a body or a geom that collides"
-        if why:
-            found = f"body {name}" if name in bodies else f"geom {name} of body {body.name or 'without a name'}"
+            problem, fix = f"is a part of the object {file.object}", "name a body of the hand, or a geom of one"
+        elif not any(_touches(spec, geom) for geom in tip_geoms):
+            colliding_carriers = [
+                part.name for part in _carrying_bodies(body) if part.name and any(_collides(g) for g in part.geoms)
+            ]
+            problem = "has no geom that collides: its force would always be zero"
+            fix = (
+                f"name what touches, such as {colliding_carriers[0]}"
+                if colliding_carriers
+                else "name a body or a geom that collides"
+            )
+        if problem:
+            part_text = f"body {name}" if name in bodies else f"geom {name} of body {body.name or 'without a name'}"
             raise SceneError(
-                f"fingertip {name} of scene {scene} {why}",
+                f"fingertip {name} of scene {scene} {problem}",
                 expected="a body or a geom of the hand that collides",
-                found=found,
+                found=part_text,
                 where=Where(path=scene),
                 fix=fix,
             )
@@ -197,7 +210,7 @@ def _check_fingertips(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     sites = _names(spec.sites)
     for name in file.fingertip_frames or ():
         if name not in sites:
-            _refuse_other_kind(scene, "fingertip frame", name, spec, f"a site: {_listed(sites)}")
+            _refuse_other_kind(scene, "fingertip frame", name, spec, f"a site: {_name_list(sites)}")
             raise UnknownNameError(f"fingertip frame of scene {scene}:", name, sites, Where(path=scene))
     if file.fingertip_frames is not None and len(file.fingertip_frames) != len(file.fingertips):
         raise SceneError(
@@ -214,14 +227,18 @@ def _check_support(scene: str, file: SceneFile, spec: mujoco.MjSpec) -> None:
     geom = spec.geom(file.support)
     if geom is None:
         body = spec.body(file.support)
-        own = [g.name for g in body.geoms if g.name and _collides(g)] if body is not None else []
-        _refuse_other_kind(scene, "support", file.support, spec, f"a geom: {_listed(own or _names(spec.geoms))}")
+        body_geoms = [g.name for g in body.geoms if g.name and _collides(g)] if body is not None else []
+        _refuse_other_kind(
+            scene, "support", file.support, spec, f"a geom: {_name_list(body_geoms or _names(spec.geoms))}"
+        )
         raise UnknownNameError(f"support of scene {scene}:", file.support, _names(spec.geoms), Where(path=scene))
-    mine = file.object is not None and geom.parent.name in _tree_names(spec, file.object)
-    if mine or not _touches(spec, geom):
-        why = f"is a part of the object {file.object}" if mine else "does not collide: nothing can rest on it"
+    is_of_object = file.object is not None and geom.parent.name in _tree_names(spec, file.object)
+    if is_of_object or not _touches(spec, geom):
+        problem = (
+            f"is a part of the object {file.object}" if is_of_object else "does not collide: nothing can rest on it"
+        )
         raise SceneError(
-            f"support {file.support} of scene {scene} {why}",
+            f"support {file.support} of scene {scene} {problem}",
             expected="the geom that the object rests on",
             where=Where(path=scene),
             fix="name the geom of the table or the floor that collides, or leave `support` out",
@@ -266,23 +283,26 @@ def _refuse_twice(scene: str, role: str, names: Sequence[str], group: str = "") 
             )
 
 
-def _refuse_other_kind(scene: str, role: str, name: str, spec: mujoco.MjSpec, expected: str) -> None:
+def _refuse_other_kind(scene: str, role: str, name: str, spec: mujoco.MjSpec, expected_text: str) -> None:
     """Refuse a name that the model has, but for a part of another kind than the role takes."""
-    found = next(_parts_called(name, spec), None)
-    if found is not None:
+    part_text = next(_parts_called(name, spec), None)
+    if part_text is not None:
         raise SceneError(
-            f"{role} {name} of scene {scene} is {found}", expected=expected, found=found, where=Where(path=scene)
+            f"{role} {name} of scene {scene} is {part_text}",
+            expected=expected_text,
+            found=part_text,
+            where=Where(path=scene),
         )
 
 
 def _parts_called(name: str, spec: mujoco.MjSpec) -> Iterator[str]:
-    """Yield what parts of a model bear a name, in words."""
+    """Yield descriptions of the parts of a model that bear a name."""
     if (body := spec.body(name)) is not None:
-        yield f"a body, with geoms {_listed(_names(body.geoms))}"
+        yield f"a body, with geoms {_name_list(_names(body.geoms))}"
     for kind in ("joint", "geom", "site"):
         if (part := getattr(spec, kind)(name)) is not None:
-            what = _kind(part) if kind == "joint" else f"a {kind}"
-            yield f"{what} of body {part.parent.name or 'without a name'}"
+            kind_text = _kind(part) if kind == "joint" else f"a {kind}"
+            yield f"{kind_text} of body {part.parent.name or 'without a name'}"
     if (actuator := spec.actuator(name)) is not None:
         yield f"an actuator on {actuator.target}"
     if spec.tendon(name) is not None:
@@ -305,8 +325,8 @@ def _kind(joint: mujoco.MjsJoint) -> str:
     return f"a {mujoco.mjtJoint(joint.type).name.removeprefix('mjJNT_').lower()} joint"
 
 
-def _holding(body: mujoco.MjsBody) -> str:
-    """Return in words what holds a body."""
+def _holder_text(body: mujoco.MjsBody) -> str:
+    """Return a description of what holds a body."""
     if body.name == "world":
         return "the world itself, which does not move"
     if not len(body.joints):
@@ -314,7 +334,7 @@ def _holding(body: mujoco.MjsBody) -> str:
     return " and ".join(f"{_kind(joint)}{f' {joint.name}' if joint.name else ''}" for joint in body.joints)
 
 
-def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
+def _carrying_bodies(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
     """Yield the bodies that carry a body, the nearest first, without the world."""
     while (body := body.parent) is not None and body.name != "world":
         yield body
@@ -322,10 +342,10 @@ def _above(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
 
 def _tree(body: mujoco.MjsBody) -> Iterator[mujoco.MjsBody]:
     """Yield a body and all that it carries."""
-    waiting = [body]
-    while waiting:
-        waiting += waiting[0].bodies
-        yield waiting.pop(0)
+    queue = [body]
+    while queue:
+        queue += queue[0].bodies
+        yield queue.pop(0)
 
 
 def _tree_names(spec: mujoco.MjSpec, body: str) -> set[str]:
@@ -335,8 +355,8 @@ def _tree_names(spec: mujoco.MjSpec, body: str) -> set[str]:
 
 def _carries(spec: mujoco.MjSpec, body: str, file: SceneFile) -> bool:
     """Tell whether a body carries a listed joint: the object is the robot's own floating base."""
-    own = {joint.name for part in _tree(spec.body(body)) for joint in part.joints}
-    return bool(own.intersection(file.joints))
+    carried_joints = {joint.name for part in _tree(spec.body(body)) for joint in part.joints}
+    return bool(carried_joints.intersection(file.joints))
 
 
 def _collides(geom: mujoco.MjsGeom) -> bool:
@@ -364,7 +384,7 @@ def _names(parts: Iterable) -> list[str]:
     return [part.name for part in parts if part.name]
 
 
-def _listed(names: Sequence[str]) -> str:
-    """Return names as one text; of very many, the first."""
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return ", ".join(names[:MOST_NAMES]) + more if names else "(none)"
+def _name_list(names: Sequence[str]) -> str:
+    """Return names as one text; only the first ones of very many."""
+    more_text = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
+    return ", ".join(names[:MOST_NAMES]) + more_text if names else "(none)"

@@ -151,7 +151,7 @@ def _drive(scene: Scene, joint: int) -> dict:
     model = scene.model
     for name, actuator in zip(scene.file.actuator_names, scene.actuator_ids.tolist(), strict=True):
         if joint in scene.levers.get(actuator, ()):
-            drive, limited = drive_of(model, actuator), model.actuator_forcelimited[actuator]
+            drive, is_limited = drive_of(model, actuator), model.actuator_forcelimited[actuator]
             return {
                 "actuator": name,
                 "drive": drive.kind,
@@ -159,7 +159,7 @@ def _drive(scene: Scene, joint: int) -> dict:
                 "kp_unit": drive.units.kp,
                 "kv": drive.kv,
                 "kv_unit": drive.units.kv,
-                "limit": float(model.actuator_forcerange[actuator, 1]) if limited else None,
+                "limit": float(model.actuator_forcerange[actuator, 1]) if is_limited else None,
                 "limit_unit": drive.units.effort,
             }
     return {}
@@ -178,11 +178,13 @@ def _notes(scene: Scene) -> Iterator[str]:
     model, joints = scene.model, set(scene.joint_ids.tolist())
     for actuator in scene.actuator_ids.tolist():
         if not joints.intersection(scene.levers.get(actuator, {})):
-            kind, what = drive_of(model, actuator).kind, pulled_by(model, actuator)
-            yield f"actuator {model.actuator(actuator).name}, a {kind}, pulls {what}, which is not recorded"
-    idle = [model.actuator(a).name or f"number {a}" for a in range(model.nactuator) if a not in scene.actuator_ids]
-    if idle:
-        yield f"actuators that `actuators` does not list get the command 0: {', '.join(idle)}"
+            kind, target_text = drive_of(model, actuator).kind, pulled_by(model, actuator)
+            yield f"actuator {model.actuator(actuator).name}, a {kind}, pulls {target_text}, which is not recorded"
+    unlisted_names = [
+        model.actuator(a).name or f"number {a}" for a in range(model.nactuator) if a not in scene.actuator_ids
+    ]
+    if unlisted_names:
+        yield f"actuators that `actuators` does not list get the command 0: {', '.join(unlisted_names)}"
     for body in sorted({int(model.body_rootid[model.jnt_bodyid[j]]) for j in joints}):
         if body != scene.object_id and chains.floats(model, body):
             name = model.body(body).name or f"number {body}"

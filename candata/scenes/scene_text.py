@@ -125,10 +125,12 @@ def _object(proposal: Proposal) -> str:
     about += [note for note in proposal.notes if "free bod" in note]
     if proposal.other_objects:
         about.append(f"Several bodies are free: this one seems the likeliest of {', '.join(proposal.free_bodies)}.")
-    if proposal.floating and proposal.object == proposal.floating:
+    if proposal.floating_base and proposal.object == proposal.floating_base:
         about.append("It is the floating base of the robot: record its pose, or hold it in the model and leave it out.")
-    elif proposal.floating:
-        about.append(f"The base of the robot, {proposal.floating}, floats: hold it in the model where yours is held.")
+    elif proposal.floating_base:
+        about.append(
+            f"The base of the robot, {proposal.floating_base}, floats: hold it in the model where yours is held."
+        )
     if proposal.object is None:
         about.append("No body of the model is free: leave it out for a robot alone.")
     key = f"object: {quoted(proposal.object)}" if proposal.object else "# object: BODY"
@@ -137,7 +139,7 @@ def _object(proposal: Proposal) -> str:
 
 def _support(proposal: Proposal) -> str:
     """Return the part on the support."""
-    alone = proposal.object in (None, proposal.floating)
+    alone = proposal.object in (None, proposal.floating_base)
     nothing = "" if proposal.support or alone else " Nothing that has a name lies below the object."
     key = f"support: {quoted(proposal.support)}" if proposal.support else "# support: GEOM"
     return f"{_comment(f'Geom that the object rests on, such as a table.{nothing}')}\n{key}"

@@ -43,17 +43,19 @@ def servo_joints(episodes: Iterable[Episode]) -> tuple[tuple[str, ...], Array, f
     low, high, rate_hz = np.array(np.inf), np.array(-np.inf), 0.0
     for episode in episodes:
         meta = episode.meta
-        missing = [c for c in ("joint_position", "action") if c not in episode]
-        if missing or meta.joint_names != meta.actuator_names or (names and names != meta.joint_names):
+        missing_channels = [c for c in ("joint_position", "action") if c not in episode]
+        if missing_channels or meta.joint_names != meta.actuator_names or (names and names != meta.joint_names):
             raise DataError(
                 "joints and commands do not match",
                 expected=f"joint_position and action of {', '.join(names) or 'the same names'}",
-                found=f"no {missing[0]}" if missing else f"{meta.joint_names} and {meta.actuator_names}",
+                found=f"no {missing_channels[0]}"
+                if missing_channels
+                else f"{meta.joint_names} and {meta.actuator_names}",
                 where=Where(episode=meta.id),
                 fix="give both the same names in the map, or write a scene of your own",
             )
-        both = np.concatenate([episode[c][episode.valid(c)] for c in ("joint_position", "action")])
-        low, high = np.fmin(low, both.min(0)), np.fmax(high, both.max(0))
+        values = np.concatenate([episode[c][episode.valid(c)] for c in ("joint_position", "action")])
+        low, high = np.fmin(low, values.min(0)), np.fmax(high, values.max(0))
         names, rate_hz = meta.joint_names, meta.rate_hz
     if not names:
         raise DataError("the joints have no names", expected="episodes with named joints", found="none")
@@ -114,8 +116,8 @@ def write_servo_scene(
 def _check(names: Sequence[str], ranges: Array) -> None:
     """Refuse joints that make no scene."""
     if not names or not all(names) or len(set(names)) < len(names):
-        found = ", ".join(names) or "none"
-        raise DataError("joints have no names of their own", expected="a name a joint", found=found)
+        names_text = ", ".join(names) or "none"
+        raise DataError("joints have no names of their own", expected="a name a joint", found=names_text)
     if np.shape(ranges) != (len(names), 2) or not np.isfinite(ranges).all():
         raise DataError("joint ranges are not finite", expected=f"{len(names)} pairs", found=str(np.shape(ranges)))
 

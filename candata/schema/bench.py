@@ -25,7 +25,7 @@ class CaseFile(Record):
     sealed: str
 
 
-class Outside(Record):
+class OutsideCause(Record):
     """A cause that is in no library: what it is, where it acts, and its numbers."""
 
     name: str
@@ -45,7 +45,7 @@ class Label(Record):
     kind: Kind
     effects: tuple[EffectSetting, ...] = ()
     main: str | None = None
-    outside: Outside | None = None
+    outside: OutsideCause | None = None
     trait: str | None = None
     seed: int = 0
 
@@ -74,7 +74,7 @@ class CaseResult(Record):
     error: str | None = None
 
 
-class Filled(Record):
+class FilledSignature(Record):
     """One line of `filled.jsonl`: a signature was simulated into the cache that all cases share."""
 
     cpu_s: float
@@ -99,7 +99,7 @@ class Shares(Record):
     alike: float | None = None
 
 
-class Row(Record):
+class BenchRow(Record):
     """A measure of the table: `low` and `high` bound the target; both null where there is none."""
 
     measure: str
@@ -110,7 +110,7 @@ class Row(Record):
     unit: Literal["%", "", "s"] = "%"
 
     @property
-    def met(self) -> bool | None:
+    def is_met(self) -> bool | None:
         """Whether the value lies within the target; None without a value or a target."""
         if self.value is None or (self.low is None and self.high is None):
             return None
@@ -129,7 +129,7 @@ class Miss(Record):
     gap: float | None = None
 
 
-class Changed(Record):
+class ChangedCase(Record):
     """A case that two versions take differently: its name, and what each said, `right` after what is right."""
 
     case: str
@@ -137,7 +137,7 @@ class Changed(Record):
     second: str
 
 
-class Compared(Record):
+class PairedComparison(Record):
     """Two runs on the same cases, paired: counts, McNemar's exact p of the cases where one is right, median CPU s."""
 
     cases: int
@@ -148,7 +148,7 @@ class Compared(Record):
     p: float
     first_cpu_s: float
     second_cpu_s: float
-    changed: tuple[Changed, ...] = ()
+    changed: tuple[ChangedCase, ...] = ()
 
 
 class Bin(Record):
@@ -170,7 +170,7 @@ class BenchFile(Record):
     scene: str
     cases: int
     done: int
-    rows: tuple[Row, ...]
+    rows: tuple[BenchRow, ...]
     misses: tuple[Miss, ...]
     confusion: dict[str, dict[str, int]]
     calibration: tuple[Bin, ...]

@@ -156,7 +156,7 @@ QUATERNION: dict[str, slice] = {"object_pose": slice(3, 7), "hand_pose": slice(3
 VALID_SUFFIX = "_valid"
 
 #: Channels too wide for a table: kept as a sharded Zarr store beside the tables of a part.
-DENSE = frozenset({"taxels"})
+DENSE_CHANNELS = frozenset({"taxels"})
 
 
 def canonical_order(names: list[str]) -> list[str]:

@@ -165,13 +165,13 @@ def _structure(meta: EpisodeMeta, arrays: Mapping[str, NDArray]) -> Iterator[Dat
     sizes = {"T": len(arrays["time_ns"])}
     sizes |= {k: len(v) for k, v in _named_sizes(meta).items() if v}
     for name, array in arrays.items():
-        expected = ("T",) if name.endswith(VALID_SUFFIX) else CHANNELS[name].shape
-        wanted = tuple(sizes.get(d, -1) if isinstance(d, str) else d for d in expected)
+        symbols = ("T",) if name.endswith(VALID_SUFFIX) else CHANNELS[name].shape
+        target_shape = tuple(sizes.get(d, -1) if isinstance(d, str) else d for d in symbols)
         shape = np.shape(array)
-        if len(shape) != len(wanted) or any(w not in (-1, s) for w, s in zip(wanted, shape, strict=True)):
+        if len(shape) != len(target_shape) or any(w not in (-1, s) for w, s in zip(target_shape, shape, strict=True)):
             yield DataError(
                 f"{name} has the wrong shape",
-                expected=_shape_text(expected, wanted),
+                expected=_shape_text(symbols, target_shape),
                 found=str(shape),
                 where=Where(episode=meta.id, channel=name),
             )
@@ -209,13 +209,13 @@ def _time(meta: EpisodeMeta, time_ns: NDArray) -> Iterator[DataError]:
 def _counts(meta: EpisodeMeta, name: str, array: NDArray) -> Iterator[DataError]:
     """Yield counts that are not whole, or that int16 does not hold."""
     limits = np.iinfo(np.int16)
-    whole = array.dtype.kind in "iu"
-    if not whole or (array.dtype.itemsize > 1 and array.dtype != np.int16 and array.size
-                     and not limits.min <= array.min() <= array.max() <= limits.max):  # fmt: skip
+    is_integer = array.dtype.kind in "iu"
+    may_exceed = array.dtype.itemsize > 1 and array.dtype != np.int16 and array.size > 0
+    if not is_integer or (may_exceed and not limits.min <= array.min() <= array.max() <= limits.max):
         yield DataError(
             f"{name} holds no counts",
             expected=f"whole numbers from {limits.min} to {limits.max}",
-            found=f"from {array.min()} to {array.max()}" if whole else str(array.dtype),
+            found=f"from {array.min()} to {array.max()}" if is_integer else str(array.dtype),
             where=Where(episode=meta.id, channel=name),
             fix="store the counts as they came from the sensor, and the scale as newton_per_count",
         )
@@ -232,24 +232,24 @@ def _values(meta: EpisodeMeta, name: str, arrays: Mapping[str, NDArray]) -> Iter
     valid = np.asarray(arrays.get(name + VALID_SUFFIX, np.ones(len(array), bool)))
     if len(valid) != len(array):
         return
-    bad = np.flatnonzero(valid & ~np.isfinite(array).reshape(len(array), -1).all(1))
-    if len(bad):
+    invalid_rows = np.flatnonzero(valid & ~np.isfinite(array).reshape(len(array), -1).all(1))
+    if len(invalid_rows):
         yield DataError(
             f"{name} is not finite",
             expected="finite numbers where valid",
-            found=f"{len(bad)} such rows",
-            where=Where(episode=meta.id, channel=name, index=int(bad[0])),
+            found=f"{len(invalid_rows)} such rows",
+            where=Where(episode=meta.id, channel=name, index=int(invalid_rows[0])),
             fix="mark gaps as invalid: import with --allow-gaps",
         )
     if name in QUATERNION and array.ndim == 2 and array.shape[1] == 7:
         finite = np.where(np.isfinite(array), array, 0.0).astype(np.float64)  # squares of float32 may overflow
         norm = np.linalg.norm(finite[:, QUATERNION[name]], axis=1)
-        bad = np.flatnonzero(valid & np.isfinite(array).all(1) & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
-        if len(bad):
+        invalid_rows = np.flatnonzero(valid & np.isfinite(array).all(1) & (np.abs(norm - 1) > QUATERNION_TOLERANCE))
+        if len(invalid_rows):
             yield DataError(
                 f"{name} holds a quaternion that is not unit",
                 expected=f"norm 1 +- {QUATERNION_TOLERANCE}",
-                found=f"norm {norm[bad[0]]:.4f} ({len(bad)} rows)",
-                where=Where(episode=meta.id, channel=name, index=int(bad[0])),
+                found=f"norm {norm[invalid_rows[0]]:.4f} ({len(invalid_rows)} rows)",
+                where=Where(episode=meta.id, channel=name, index=int(invalid_rows[0])),
                 fix="check the order (w x y z) and the columns of the quaternion",
             )

@@ -25,7 +25,7 @@ from candata.schema.topics import FramesMap, TopicMap
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
 #: Files that people write, where defaults may be left out.
-_READ: dict[str, type[Record]] = {
+_READ_RECORDS: dict[str, type[Record]] = {
     "case": CaseFile,
     "effects": EffectsFile,
     "feature-map": FeatureMap,
@@ -38,7 +38,7 @@ _READ: dict[str, type[Record]] = {
 }
 
 #: Files that candata writes, where every key is present.
-_WRITTEN: dict[str, type[Record]] = {
+_WRITTEN_RECORDS: dict[str, type[Record]] = {
     "bench": BenchFile,
     "channel": Channel,
     "dataset": DatasetFile,
@@ -67,10 +67,12 @@ class _Complete(GenerateJsonSchema):
 
 def documents() -> dict[str, str]:
     """Return the text of every generated file by its name, the table of channels included."""
-    read = {f"{name}.schema.json": _schema(record, "validation") for name, record in _READ.items()}
-    written = {f"{name}.schema.json": _schema(record, "serialization") for name, record in _WRITTEN.items()}
+    read_schemas = {f"{name}.schema.json": _schema(record, "validation") for name, record in _READ_RECORDS.items()}
+    written_schemas = {
+        f"{name}.schema.json": _schema(record, "serialization") for name, record in _WRITTEN_RECORDS.items()
+    }
     rows = [row.model_dump(mode="json") for row in CHANNELS.values()]
-    return {**read, **written, "channels.json": _text(rows)}
+    return {**read_schemas, **written_schemas, "channels.json": _text(rows)}
 
 
 def write(folder: Path) -> tuple[Path, ...]:

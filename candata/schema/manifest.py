@@ -37,10 +37,10 @@ class PartFile(Record):
 
 
 class Lineage(Record):
-    """Where a version came from; a withheld set keeps only `sealed`, sha256(label + salt).
+    """The origin of a version; a withheld set keeps only `sealed`, sha256(label + salt).
 
-    `parents` are `name@digest`; `ancestry` is the lineage of each, so that the tree outlives them. What was told
-    once in a tree is not told again.
+    `parents` are `name@digest`; `ancestry` is the lineage of each, so that the tree outlives them. A lineage that
+    stands once in a tree is not repeated.
     """
 
     operation: str

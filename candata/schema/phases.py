@@ -17,7 +17,7 @@ def contact_phases(contact: ArrayLike, rate_hz: float) -> NDArray[np.str_]:
 
     A touch is the first row in contact after one without, a loss the first row without contact after one
     with. Onset is the first 100 ms from the touch, while in contact; release the 100 ms around the loss.
-    Where both claim a row in contact, onset has it. A contact that stands in the first row has no onset.
+    A row in contact that both claim is onset. A contact that stands in the first row has no onset.
 
     Parameters
     ----------
@@ -36,8 +36,8 @@ def contact_phases(contact: ArrayLike, rate_hz: float) -> NDArray[np.str_]:
         raise ValueError(f"expected contact (T,) and rate_hz > 0, found {touch.shape} and {rate_hz}")
     change = np.diff(touch.astype(np.int8), prepend=touch[:1].astype(np.int8))
     rows = max(1, round(TRANSITION_S * rate_hz))
-    before = rows // 2
-    release = _spread(change == -1, before, rows - before)
+    rows_before = rows // 2
+    release = _spread(change == -1, rows_before, rows - rows_before)
     onset = _spread(change == 1, 0, rows) & touch
     phases = np.where(touch, "sustained", "free").astype("<U9")
     phases[release] = "release"
@@ -45,9 +45,9 @@ def contact_phases(contact: ArrayLike, rate_hz: float) -> NDArray[np.str_]:
     return phases
 
 
-def _spread(events: NDArray[np.bool_], before: int, after: int) -> NDArray[np.bool_]:
-    """Return `(T,) bool`: rows from `before` rows ahead of an event to `after - 1` rows behind it."""
-    marked = np.zeros(len(events), bool)
+def _spread(events: NDArray[np.bool_], rows_before: int, rows_after: int) -> NDArray[np.bool_]:
+    """Return `(T,) bool`: rows from `rows_before` rows ahead of an event to `rows_after - 1` rows behind it."""
+    is_near = np.zeros(len(events), bool)
     for row in np.flatnonzero(events):
-        marked[max(0, row - before) : row + after] = True
-    return marked
+        is_near[max(0, row - rows_before) : row + rows_after] = True
+    return is_near

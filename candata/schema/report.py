@@ -12,10 +12,10 @@ from candata.schema.record import Record
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
 ]
-Bound = float | tuple[float, ...] | None
-Bounded = Literal["low", "high", "both"]
+IntervalEnd = float | tuple[float, ...] | None
+KnownEnds = Literal["low", "high", "both"]
 #: Which ends are known, by whether the lower and the higher one are given.
-_ENDS_KNOWN: dict[tuple[bool, bool], Bounded | None] = {
+_ENDS_KNOWN: dict[tuple[bool, bool], KnownEnds | None] = {
     (True, True): "both",
     (True, False): "low",
     (False, True): "high",
@@ -32,9 +32,9 @@ class Estimate(Record):
     """
 
     value: Value
-    low: Bound = None
-    high: Bound = None
-    bounded: Bounded | None = None
+    low: IntervalEnd = None
+    high: IntervalEnd = None
+    bounded: KnownEnds | None = None
     unit: str | None = None
 
     @model_validator(mode="before")
@@ -48,9 +48,9 @@ class Estimate(Record):
     @model_validator(mode="after")
     def _ends_agree(self) -> Self:
         """Refuse a word that contradicts the ends."""
-        expected = _ENDS_KNOWN[self.low is not None, self.high is not None]
-        if self.bounded != expected:
-            raise ValueError(f"bounded is {self.bounded!r}, but low and high say {expected!r}")
+        known_ends = _ENDS_KNOWN[self.low is not None, self.high is not None]
+        if self.bounded != known_ends:
+            raise ValueError(f"bounded is {self.bounded!r}, but low and high say {known_ends!r}")
         return self
 
 
@@ -69,7 +69,7 @@ class NamedEffect(Record):
     rivals: tuple[str, ...] = ()
 
 
-class Unknown(Record):
+class UnknownCause(Record):
     """What no effect of the library explains.
 
     `closable` is the share of the gap that a force fitted to it closes on held-out episodes: a bar for any cause.
@@ -84,7 +84,7 @@ class Unknown(Record):
     closable: float | None = None
 
 
-class Ranked(Record):
+class RankedEffect(Record):
     """A candidate with its held-out evidence."""
 
     name: str
@@ -171,7 +171,7 @@ class EpisodeCount(Record):
     held_out: int
 
 
-class DataUsed(Record):
+class DiagnosisData(Record):
     """What the diagnosis saw."""
 
     dataset: str
@@ -191,12 +191,12 @@ class Report(Record):
     ambiguous_class: tuple[str, ...] = Field(
         default=(), validation_alias=AliasChoices("class", "ambiguous_class"), serialization_alias="class"
     )
-    unknown: Unknown | None = None
-    ranking: tuple[Ranked, ...] = ()
+    unknown: UnknownCause | None = None
+    ranking: tuple[RankedEffect, ...] = ()
     gap: Gap | None = None
     where: tuple[Symptom, ...] = ()
     next_motion: NextMotion | None = None
     edit: EditTest | None = None
-    data: DataUsed
+    data: DiagnosisData
     measures: dict[str, dict[str, float]] = {}
     provenance: dict[str, str] = {}

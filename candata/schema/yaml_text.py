@@ -42,8 +42,8 @@ class _Loader(yaml.SafeLoader):
     """
 
     yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in entries if tag in (_NULL, _MERGE)]
-        for first, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
+        character: [(tag, pattern) for tag, pattern in entries if tag in (_NULL, _MERGE)]
+        for character, entries in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def __init__(self, text: str):
@@ -95,15 +95,15 @@ class _Loader(yaml.SafeLoader):
     def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Return a mapping whose keys are all different."""
         node = super().compose_mapping_node(anchor)
-        first: dict[Any, yaml.ScalarNode] = {}
+        first_keys: dict[Any, yaml.ScalarNode] = {}
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
                 raise _at(key, "a key that is itself a list or has keys", expected="names as keys")
             if key.tag == _MERGE:
                 continue
-            before = first.setdefault(self.construct_object(key), key)
-            if before is not key:
-                line = before.start_mark.line + 1
+            first_key = first_keys.setdefault(self.construct_object(key), key)
+            if first_key is not key:
+                line = first_key.start_mark.line + 1
                 raise _at(key, f"the key `{key.value[:80]}` stands twice, first in line {line}", "remove one of them")
         return node
 
@@ -118,8 +118,8 @@ class _Loader(yaml.SafeLoader):
         return value
 
 
-for _tag, (_pattern, _first) in _WORDS.items():
-    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
+for _tag, (_pattern, _characters) in _WORDS.items():
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_characters))
 
 
 def _at(place: Any, found: str, fix: str | None = None, expected: str | None = None) -> TextError:

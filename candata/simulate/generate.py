@@ -12,7 +12,7 @@ import mujoco
 
 from candata import __version__
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
-from candata.datasets.versions import DATASET, index_of, newest
+from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
 from candata.policies import read_motions
 from candata.scenes import Scene, load_scene
@@ -181,7 +181,7 @@ def _check_count(episodes: int, seed: int, workers: int | None) -> None:
 
 def _index(root: Path) -> dict[str, str]:
     """Return episode id to content hash of the newest version."""
-    version = newest(root) if (root / DATASET).exists() else None
+    version = newest_version(root) if (root / DATASET).exists() else None
     return index_of(root, version.parts) if version else {}
 
 
@@ -191,7 +191,7 @@ def _refuse_other(root: Path, recipe: Recipe, episodes: int, history: Lineage) -
     taken_id = next((i for n in range(episodes) if (i := episode_id(recipe, n)) in present_ids), None)
     if taken_id is None:
         return
-    earlier = [step for step in newest(root).lineage if step.operation == OPERATION]  # type: ignore[union-attr]
+    earlier = [step for step in newest_version(root).lineage if step.operation == OPERATION]  # type: ignore[union-attr]
     if history.config_digest in [step.config_digest for step in earlier]:
         return
     theirs_text, ours_text = _difference(earlier, history)

@@ -10,7 +10,7 @@ from typing import Any
 
 from candata.datasets import Dataset
 from candata.errors import UnknownNameError, UsageError
-from candata.loaders import Mixed, Mixture, Split, Windows, find_split, mix, split_digest, windows
+from candata.loaders import MixedWindows, Mixture, Split, Windows, find_split, mix, split_digest, windows
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.training import runs
@@ -31,7 +31,7 @@ class TrainingData:
 
     def feed(
         self, names: Sequence[str], group: str, reads: tuple[str, ...], window_options: Mapping[str, Any]
-    ) -> Windows | Mixed:
+    ) -> Windows | MixedWindows:
         """Return the windows of a group, of the datasets named, mixed where there is a mixture.
 
         Raises

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from candata.errors import SetupError
-from candata.loaders import Gather, Mixed, Windows, as_tensors, augment, noise
+from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
 from candata.training.settings import Settings
 
@@ -20,12 +20,12 @@ def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> 
     return device_tensors | {"clouds": clouds}
 
 
-def clouds_of(windows: Windows | Mixed, device: str) -> torch.Tensor:
+def clouds_of(windows: Windows | MixedWindows, device: str) -> torch.Tensor:
     """Return the windows' distinct point clouds `(C, N, 3)` on the device."""
     return torch.from_numpy(windows.clouds).to(device)
 
 
-def drawing(windows: Windows | Mixed, settings: Settings, device: str) -> Callable[[int], Batch]:
+def drawing(windows: Windows | MixedWindows, settings: Settings, device: str) -> Callable[[int], Batch]:
     """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
 
     On a GPU the rows are resident there, where they fit.
@@ -35,20 +35,20 @@ def drawing(windows: Windows | Mixed, settings: Settings, device: str) -> Callab
 
     def draw(step: int) -> Batch:
         batch = source.batch(sampler.indices(step))
-        if not settings.augment.off:
+        if not settings.augment.is_off:
             batch = augment(batch, settings.augment, noise(settings.seed, step))
         return batch | {"clouds": clouds} if isinstance(source, Gather) else tensors(batch, clouds, device)
 
     return draw
 
 
-def held_out(windows: Windows | Mixed, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
+def held_out(windows: Windows | MixedWindows, batch: int, batches: int, device: str) -> tuple[Batch, ...]:
     """Return up to `batches` batches, spread evenly over the windows, or drawn in a mixture's shares; always the same.
 
     They have no noise.
     """
     count = min(len(windows), batch * batches)
-    if isinstance(windows, Mixed):
+    if isinstance(windows, MixedWindows):
         numbers = windows.sampler(count).indices(0)
     else:
         numbers = np.linspace(0, len(windows) - 1, count).round().astype(np.int64)
@@ -58,7 +58,7 @@ def held_out(windows: Windows | Mixed, batch: int, batches: int, device: str) ->
     )
 
 
-def _source(windows: Windows | Mixed, device: str) -> Windows | Mixed | Gather:
+def _source(windows: Windows | MixedWindows, device: str) -> Windows | MixedWindows | Gather:
     """Return where batches are gathered: on the GPU, where the rows fit, else on the host."""
     if device == "cpu":
         return windows

@@ -12,7 +12,7 @@ import torch
 from candata import __version__
 from candata.datasets import Dataset
 from candata.errors import SetupError, UnknownNameError, UsageError, Where
-from candata.loaders import Effective, Mixed, Mixture, Normaliser, Split, Windows
+from candata.loaders import Effective, MixedWindows, Mixture, Normaliser, Split, Windows
 from candata.loaders.normaliser import Method
 from candata.loaders.splits import DEFAULT
 from candata.models import Batch, Model, Sizes
@@ -125,7 +125,7 @@ def prepare(
     )
 
 
-def _effective(train: Windows | Mixed, run: Run) -> Callable[[int], tuple[Effective, ...]]:
+def _effective(train: Windows | MixedWindows, run: Run) -> Callable[[int], tuple[Effective, ...]]:
     """Return the function from steps to what each source gave by then; nothing without a mixture."""
     if isinstance(train, Windows):
         return lambda steps: ()
@@ -164,7 +164,7 @@ def check_device(device: str) -> None:
         raise SetupError("no CUDA device", found=f"torch {torch.__version__}", fix="use --device cpu")
 
 
-def check_data(source: Checkpoint, windows: Windows | Mixed) -> None:
+def check_data(source: Checkpoint, windows: Windows | MixedWindows) -> None:
     """Refuse windows of another hand or shape than a checkpoint was made for.
 
     The number of points may differ, also be none where the model reads no clouds; so may fingertips that it reads not.
@@ -183,7 +183,7 @@ def check_data(source: Checkpoint, windows: Windows | Mixed) -> None:
     checkpoint.check_fits(run, facts, source.path)
 
 
-def _facts(windows: Windows | Mixed) -> dict[str, Any]:
+def _facts(windows: Windows | MixedWindows) -> dict[str, Any]:
     """Return the fields of a Run that the windows decide."""
     return {
         "joint_names": windows.joint_names,
@@ -237,7 +237,7 @@ def _run(
     settings: Settings,
     name: str,
     config: Record,
-    train: Windows | Mixed,
+    train: Windows | MixedWindows,
     initial: Checkpoint | None,
 ) -> Run:
     """Return all that decides what the weights will mean."""

@@ -106,7 +106,7 @@ def _course(windows: Windows, episodes: NDArray[np.int64]) -> Course:
     table, is_inside = windows.cache.rows, np.arange(1, steps.max() + 1) <= steps[:, None]
     has_contact = "contact" in windows.channels
     return Course(
-        replace(windows, present=begin + start * stride, owner=episodes),
+        replace(windows, present_row=begin + start * stride, owner=episodes),
         episodes,
         steps,
         table["object_pose"][past_rows].astype(np.float64),
@@ -140,8 +140,8 @@ def _starts(
 def at_rows(windows: Windows, episodes: NDArray[np.int64], step: NDArray[np.int64]) -> dict[str, NDArray]:
     """Return the windows `step` model steps after the first one of each chosen episode of a course."""
     index = np.searchsorted(windows.owner, episodes)
-    present_rows = windows.present[index] + step * windows.stride[episodes]
-    return replace(windows, present=present_rows, owner=episodes).batch(np.arange(len(episodes)))
+    present_rows = windows.present_row[index] + step * windows.stride[episodes]
+    return replace(windows, present_row=present_rows, owner=episodes).batch(np.arange(len(episodes)))
 
 
 def close_loop(course: Course, forecaster: Forecaster, execute: int, seed: int) -> Loop:

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from candata.datasets.durable import alone, encode_record, ensure_folder, sync
+from candata.datasets.durable import encode_record, ensure_folder, exclusive_lock, sync
 from candata.errors import SetupError, UsageError, Where
 from candata.loaders import Split, split_digest
 from candata.schema.json_text import MOST_BYTES, parse_json
@@ -91,7 +91,7 @@ def writing(folder: Path) -> Iterator[None]:
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
     try:
-        with alone(ensure_folder(folder), "another process trains into this folder"):
+        with exclusive_lock(ensure_folder(folder), "another process trains into this folder"):
             yield
     except OSError as error:
         raise SetupError(

@@ -237,7 +237,7 @@ def _track(course: Course, errors: Mapping[str, _Errors], model: str, number: in
     begin = course.observed[number, -1:]
     forecast = errors[model].loop.contact
     first_step = (
-        course.windows.present[number] - course.windows.cache.begin[course.episodes[number]]
+        course.windows.present_row[number] - course.windows.cache.begin[course.episodes[number]]
     ) // course.windows.stride[course.episodes[number]]
     return Track(
         id=course.windows.episode_ids[course.episodes[number]],

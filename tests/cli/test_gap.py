@@ -10,7 +10,7 @@ import pytest
 from candata.gap.blind import running
 from candata.gap.blind.baselines import BASELINES
 from candata.schema.bench import BenchFile
-from candata.schema.report import DataUsed, EpisodeCount, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from candata_cli import console, gap_commands
 from tests.cli.command import run
 
@@ -24,7 +24,7 @@ def quiet(monkeypatch):
 
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-        return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
+        return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
 
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
 from tests.cli.command import exit_code
 
 
@@ -220,7 +220,9 @@ def diagnosis(monkeypatch):
                 support=0.95,
                 parameters={k: Estimate(value=v, low=v - 0.1, high=v + 0.1) for k, v in parameters.items()},
             )
-            data = DataUsed(dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared")
+            data = DiagnosisData(
+                dataset="real@0", episodes=EpisodeCount(total=2, folds=2, held_out=2), floor="declared"
+            )
             return SimpleNamespace(report=Report(verdict="explained", effects=(named,), data=data))
 
         monkeypatch.setattr("candata.gap.diagnose", diagnose)

@@ -15,7 +15,7 @@ from candata.gap.conclusion import Diagnosis
 from candata.gap.evidence import Evidence
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
-from candata.schema.report import DataUsed, EpisodeCount, Gap, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Gap, Report
 from candata.simulate.episodes import Job, make_episodes
 from tests.cli.test_diagnose import run
 from tests.effects.gripper import write_scene
@@ -170,7 +170,7 @@ def test_edit_test_after_the_fact(tosses):
 
 def test_diagnose_adds_the_edit_test_to_its_report(tosses, monkeypatch):
     named = EffectsFile.parse(yaml.safe_load(SLIPPERY), "effects.yaml")
-    data = DataUsed(dataset="first@0", episodes=EpisodeCount(total=8, folds=4, held_out=8))
+    data = DiagnosisData(dataset="first@0", episodes=EpisodeCount(total=8, folds=4, held_out=8))
     report = Report(verdict="explained", data=data, gap=Gap(before=3.0, after=1.1, closed=0.95, low=0.9, high=0.98))
     monkeypatch.setattr(candata.gap, "diagnose", lambda *a, **k: Diagnosis(report, Evidence(), named))
     done = run("diagnose", "real", "--scene", "cube_toss", "--edit", "real", "--out", "out", "--jobs", 1)

@@ -9,7 +9,7 @@ import pytest
 from candata.errors import UsageError
 from candata.gap.blind import filling, running
 from candata.schema.bench import BenchFile
-from candata.schema.report import DataUsed, EpisodeCount, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from tests.cli.command import run
 
 HAND = ("--scene", "xhand_tabletop")
@@ -71,7 +71,7 @@ def test_what_is_wrong_is_said(short, tmp_path, monkeypatch, line, text):
 def test_a_bench_first_keeps_what_its_cases_share_and_tells_the_cost(tmp_path, monkeypatch):
     def nothing(dataset, scene, seed, cache):
         counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-        return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
+        return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
 
     monkeypatch.setitem(running.run_cases.__kwdefaults__, "judge", nothing)
     every = filling.wanted

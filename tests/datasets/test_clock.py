@@ -14,7 +14,7 @@ from candata.checks import check
 from candata.datasets import append, durable, open_dataset, pending_parts, publish, put_cloud, write_part
 from candata.datasets.gc import collect_garbage
 from candata.datasets.parts import hold
-from candata.datasets.versions import create_version, newest
+from candata.datasets.versions import create_version, newest_version
 from candata.errors import DataError
 from candata.schema.manifest import Lineage
 from tests.conftest import WHOLE
@@ -48,7 +48,7 @@ def root(dataset, episode) -> Path:
 def test_when_the_clock_was_set_back_nothing_goes_and_the_newest_version_is_the_newest(root, episode, seconds):
     shift(root, seconds)
     add(root, [episode("z", seed=9)])  # an older stamp than that of every version before
-    assert newest(root).number == 3
+    assert newest_version(root).number == 3
     done = collect_garbage(root, grace_s=0, keep=1)
     kinds = {one.kind for one in done.removed}
     assert kinds <= {"version"}
@@ -80,12 +80,12 @@ def test_a_part_is_not_collected_while_it_is_published(root):
     (part,) = pending_parts(root)
     done = []
     collector = threading.Thread(target=lambda: done.append(collect_garbage(root, keep=1)))
-    with durable.publishing(root):
+    with durable.publish_lock(root):
         hold(root, part.id)
         collector.start()
         time.sleep(0.2)  # time enough to take the part away
         assert (root / "parts" / part.id / "part.json").is_file()
-        base = newest(root)
+        base = newest_version(root)
         assert not done
     collector.join()
     assert (root / "parts" / part.id).is_dir()

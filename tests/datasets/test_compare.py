@@ -119,7 +119,7 @@ def test_the_same_data_give_the_same_record(tmp_path):
 
 def test_bars_hold_the_samples_that_lie_on_their_first_edge():
     pool = Pool.of([(0, 4, np.float32([0, 0, 0, 1]))], [(0, 4, np.float32([0, 2, 2, 3]))], 1, 1)
-    drawn = pool.drawn(np.array([True, False]))
+    drawn = pool.bars(np.array([True, False]))
     assert drawn.this.sum() == pytest.approx(1.0)
     assert drawn.against.sum() == pytest.approx(1.0)
     assert drawn.this[0] == pytest.approx(0.75)
@@ -128,7 +128,7 @@ def test_bars_hold_the_samples_that_lie_on_their_first_edge():
 def test_bars_of_many_samples_have_no_heap_at_their_end(rng):
     sides = [[(0, 32, Pool.sketch(rng.exponential(size=32))) for _ in range(60)] for _ in range(2)]
     drawn = Pool.of([(k, n, v) for k, (_, n, v) in enumerate(sides[0])],
-                    [(k, n, v) for k, (_, n, v) in enumerate(sides[1])], 60, 60).drawn(np.arange(120) < 60)  # fmt: skip
+                    [(k, n, v) for k, (_, n, v) in enumerate(sides[1])], 60, 60).bars(np.arange(120) < 60)  # fmt: skip
     assert drawn.this[-1] < drawn.this[len(drawn.this) // 2]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from candata.datasets import open_dataset
-from candata.datasets.diff import apart, diff
+from candata.datasets.diff import diff, ids_to_read
 from candata.datasets.filtering import filter_dataset
 from candata.datasets.merging import merge, merge_into
 from candata.errors import DataError
@@ -47,16 +47,16 @@ def forged(honest, tmp_path):
 def test_equal_claims_for_other_contents_are_a_difference(honest, forged):
     assert forged.digest == honest.digest
     found = diff(honest, forged)
-    assert (found.changed, found.same, found.misstated, found.equal) == (("a",), 2, ("a",), False)
-    assert diff(honest, forged, quick=True).equal
+    assert (found.changed, found.same, found.misstated, found.is_equal) == (("a",), 2, ("a",), False)
+    assert diff(honest, forged, trust_manifests=True).is_equal
 
 
 def test_other_claims_for_equal_contents_are_none(honest, tmp_path):
     root = shutil.copytree(honest.path, tmp_path / "claims")
     forge(root, other_claim)
     found = diff(honest, open_dataset(root))
-    assert (found.equal, found.misstated) == (True, ("a",))
-    assert diff(honest, open_dataset(root), quick=True).changed == ("a",)
+    assert (found.is_equal, found.misstated) == (True, ("a",))
+    assert diff(honest, open_dataset(root), trust_manifests=True).changed == ("a",)
 
 
 def test_what_does_not_decode_is_damage(honest, tmp_path):
@@ -69,10 +69,10 @@ def test_what_does_not_decode_is_damage(honest, tmp_path):
 
 def test_episodes_in_the_same_files_are_not_read(honest, dataset, episode, tmp_path):
     filter_dataset(honest, "id <> 'c'", tmp_path / "some")
-    assert apart(honest, open_dataset(tmp_path / "some")) == set()
-    assert apart(honest, honest) == set()
+    assert ids_to_read(honest, open_dataset(tmp_path / "some")) == set()
+    assert ids_to_read(honest, honest) == set()
     copy = open_dataset(shutil.copytree(honest.path, tmp_path / "copy"))
-    assert apart(honest, copy) == {"a", "b", "c"}
+    assert ids_to_read(honest, copy) == {"a", "b", "c"}
     add(honest.path, [episode("z", seed=9)])
     told: list[int] = []
     assert diff(honest, open_dataset(honest.path), progress=told.append).added == ("z",)

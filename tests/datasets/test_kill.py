@@ -18,7 +18,7 @@ pytestmark = pytest.mark.hard
 def test_every_acknowledged_episode_is_found_once_and_intact(tmp_path):
     done = kill_test.kill_test(tmp_path, kills=4)
     assert (done.lost, done.doubled, done.damage) == (0, 0, ())
-    assert done.passed
+    assert done.has_passed
     assert done.acknowledged >= 2 * 4
     assert check(open_dataset(tmp_path / "dataset"), rules=WHOLE, deep=True) == ()
     # Written but not published: at most one a killed writer.
@@ -72,17 +72,17 @@ def test_what_is_lost_doubled_or_damaged_is_counted(tmp_path, episode):
     append(root, [episode(name, seed=i) for i, name in enumerate("abc")], Lineage(operation="test"), part_size=1)
     hashes = {name: place.content_hash for name, place in open_dataset(root).places.items()}
     whole = kill_test._verdict(root, 1, hashes)
-    assert (whole.lost, whole.doubled, whole.damage, whole.passed) == (0, 0, (), True)
+    assert (whole.lost, whole.doubled, whole.damage, whole.has_passed) == (0, 0, (), True)
     assert kill_test._verdict(root, 1, hashes | {"d": "0" * 64}).lost == 1
     assert kill_test._verdict(root, 1, hashes | {"a": "0" * 64}).lost == 1
-    assert not kill_test._verdict(root, 1, {}).passed
+    assert not kill_test._verdict(root, 1, {}).has_passed
     path = root / "versions" / "000001.json"
     version = json.loads(path.read_text())
     path.write_text(json.dumps(version | {"parts": [*version["parts"], version["parts"][0]]}))
     assert kill_test._verdict(root, 1, hashes).doubled == 1
     (root / "parts" / version["parts"][1]["id"] / "steps.parquet").unlink()
     found = kill_test._verdict(root, 1, hashes)
-    assert (found.lost, len(found.damage), found.passed) == (1, 1, False)
+    assert (found.lost, len(found.damage), found.has_passed) == (1, 1, False)
 
 
 def test_a_process_that_ends_by_itself_is_named(tmp_path):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.datasets.measures import Statistic, commanded, lag_s, measure
+from candata.datasets.measures import Statistic, commanded_joints, lag_s, measure
 from candata.schema.episode import Episode, EpisodeMeta
 
 RATE = 100.0
@@ -91,9 +91,9 @@ def test_no_lag_where_nothing_moves_or_nothing_follows(rng):
 def test_commands_meet_the_position_that_they_cause():
     position, action = np.arange(5.0)[:, None], np.arange(5.0)[:, None] + 1
     names = {"joint_names": ("a",), "actuator_names": ("a",)}
-    (after,) = commanded(made(5, joint_position=position, action=action, **names))
+    (after,) = commanded_joints(made(5, joint_position=position, action=action, **names))
     assert np.array_equal(after[1], after[2])  # held over [k, k + 1), so met at k + 1
-    (before,) = commanded(made_previous(position, action - 1, names))
+    (before,) = commanded_joints(made_previous(position, action - 1, names))
     assert np.array_equal(before[1], before[2])
 
 
@@ -105,9 +105,9 @@ def made_previous(position, action, names):
 
 def test_commands_of_other_names_are_not_guessed():
     arrays = {"joint_position": np.zeros((5, 2)), "action": np.zeros((5, 2))}
-    assert [name for name, *_ in commanded(made_pair(arrays, ("a", "b"), ("c", "b")))] == ["b"]
-    assert [name for name, *_ in commanded(made_pair(arrays, (), ()))] == ["joint 0", "joint 1"]
-    assert list(commanded(made_pair(arrays | {"action": np.zeros((5, 3))}, (), ()))) == []
+    assert [name for name, *_ in commanded_joints(made_pair(arrays, ("a", "b"), ("c", "b")))] == ["b"]
+    assert [name for name, *_ in commanded_joints(made_pair(arrays, (), ()))] == ["joint 0", "joint 1"]
+    assert list(commanded_joints(made_pair(arrays | {"action": np.zeros((5, 3))}, (), ()))) == []
 
 
 def made_pair(arrays, joints, actuators):

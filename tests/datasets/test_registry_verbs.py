@@ -10,7 +10,7 @@ import pytest
 from candata.checks import check
 from candata.datasets import content_hash, history, open_dataset, put_cloud
 from candata.datasets.diff import diff
-from candata.datasets.filtering import COLUMNS, filter_dataset, matching
+from candata.datasets.filtering import COLUMNS, filter_dataset, matching_ids
 from candata.datasets.merging import merge, merge_into
 from candata.datasets.relabelling import relabel
 from candata.datasets.tagging import delete_tag, set_tag
@@ -45,11 +45,11 @@ def mixed(dataset, episode):
     ],
 )
 def test_an_expression_chooses_episodes(mixed, where, ids):
-    assert matching(mixed, where) == tuple(ids)
+    assert matching_ids(mixed, where) == tuple(ids)
 
 
 def test_every_column_may_be_named(mixed):
-    assert matching(mixed, " or ".join(f"{name} is not null" for name in COLUMNS)) == mixed.ids
+    assert matching_ids(mixed, " or ".join(f"{name} is not null" for name in COLUMNS)) == mixed.ids
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_every_column_may_be_named(mixed):
 )
 def test_what_is_no_expression_is_one_clear_error(mixed, where, words):
     with pytest.raises(UsageError, match=f"(?i){words}") as told:
-        matching(mixed, where)
+        matching_ids(mixed, where)
     assert any(text in str(told.value) for text in ("rows", "at most", "columns compared"))
 
 
@@ -109,12 +109,12 @@ def test_what_is_no_expression_is_one_clear_error(mixed, where, words):
 )
 def test_a_filter_that_would_choose_others_another_time_is_refused(mixed, where):
     with pytest.raises(UsageError, match=r"has no place in a filter\n.*the same episodes|unknown column"):
-        matching(mixed, where)
+        matching_ids(mixed, where)
 
 
 def test_words_of_text_and_functions_of_columns_alone_are_no_chance(mixed):
     where = "object <> 'random()' and lower(object) <> $$now()$$ and upper(object) <> 'today()'"
-    assert matching(mixed, where + " -- random()") == mixed.ids
+    assert matching_ids(mixed, where + " -- random()") == mixed.ids
 
 
 def test_a_filtered_dataset_shares_the_parts_and_is_a_whole_dataset(mixed, tmp_path):
@@ -265,8 +265,8 @@ def test_diff_of_versions_and_of_datasets(mixed):
     first = open_dataset(mixed.path, 1)
     assert diff(first, mixed).added == ("e",)
     assert diff(mixed, first).removed == ("e",)
-    assert diff(mixed, mixed).equal
-    assert not diff(first, mixed).equal
+    assert diff(mixed, mixed).is_equal
+    assert not diff(first, mixed).is_equal
 
 
 def test_the_lineage_is_a_tree_that_outlives_the_parents(mixed, dataset, tmp_path):

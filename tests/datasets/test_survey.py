@@ -21,14 +21,14 @@ def made(tmp_path):
 
 def test_the_episodes_shown_follow_the_rule(made, episode):
     found = survey(made(episode("a", rows=20), episode("b", rows=60, contact=False), episode("c", rows=21)))
-    assert [(one.episode.meta.id, one.reason) for one in found.shown] == [
+    assert [(one.episode.meta.id, one.reason) for one in found.examples] == [
         ("a", "the first"), ("b", "the longest"), ("c", "the most contact"),
     ]  # fmt: skip
 
 
 def test_one_episode_may_be_all_of_them(made, episode):
     found = survey(made(episode("a", rows=30), episode("b", rows=20, contact=False)))
-    assert [(one.episode.meta.id, one.reason) for one in found.shown] == [
+    assert [(one.episode.meta.id, one.reason) for one in found.examples] == [
         ("a", "the first and the longest and the most contact")
     ]
 
@@ -39,8 +39,8 @@ def test_distributions_hold_valid_values_of_all_episodes(made, episode):
     assert names[:4] == [("time_ns", "step from row to row"), *(("object_pose", axis) for axis in "xyz")]
     assert ("joint_position", "b") in names
     assert ("fingertip_force", "fingertip 1 z") in names
-    assert all(one.found.count == 40 for one in found.distributions if one.channel != "time_ns")
-    assert found.distributions[0].found.low == pytest.approx(12.5)
+    assert all(one.distribution.count == 40 for one in found.distributions if one.channel != "time_ns")
+    assert found.distributions[0].distribution.low == pytest.approx(12.5)
 
 
 def test_some_episodes_and_unknown_ones(made, episode):
@@ -62,4 +62,4 @@ def test_invalid_rows_do_not_count(made, episode):
     arrays = dict(base.arrays) | {"joint_position": values, "joint_position_valid": np.arange(20) >= 5}
     found = survey(made(type(base)(base.meta, arrays)))
     joint = next(one for one in found.distributions if one.channel == "joint_position")
-    assert (joint.found.count, joint.found.low, joint.found.high) == (15, 1.0, 1.0)
+    assert (joint.distribution.count, joint.distribution.low, joint.distribution.high) == (15, 1.0, 1.0)

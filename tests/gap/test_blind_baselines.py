@@ -8,7 +8,7 @@ import pytest
 from candata.gap.blind.baselines import SEARCHES, baseline_reports
 from candata.gap.blind.bed import make_bed
 from candata.gap.blind.signatures import least_squares, signatures
-from candata.schema.bench import Label, Outside
+from candata.schema.bench import Label, OutsideCause
 from candata.schema.effect import EffectSetting
 
 GAIN = EffectSetting(name="servo_gain", parameters={"kp_scale": 0.7})
@@ -52,7 +52,7 @@ def test_the_oracle_says_nothing_of_a_null_and_is_told_of_outside_causes(arm, ar
     dataset = as_dataset(arm_episodes(rows=80))
     null = baseline_reports(dataset, arm, Label(case="c", kind="null"), ("oracle",), 0, "servo_gain")
     assert null["oracle"][0].verdict == "no_gap"
-    hidden = Label(case="c", kind="outside", outside=Outside(name="cogging", acts_on="joint"))
+    hidden = Label(case="c", kind="outside", outside=OutsideCause(name="cogging", acts_on="joint"))
     told = baseline_reports(dataset, arm, hidden, ("oracle",), 0, "servo_gain")["oracle"][0]
     assert (told.verdict, told.unknown.acts_on) == ("unknown_effect", "joint")
 

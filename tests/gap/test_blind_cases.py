@@ -30,7 +30,7 @@ from candata.policies import policy
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.effect import EffectSetting
-from candata.schema.report import DataUsed, EpisodeCount, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Report
 from tests.gap.conftest import ARM, ROLES
 
 SALT = "ab" * 32
@@ -55,7 +55,7 @@ def places(run):
 def silent(dataset, scene, seed, cache):
     """Find nothing."""
     counts = EpisodeCount(total=len(dataset), folds=0, held_out=0)
-    return Report(verdict="no_gap", data=DataUsed(dataset=dataset.name, episodes=counts))
+    return Report(verdict="no_gap", data=DiagnosisData(dataset=dataset.name, episodes=counts))
 
 
 def test_the_labels_are_for_the_owner_only(run):

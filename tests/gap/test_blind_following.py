@@ -18,7 +18,7 @@ from candata.gap.proposal import PLAYED
 from candata.policies import Motion
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, NextMotion, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, NextMotion, Report
 from candata.simulate.episodes import Job
 from tests.gap.conftest import ARM, ROLES
 
@@ -29,7 +29,7 @@ JUMP = Motion("jump", np.repeat([[0.0, 0.0], [1.0, -1.0], [0.0, 0.0]], 20, axis=
 
 def said(verdict: str, named: str | None = None) -> Report:
     """A report of a tie, or one that names an effect."""
-    data = DataUsed(dataset="case", episodes=EpisodeCount(total=2, folds=0, held_out=0))
+    data = DiagnosisData(dataset="case", episodes=EpisodeCount(total=2, folds=0, held_out=0))
     if verdict == "ambiguous":
         words = NextMotion(name="jump", file="motion.parquet")
         return Report(verdict=verdict, ambiguous_class=("a", "b"), next_motion=words, data=data)

@@ -7,7 +7,7 @@ import pytest
 
 from candata.errors import UnknownNameError
 from candata.gap.blind.outside import CAUSES, alter_with, draw_outside, possible_outside
-from candata.schema.bench import Outside
+from candata.schema.bench import OutsideCause
 from candata.simulate.episodes import Job, make_episodes
 
 #: Motions in which every cause shows; a push ends in a release.
@@ -59,7 +59,7 @@ def test_a_cause_without_size_changes_nothing(hand, plain, name):
 
 
 def test_a_wind_pushes_the_object_with_its_force(cube):
-    wind = Outside(name="wind", acts_on="object", values={"x_N": 0.37, "y_N": 0.0})
+    wind = OutsideCause(name="wind", acts_on="object", values={"x_N": 0.37, "y_N": 0.0})
     plain, made = (
         make_episodes(cube, [Job("e", 0, "toss", 4)], duration_s=0.1, alter=alter_with(cube, o))[0]
         for o in (None, wind)
@@ -71,7 +71,7 @@ def test_a_wind_pushes_the_object_with_its_force(cube):
 
 
 def test_lost_commands_are_held(hand):
-    loss = Outside(name="command_loss", acts_on="joint", values={"often": 1.0, "burst_rows": 1e9, "seed": 1.0})
+    loss = OutsideCause(name="command_loss", acts_on="joint", values={"often": 1.0, "burst_rows": 1e9, "seed": 1.0})
     made = played(hand, loss)
     assert np.abs(np.diff(made[0]["joint_position"][-20:], axis=0)).max() < 1e-3
 

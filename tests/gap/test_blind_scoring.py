@@ -7,11 +7,20 @@ import pytest
 
 from candata.gap.blind.outcomes import Outcome, covered, parameter_error
 from candata.gap.blind.scoring import calibration, confusion, miss, score_run
-from candata.schema.bench import CaseResult, Filled, Label, Outside, Shares
+from candata.schema.bench import CaseResult, FilledSignature, Label, OutsideCause, Shares
 from candata.schema.effect import EffectSetting
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Ranked, Report, Unknown
+from candata.schema.report import (
+    DiagnosisData,
+    EpisodeCount,
+    Estimate,
+    Gap,
+    NamedEffect,
+    RankedEffect,
+    Report,
+    UnknownCause,
+)
 
-DATA = DataUsed(dataset="case", episodes=EpisodeCount(total=20, folds=4, held_out=20))
+DATA = DiagnosisData(dataset="case", episodes=EpisodeCount(total=20, folds=4, held_out=20))
 MASS = EffectSetting(name="object_mass", parameters={"mass_scale": 1.5})
 SLIDE = EffectSetting(name="sliding_friction", parameters={"scale": 0.6})
 DRY = EffectSetting(name="joint_dry_friction", element="index2", parameters={"frictionloss_Nm": 0.05})
@@ -45,8 +54,8 @@ def row(outcomes, measure):
 
 
 def test_first_counts_what_is_named_first_and_in_three_what_is_ranked():
-    third = tuple(Ranked(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "object_mass"))
-    fourth = tuple(Ranked(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "c", "object_mass"))
+    third = tuple(RankedEffect(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "object_mass"))
+    fourth = tuple(RankedEffect(name=n, support=0.1, held_out_gain=0.1) for n in ("a", "b", "c", "object_mass"))
     some = [
         case("one", (MASS,), (say(MASS),)),
         case("one", (MASS,), (say(SLIDE), say(MASS))),
@@ -134,11 +143,11 @@ def test_first_is_scored_against_the_true_shares_not_against_what_was_drawn():
 
 
 def test_abstention_is_a_verdict_and_not_silence():
-    wind = Outside(name="wind", acts_on="object")
+    wind = OutsideCause(name="wind", acts_on="object")
     flagged = {"verdict": "unknown_effect", "outside": wind}
     some = [
-        case("outside", unknown=Unknown(acts_on="object", words="w"), **flagged),
-        case("outside", unknown=Unknown(acts_on="joint", words="w"), **flagged),
+        case("outside", unknown=UnknownCause(acts_on="object", words="w"), **flagged),
+        case("outside", unknown=UnknownCause(acts_on="joint", words="w"), **flagged),
         case("outside", outside=wind),
         case("outside", named=(say(MASS),), outside=wind),
     ]
@@ -149,8 +158,8 @@ def test_abstention_is_a_verdict_and_not_silence():
 
 
 def test_a_spent_budget_abstains():
-    wind = Outside(name="wind", acts_on="object")
-    place = Unknown(acts_on="object", words="w")
+    wind = OutsideCause(name="wind", acts_on="object")
+    place = UnknownCause(acts_on="object", words="w")
     some = [
         case("outside", verdict="out_of_budget", unknown=place, outside=wind),
         case("null", verdict="out_of_budget"),
@@ -173,7 +182,7 @@ def test_a_solver_mismatch_is_found_in_a_class_or_flagged():
     some = [
         case("solver", (CONE,), (say(CONE),)),
         case("solver", (CONE,), verdict="ambiguous", tied=("friction_cone", "impratio")),
-        case("solver", (CONE, MASS), (say(MASS),), verdict="partly_explained", unknown=Unknown(words="w")),
+        case("solver", (CONE, MASS), (say(MASS),), verdict="partly_explained", unknown=UnknownCause(words="w")),
         case("solver", (CONE, MASS), (say(SLIDE),)),
     ]
     assert row(some, "solver mismatch: found or flagged").value == 75
@@ -199,7 +208,7 @@ def test_calibration_error_of_an_honest_and_of_a_boastful_method():
 def test_rows_below_target_come_first_and_misses_say_truth_verdict_and_name():
     some = [case("one", (MASS,), (say(SLIDE),)), case("null")]
     found = score_run(some, scene="s", cases=9)
-    met = [r.met for r in found.rows]
+    met = [r.is_met for r in found.rows]
     assert met == sorted(met, key=lambda m: {False: 0, True: 1, None: 2}[m])
     assert met[0] is False
     (missed,) = found.misses
@@ -236,6 +245,8 @@ def test_first_cases_are_timed_apart():
 
 
 def test_what_was_kept_before_is_summed_once_for_all():
-    found = score_run([case("null")], scene="x", cases=1, filled=[Filled(cpu_s=2.0), Filled(cpu_s=3.5)])
+    found = score_run(
+        [case("null")], scene="x", cases=1, filled=[FilledSignature(cpu_s=2.0), FilledSignature(cpu_s=3.5)]
+    )
     (told,) = [r for r in found.rows if r.measure.startswith("CPU s of the signatures kept before")]
-    assert (told.value, told.n, told.met) == (5.5, 2, None)
+    assert (told.value, told.n, told.is_met) == (5.5, 2, None)

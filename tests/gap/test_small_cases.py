@@ -18,7 +18,7 @@ from candata.gap.blind.scoring import miss, score_run
 from candata.scenes import load_scene
 from candata.schema.bench import BenchFile, CaseResult, Label, Miss
 from candata.schema.effect import EffectSetting
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, NamedEffect, Report
+from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
 
 SALT = "cd" * 32
 COUNTS = {"null": 2, "one": 1}
@@ -98,7 +98,7 @@ def outcome(kind, trait, verdict, named=(), tied=(), cpu_s=1.0):
         verdict=verdict,
         effects=effects,
         ambiguous_class=tied,
-        data=DataUsed(dataset="d", episodes=EpisodeCount(total=12, folds=4, held_out=12)),
+        data=DiagnosisData(dataset="d", episodes=EpisodeCount(total=12, folds=4, held_out=12)),
     )
     label = Label(case="case-0001", kind=kind, trait=trait, effects=(truth,) if kind == "one" else ())
     return Outcome(label, CaseResult(case="case-0001", sealed="s", cpu_s=cpu_s, cold=True, report=report))
@@ -118,7 +118,7 @@ def test_a_null_is_right_only_with_no_gap_and_counted_by_trait():
     ]
     rows = measured(some)
     assert rows["null: no_gap"].value == 50
-    assert (rows["null: an effect named"].value, rows["null: an effect named"].met) == (25, False)
+    assert (rows["null: an effect named"].value, rows["null: an effect named"].is_met) == (25, False)
     assert rows["null: unknown_effect"].value == 25
     assert (rows["null, mimic cut: no_gap"].value, rows["null, mimic cut: no_gap"].n) == (50, 2)
     assert [m.why if (m := miss(o)) else None for o in some] == [

@@ -23,7 +23,7 @@ def poses(batch):
 def test_off_by_default(feed):
     batch = feed.batch(np.arange(20))
     out = augment(batch, Augmentation(), np.random.default_rng(0))
-    assert Augmentation().off
+    assert Augmentation().is_off
     assert all(out[name] is values for name, values in batch.items())
 
 

@@ -12,7 +12,17 @@ from hypothesis import strategies as st
 
 from candata.datasets import put_cloud
 from candata.errors import DataError, UnknownNameError, UsageError
-from candata.loaders import Mixture, Sampler, batches, common_channels, mix, normalised, parse_mixture, told, windows
+from candata.loaders import (
+    Mixture,
+    Sampler,
+    batches,
+    common_channels,
+    mix,
+    normalise_batch,
+    parse_mixture,
+    share_report,
+    windows,
+)
 from candata.loaders.sampling import pattern
 
 
@@ -92,7 +102,7 @@ def test_each_source_is_met_whole_before_any_of_it_comes_again(sources, batch_si
     ends = np.cumsum(counts)
     for number, (first, behind) in enumerate(zip(ends - counts, ends, strict=True)):
         own = line[(line >= first) & (line < behind)]
-        assert len(own) == samplers[0].drawn(steps)[number]
+        assert len(own) == samplers[0].draw_counts(steps)[number]
         times = np.bincount(own - first, minlength=behind - first)
         assert times.max() - times.min() <= 1
 
@@ -124,7 +134,7 @@ def test_shares_are_what_was_asked_for_and_reported(two):
     assert real.epochs == pytest.approx(96 / 18)
     assert real.windows_share == pytest.approx(18 / (18 + 86))
     assert sim.unique == 86
-    assert "real: asked 30.0%, drew 96 windows (30.0%), 18 of 18 distinct" in told((sim, real))
+    assert "real: asked 30.0%, drew 96 windows (30.0%), 18 of 18 distinct" in share_report((sim, real))
     with_three = mix(two, "sim:2/3,real:1/3")
     # 320 places are no whole number of periods of three.
     assert [one.drawn for one in with_three.effective(with_three.sampler(32), 10)] == [213, 107]
@@ -146,7 +156,7 @@ def test_invalid_rows_and_breaks_of_one_source_are_flagged_in_the_mixture(hand, 
 def test_a_run_goes_on_at_any_step_and_ranks_share_a_step(two):
     mixed = mix(two, "sim:0.7,real:0.3")
     whole = list(itertools.islice(batches(mixed, mixed.sampler(8, seed=5)), 30))
-    late = next(batches(mixed, mixed.sampler(8, seed=5), first=29))
+    late = next(batches(mixed, mixed.sampler(8, seed=5), first_step=29))
     for name, values in late.items():
         np.testing.assert_array_equal(values, whole[29][name])
     ranks = [mixed.sampler(4, seed=5, rank=rank, world=2).indices(29) for rank in (0, 1)]
@@ -186,12 +196,12 @@ def test_shared_statistics_are_of_what_is_drawn(hand, store):
         "real": 10,
     }
     batch = mixed.batch([0, len(mixed) - 1])
-    apart = normalised(batch, list(mixed.normalisers.values()))["history/joint_position"]
+    apart = normalise_batch(batch, list(mixed.normalisers.values()))["history/joint_position"]
     np.testing.assert_array_equal(apart, 0)
-    together = normalised(batch, mixed.normaliser)["history/joint_position"][:, 0, 0]
+    together = normalise_batch(batch, mixed.normaliser)["history/joint_position"][:, 0, 0]
     np.testing.assert_allclose(together, (np.array([0, 10]) - 2.5) / scale[0], rtol=1e-6)
     with pytest.raises(UsageError, match="names no domain"):
-        normalised(feeds["sim"].batch([0]), list(mixed.normalisers.values()))
+        normalise_batch(feeds["sim"].batch([0]), list(mixed.normalisers.values()))
 
 
 def test_a_copy_in_another_process_gives_the_same(two):

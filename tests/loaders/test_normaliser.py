@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from candata.errors import DataError, UnknownNameError
-from candata.loaders import Normaliser, integrate, normalised, windows
+from candata.loaders import Normaliser, integrate, normalise_batch, windows
 from candata.loaders.increments import increments
 from candata.loaders.normaliser import CHANNEL_FLOOR, channel_scale
 from candata.rotation import exp
@@ -69,7 +69,7 @@ def test_quantiles_become_minus_one_and_one_and_what_is_clipped_is_counted(hand,
     assert value.clipped["object_pose"] > 0
     assert Normaliser.model_validate_json(value.model_dump_json()) == value
     batch = feed.batch([0, 1, 2, 1000])
-    out = normalised(batch, value)
+    out = normalise_batch(batch, value)
     assert out["history/joint_position"].max() == 1
     assert out["future/joint_position"].min() == -1
     inner = batch["history/joint_position"][3]
@@ -81,7 +81,7 @@ def test_quantiles_become_minus_one_and_one_and_what_is_clipped_is_counted(hand,
 def test_the_other_methods_do_not_clip(hand, store):
     feed = windows(store(hand("a", arrays={"action": np.r_[np.zeros((29, 2)), [[9, 9]]]})), 1, 1, stride=1)
     assert feed.normaliser.clipped == {}
-    assert normalised(feed.batch([28]), feed.normaliser)["future/action"].max() > 1
+    assert normalise_batch(feed.batch([28]), feed.normaliser)["future/action"].max() > 1
 
 
 def test_json_and_back(hand, store):

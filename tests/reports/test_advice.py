@@ -6,7 +6,7 @@ import pytest
 
 from candata.effects import effect_names
 from candata.reports import advice
-from candata.schema.report import Estimate, NamedEffect, Ranked
+from candata.schema.report import Estimate, NamedEffect, RankedEffect
 
 
 def named_effect(name: str, element: str | None = None, **values) -> NamedEffect:
@@ -77,7 +77,7 @@ def test_a_long_vector_stays_in_the_file():
 
 def test_what_could_not_be_tested_and_why(make_report):
     report = make_report()
-    unresponsive = Ranked(name="rolling_friction", support=0, held_out_gain=0, reason=advice.NO_RESPONSE)
+    unresponsive = RankedEffect(name="rolling_friction", support=0, held_out_gain=0, reason=advice.NO_RESPONSE)
     blind = report.data.model_copy(update={"channels": ("joint_position", "object_pose")})
     report = report.model_copy(update={"ranking": (*report.ranking, unresponsive), "data": blind})
     rows = {reason: instruction for instruction, reason in advice.untested_effects(report)}
@@ -90,7 +90,7 @@ def test_what_could_not_be_tested_and_why(make_report):
 def test_what_is_named_is_not_said_to_be_untested(make_report):
     """Beside the others it was tested, though alone it gained little."""
     report = make_report()
-    candidate = Ranked(
+    candidate = RankedEffect(
         name=report.effects[0].name, support=0, held_out_gain=0, reason="gains little on the episodes looked at"
     )
     for effects, is_listed in (((), True), (report.effects, False)):

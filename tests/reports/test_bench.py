@@ -8,12 +8,12 @@ import pytest
 
 from candata.reports.bench import bench_page, bench_text, target_text, value_text, write_bench
 from candata.reports.heat import confusion
-from candata.schema.bench import BenchFile, Bin, Miss, Row
+from candata.schema.bench import BenchFile, BenchRow, Bin, Miss
 
 ROWS = (
-    Row(measure="one effect: first", value=80.0, n=40, low=95),
-    Row(measure="null: an effect named", value=0.0, n=10, high=3),
-    Row(measure="one effect: and nothing else", value=75.0, n=40),
+    BenchRow(measure="one effect: first", value=80.0, n=40, low=95),
+    BenchRow(measure="null: an effect named", value=0.0, n=10, high=3),
+    BenchRow(measure="one effect: and nothing else", value=75.0, n=40),
 )
 MISS = Miss(case="case-0003", kind="one", truth="a<b>", verdict="no_gap", named="-", why="not first", gap=1.2345)
 
@@ -77,8 +77,8 @@ def test_the_page_fits(browse, bench, width):
 
 
 def test_units_and_targets_in_words():
-    assert value_text(Row(measure="m", value=None, n=0)) == "-"
-    assert value_text(Row(measure="m", value=0.0421, n=9, unit="")) == "0.042"
-    assert target_text(Row(measure="m", value=1, n=1, low=85, high=95)) == "85 to 95 %"
-    assert target_text(Row(measure="m", value=1, n=1, high=20, unit="s")) == "<= 20 s"
-    assert target_text(Row(measure="m", value=1, n=1)) == ""
+    assert value_text(BenchRow(measure="m", value=None, n=0)) == "-"
+    assert value_text(BenchRow(measure="m", value=0.0421, n=9, unit="")) == "0.042"
+    assert target_text(BenchRow(measure="m", value=1, n=1, low=85, high=95)) == "85 to 95 %"
+    assert target_text(BenchRow(measure="m", value=1, n=1, high=20, unit="s")) == "<= 20 s"
+    assert target_text(BenchRow(measure="m", value=1, n=1)) == ""

@@ -155,7 +155,7 @@ def test_a_loop_begins_at_a_valid_row(glide):
     begin = int(glide.cache.begin[1])
     valid[begin : begin + 21] = False
     road = course(replace(glide, cache=replace(glide.cache, valid=valid)))
-    rows = road.windows.present - glide.cache.begin
+    rows = road.windows.present_row - glide.cache.begin
     # Rows 0 to 20 of the second episode are lost; steps of two rows after a history of four begin at row 6.
     assert rows.tolist() == [6, 22, 6, 6]
     assert road.steps.tolist() == [27, 20, 29, 30]
@@ -211,7 +211,7 @@ def test_no_object_is_scored_with_the_cloud_of_another(glide):
     found = scoring.score(part, BASELINES, 3, 0)
     assert found.windows["stays"].adds_auc is found.closed_loop["stays"].adds_auc is None
     others = part.owner > 0
-    rest = replace(part, owner=part.owner[others], present=part.present[others])
+    rest = replace(part, owner=part.owner[others], present_row=part.present_row[others])
     assert scoring.score(rest, BASELINES, 3, 0).closed_loop["stays"].adds_auc is not None
 
 

@@ -29,7 +29,7 @@ from candata.gap.robust import rho
 from candata.gap.score import Compact
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, CaseResults, Label
-from candata.schema.report import DataUsed, EpisodeCount, Estimate, Gap, NamedEffect, Report, Unknown
+from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, Gap, NamedEffect, Report, UnknownCause
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -177,9 +177,9 @@ def report_of(dataset: Dataset, bed: Bed, members: Members) -> Report:
     )
 
 
-def _data(dataset: Dataset, episodes: int) -> DataUsed:
+def _data(dataset: Dataset, episodes: int) -> DiagnosisData:
     """Return what a baseline looked at."""
-    return DataUsed(dataset=dataset.name, episodes=EpisodeCount(total=len(dataset), folds=0, held_out=episodes))
+    return DiagnosisData(dataset=dataset.name, episodes=EpisodeCount(total=len(dataset), folds=0, held_out=episodes))
 
 
 def baseline_reports(
@@ -227,7 +227,9 @@ def _told(dataset: Dataset, label: Label) -> Report:
     """Return the report of who was told that the cause is in no library, and where it acts."""
     place = label.outside.acts_on if label.outside else None
     return Report(
-        verdict="unknown_effect", unknown=Unknown(acts_on=place, words="told so"), data=_data(dataset, len(dataset))
+        verdict="unknown_effect",
+        unknown=UnknownCause(acts_on=place, words="told so"),
+        data=_data(dataset, len(dataset)),
     )
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
-from candata.datasets.durable import passing
+from candata.datasets.durable import temporary_folder
 from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
@@ -167,7 +167,7 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     case = CaseFile(
         name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
     )
-    with passing(draft):
+    with temporary_folder(draft):
         create_dataset(draft, path.name)
         append(draft, made, Lineage(operation="blind case", sealed=sealed))
         (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")

@@ -9,13 +9,13 @@ import numpy as np
 
 from candata.errors import UsageError, Where
 from candata.gap.blind.running import RESULTS, known
-from candata.schema.bench import BenchFile, CaseResult, Changed, Compared
+from candata.schema.bench import BenchFile, CaseResult, ChangedCase, PairedComparison
 from candata.schema.json_text import read_json
 
 SCORE = "bench.json"
 
 
-def compare_runs(first: Path, second: Path) -> Compared:
+def compare_runs(first: Path, second: Path) -> PairedComparison:
     """Return how two folders of results differ on the cases that both have diagnosed, told apart by their seals.
 
     Parameters
@@ -41,7 +41,7 @@ def compare_runs(first: Path, second: Path) -> Compared:
     pairs = [(one[seal], other[seal]) for seal in both]
     right = [(a[1], b[1]) for a, b in pairs]
     first_only, second_only = right.count((True, False)), right.count((False, True))
-    return Compared(
+    return PairedComparison(
         cases=len(both),
         both_right=right.count((True, True)),
         first_only=first_only,
@@ -51,7 +51,7 @@ def compare_runs(first: Path, second: Path) -> Compared:
         first_cpu_s=float(np.median([a[0].cpu_s for a, _ in pairs])),
         second_cpu_s=float(np.median([b[0].cpu_s for _, b in pairs])),
         changed=tuple(
-            Changed(case=a[0].case, first=_said(*a), second=_said(*b)) for a, b in pairs if _said(*a) != _said(*b)
+            ChangedCase(case=a[0].case, first=_said(*a), second=_said(*b)) for a, b in pairs if _said(*a) != _said(*b)
         ),
     )
 

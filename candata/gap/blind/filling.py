@@ -26,7 +26,7 @@ from candata.gap.starts import Starts, is_toss, starts
 from candata.gap.verdict import FEWEST
 from candata.gap.wanted import Depth, wanted
 from candata.scenes import load_scene
-from candata.schema.bench import Filled
+from candata.schema.bench import FilledSignature
 
 #: What a run has filled its cache with.
 FILLED = "filled.jsonl"
@@ -90,12 +90,12 @@ def planned(some: Source, depth: Depth = "all") -> Plan:
     return Plan(len(found), [(some, depth, i) for i in lacking])
 
 
-def keep_signature(some: Source, depth: Depth, number: int) -> Filled:
+def keep_signature(some: Source, depth: Depth, number: int) -> FilledSignature:
     """Return what it took to keep one of the `wanted` signatures; runs in any process."""
     start = time.process_time()
     part, effects = _posed(some, depth)[number]
     part.library.keep(effects)
-    return Filled(cpu_s=time.process_time() - start)
+    return FilledSignature(cpu_s=time.process_time() - start)
 
 
 def shared_tasks(places: Sequence[Place], cache: Path, seed: int) -> list[tuple[Source, Depth, int]]:

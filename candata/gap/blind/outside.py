@@ -20,7 +20,7 @@ from candata.effects import Forces
 from candata.effects._select import drive_damping, drive_torque
 from candata.errors import UnknownNameError
 from candata.scenes import Scene
-from candata.schema.bench import Outside
+from candata.schema.bench import OutsideCause
 from candata.simulate.loop import Alter
 from candata.simulate.world import Filter, Worlds
 
@@ -56,7 +56,7 @@ class _Cause:
     kind: Literal["command", "force", "reading"]
     possible: Callable[[Scene], bool]
     draw: Callable[[Scene, np.random.Generator], tuple[str | None, Values]]
-    start: Callable[[Scene, Outside, Batch], Any]
+    start: Callable[[Scene, OutsideCause, Batch], Any]
     apply: Callable[[Any, Any], tuple[Any, Any]]
 
 
@@ -65,7 +65,7 @@ def possible_outside(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name, cause in CAUSES.items() if cause.possible(scene))
 
 
-def draw_outside(name: str, scene: Scene, rng: np.random.Generator) -> Outside:
+def draw_outside(name: str, scene: Scene, rng: np.random.Generator) -> OutsideCause:
     """Return an outside cause with its place and its numbers.
 
     Raises
@@ -76,15 +76,15 @@ def draw_outside(name: str, scene: Scene, rng: np.random.Generator) -> Outside:
     if name not in CAUSES:
         raise UnknownNameError("outside cause", name, CAUSES)
     element, values = CAUSES[name].draw(scene, rng)
-    return Outside(name=name, acts_on=CAUSES[name].acts_on, element=element, values=values)
+    return OutsideCause(name=name, acts_on=CAUSES[name].acts_on, element=element, values=values)
 
 
-def alter_with(scene: Scene, outside: Outside | None) -> Alter | None:
+def alter_with(scene: Scene, outside: OutsideCause | None) -> Alter | None:
     """Return what adds an outside cause to the worlds of a batch; None for none."""
     return None if outside is None else partial(_altered, scene, outside)
 
 
-def _altered(scene: Scene, outside: Outside, batch: Batch, worlds: Worlds) -> Worlds:
+def _altered(scene: Scene, outside: OutsideCause, batch: Batch, worlds: Worlds) -> Worlds:
     """Return the worlds with the cause's filter behind those of the effects."""
     cause = CAUSES[outside.name]
     own = Filter(cause.apply, cause.start(scene, outside, batch))
@@ -146,7 +146,7 @@ def _draw_wind(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"x_N": size * np.cos(turn), "y_N": size * np.sin(turn)}
 
 
-def _start_wind(scene: Scene, outside: Outside, batch: Batch) -> tuple[int, Array]:
+def _start_wind(scene: Scene, outside: OutsideCause, batch: Batch) -> tuple[int, Array]:
     return scene.object_dof, np.array([outside.values["x_N"], outside.values["y_N"]])
 
 
@@ -161,7 +161,7 @@ def _draw_magnet(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"pull_N": rng.uniform(0.5, 1.5) * _weight(scene), "range_m": rng.uniform(0.01, 0.03)}
 
 
-def _start_magnet(scene: Scene, outside: Outside, batch: Batch) -> tuple[Array, int, int, float, Values]:
+def _start_magnet(scene: Scene, outside: OutsideCause, batch: Batch) -> tuple[Array, int, int, float, Values]:
     height = scene.object_qpos + 2
     rest = float(scene.model.qpos0[height])
     return batch.bind("qpos"), height, scene.object_dof + 2, rest, outside.values
@@ -180,7 +180,7 @@ def _draw_coupling(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]
     return str(first), {"stiffness_Nm_rad": rng.uniform(0.3, 0.8) * drive_torque(scene), "other": other}
 
 
-def _start_coupling(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_coupling(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     pair = [str(outside.element), scene.file.joints[int(outside.values["other"])]]
     places = [[_qpos(scene, j) for j in pair], [_dof(scene, j) for j in pair]]
     return batch.bind("qpos"), places, outside.values["stiffness_Nm_rad"]
@@ -200,7 +200,7 @@ def _draw_cogging(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
     return str(rng.choice(_hinges(scene))), values | {"phase_rad": rng.uniform(0, 2 * np.pi)}
 
 
-def _start_cogging(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_cogging(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     joint = str(outside.element)
     return batch.bind("qpos"), _qpos(scene, joint), _dof(scene, joint), outside.values
 
@@ -216,7 +216,7 @@ def _draw_load(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"share": rng.uniform(0.5, 0.9)}
 
 
-def _start_load(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_load(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     dofs = scene.joint_dof[scene.driven_hinges]
     fields = batch.bind("qvel"), batch.bind("qfrc_actuator")
     return *fields, dofs, outside.values["share"], drive_damping(scene)
@@ -235,7 +235,7 @@ def _draw_fading(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"loss": rng.uniform(0.3, 0.5), "warming_s": rng.uniform(0.4, 0.8)}
 
 
-def _start_fading(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_fading(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     dofs = scene.joint_dof[scene.driven_hinges]
     rate = 1 / scene.file.rate_hz / outside.values["warming_s"]
     return (
@@ -263,7 +263,7 @@ def _draw_loss(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, values | {"seed": float(rng.integers(2**31))}
 
 
-def _start_loss(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_loss(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     rng = np.random.default_rng(int(outside.values["seed"]))
     return None, np.zeros(batch.nsim, bool), rng, outside.values
 
@@ -281,7 +281,7 @@ def _draw_sticky(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
     return str(rng.choice(scene.file.fingertips)), {"width_N": rng.uniform(0.2, 0.5)}
 
 
-def _start_sticky(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_sticky(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     tip = scene.file.fingertips.index(str(outside.element))
     return np.zeros((batch.nsim, 3)), tip, outside.values["width_N"]
 
@@ -298,7 +298,7 @@ def _draw_creep(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"share": rng.uniform(0.3, 0.6), "memory_s": rng.uniform(0.4, 1.0)}
 
 
-def _start_creep(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_creep(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     rate = 1 / scene.file.rate_hz / outside.values["memory_s"]
     return np.zeros((batch.nsim, len(scene.file.fingertips), 3)), rate, outside.values["share"]
 
@@ -315,7 +315,7 @@ def _draw_suction(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]
     return None, {"pull_N": rng.uniform(0.3, 0.6) * _weight(scene)}
 
 
-def _start_suction(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_suction(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     fields = batch.bind("sensordata"), batch.bind("xpos")
     left = np.zeros((batch.nsim, len(scene.force_sensors)))
     return left, fields, scene, outside.values["pull_N"]
@@ -341,7 +341,7 @@ def _draw_cable(scene: Scene, rng: np.random.Generator) -> tuple[str, Values]:
     return joint, {"stiffness_N_m": rng.uniform(0.08, 0.2) * kp, "tension_N": rng.uniform(0.004, 0.01) * kp}
 
 
-def _start_cable(scene: Scene, outside: Outside, batch: Batch) -> Any:
+def _start_cable(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
     joint = str(outside.element)
     return batch.bind("qpos"), _qpos(scene, joint), _dof(scene, joint), outside.values
 

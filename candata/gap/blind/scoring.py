@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.gap.blind.outcomes import FAINT, Outcome, covered, parameter_error, supports
 from candata.gap.blind.traits import percent, trait_rows
-from candata.schema.bench import BenchFile, Bin, Filled, Kind, Miss, Row
+from candata.schema.bench import BenchFile, BenchRow, Bin, FilledSignature, Kind, Miss
 
 Array = NDArray[np.float64]
 #: Equal-count bins of the calibration curve.
@@ -22,9 +22,14 @@ KNOWN: tuple[Kind, ...] = ("one", "quarter", "local", "pair", "triple")
 
 
 def score_run(
-    outcomes: Sequence[Outcome], *, scene: str, cases: int, method: str = "candata", filled: Sequence[Filled] = (),
+    outcomes: Sequence[Outcome],
+    *,
+    scene: str,
+    cases: int,
+    method: str = "candata",
+    filled: Sequence[FilledSignature] = (),
     followed: Sequence[Outcome] = (),
-) -> BenchFile:  # fmt: skip
+) -> BenchFile:
     """Return the table of a run with its misses.
 
     Parameters
@@ -46,13 +51,13 @@ def score_run(
     order = {False: 0, True: 2, None: 3}
     return BenchFile(
         method=method, scene=scene, cases=cases, done=len(outcomes),
-        rows=tuple(sorted(rows, key=lambda r: order[r.met])),
+        rows=tuple(sorted(rows, key=lambda r: order[r.is_met])),
         misses=tuple(m for o in outcomes if (m := miss(o))), confusion=confusion(outcomes),
         calibration=calibration(outcomes),
     )  # fmt: skip
 
 
-def _rows(outcomes: Sequence[Outcome]) -> list[Row]:
+def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
     """Return every measure in the order of the targets."""
     kinds: dict[str, list[Outcome]] = {}
     for o in outcomes:
@@ -73,7 +78,7 @@ def _rows(outcomes: Sequence[Outcome]) -> list[Row]:
     ]
 
 
-def _single(one: list[Outcome], quarter: list[Outcome]) -> list[Row]:
+def _single(one: list[Outcome], quarter: list[Outcome]) -> list[BenchRow]:
     """Return the measures of single causes."""
     right = [o for o in one if o.first]
     errors = [e for o in right if (e := parameter_error(o)) is not None]
@@ -94,7 +99,7 @@ def _single(one: list[Outcome], quarter: list[Outcome]) -> list[Row]:
     ]
 
 
-def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[Row]:
+def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[BenchRow]:
     """Return the measures of two and three causes."""
     out = []
     for word, some, low in (("two effects", pairs, 85), ("three effects", triples, 70)):
@@ -108,7 +113,7 @@ def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[Row]:
     return out
 
 
-def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome]) -> list[Row]:
+def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome]) -> list[BenchRow]:
     """Return the measures of saying nothing, and of saying that the cause is not known."""
     places = [o.result.report.unknown if o.result.report else None for o in outside]
     where = [p is not None and o.label.outside is not None and p.acts_on == o.label.outside.acts_on
@@ -121,7 +126,7 @@ def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome
     ]
 
 
-def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[Row]:
+def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[BenchRow]:
     """Return the measures under a mismatch of everything, and of the solver."""
     closed = [0.0 if o.closed is None else o.closed for o in background]
     heavy = [o for o in solver if "object_mass" in o.truth]
@@ -135,7 +140,7 @@ def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[Row]:
     ]  # fmt: skip
 
 
-def _local(local: list[Outcome]) -> list[Row]:
+def _local(local: list[Outcome]) -> list[BenchRow]:
     """Return the measures of faults of one element."""
     return [
         percent("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
@@ -153,7 +158,7 @@ def _element_first(o: Outcome) -> bool:
     return bool(tied) and all(text.endswith(f" {o.label.effects[0].element}") for text in tied)
 
 
-def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
+def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[BenchRow]:
     """Return coverage of the intervals and the calibration error of the support."""
     inside = [c for o in known for c in covered(o)]
     bins = calibration(outcomes)
@@ -161,37 +166,37 @@ def _honesty(outcomes: Sequence[Outcome], known: list[Outcome]) -> list[Row]:
     error = sum(b.n * abs(b.support - b.right) for b in bins) / count if count else None
     return [
         percent("coverage of 90 % intervals", inside, low=85, high=95),
-        Row(measure="calibration error of support", value=error, n=count, high=0.05, unit=""),
+        BenchRow(measure="calibration error of support", value=error, n=count, high=0.05, unit=""),
     ]
 
 
-def _cost(outcomes: Sequence[Outcome]) -> list[Row]:
+def _cost(outcomes: Sequence[Outcome]) -> list[BenchRow]:
     """Return CPU time with what is cached, and without: of the few cases that were diagnosed with nothing kept."""
     spent = {cold: [o.result.cpu_s for o in outcomes if o.result.cold == cold] for cold in (False, True)}
     names = {False: ("CPU s a case, cached signatures: median", 20.0), True: ("CPU s of a first case: median", 120.0)}
     return [
-        Row(measure=names[c][0], value=float(np.median(v)) if v else None, n=len(v), high=names[c][1], unit="s")
+        BenchRow(measure=names[c][0], value=float(np.median(v)) if v else None, n=len(v), high=names[c][1], unit="s")
         for c, v in spent.items()
     ]
 
 
-def _resolved(followed: Sequence[Outcome]) -> Row:
+def _resolved(followed: Sequence[Outcome]) -> BenchRow:
     """Return how many ambiguous cases came right once what was proposed was recorded, too."""
     return percent("ambiguous: right once the next motion is recorded", (_why(o) is None for o in followed))
 
 
-def _filling(filled: Sequence[Filled]) -> Row:
+def _filling(filled: Sequence[FilledSignature]) -> BenchRow:
     """Return CPU time of what all cases share, counted by signatures."""
     spent = sum(one.cpu_s for one in filled)
-    return Row(measure="CPU s of the signatures kept before, once for all", value=spent, n=len(filled), unit="s")
+    return BenchRow(measure="CPU s of the signatures kept before, once for all", value=spent, n=len(filled), unit="s")
 
 
 def _quantile(
     measure: str, values: Sequence[float], q: float, low: float | None = None, high: float | None = None
-) -> Row:
+) -> BenchRow:
     """Return a row that is a quantile of shares, in percent."""
     value = 100 * float(np.quantile(values, q)) if len(values) else None
-    return Row(measure=measure, value=value, n=len(values), low=low, high=high)
+    return BenchRow(measure=measure, value=value, n=len(values), low=low, high=high)
 
 
 def calibration(outcomes: Sequence[Outcome]) -> tuple[Bin, ...]:

@@ -7,20 +7,20 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from candata.gap.blind.outcomes import Outcome
-from candata.schema.bench import Row
+from candata.schema.bench import BenchRow
 
 #: Targets [%], chosen: a user who has no gap is told so, and is never told a cause.
 NO_GAP_LOW, NAMED_HIGH, UNKNOWN_HIGH = 97.0, 0.0, 1.0
 
 
-def percent(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> Row:
+def percent(measure: str, hits: Iterable[bool], low: float | None = None, high: float | None = None) -> BenchRow:
     """Return a row that counts, in percent."""
     counted = list(hits)
     value = 100 * float(np.mean(counted)) if counted else None
-    return Row(measure=measure, value=value, n=len(counted), low=low, high=high)
+    return BenchRow(measure=measure, value=value, n=len(counted), low=low, high=high)
 
 
-def trait_rows(outcomes: Sequence[Outcome]) -> list[Row]:
+def trait_rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
     """Return the measures of cases in random small scenes; none without such cases."""
     small = [o for o in outcomes if o.label.trait is not None]
     nulls, ones = ([o for o in small if o.kind == kind] for kind in ("null", "one"))

@@ -43,10 +43,10 @@ class Link(NamedTuple):
 
 def _finger(name: str, y: float, z: float) -> tuple[Link, Link]:
     """Return the two links of a straight finger that leaves the palm at (6.5 mm, y, z)."""
-    first, second = f"{name}1", f"{name}2"
+    proximal, distal = f"{name}1", f"{name}2"
     return (
-        Link(first, "palm", (0.0065, y, z), (0, 1, 0), (0, 1.919), 1.1, 0.063, (0, 0, 0.0558)),
-        Link(second, first, (0, 0, 0.0558), (0, 1, 0), (0, 1.919), 0.4, 0.016, (0, 0, 0.0422)),
+        Link(proximal, "palm", (0.0065, y, z), (0, 1, 0), (0, 1.919), 1.1, 0.063, (0, 0, 0.0558)),
+        Link(distal, proximal, (0, 0, 0.0558), (0, 1, 0), (0, 1.919), 0.4, 0.016, (0, 0, 0.0422)),
     )
 
 

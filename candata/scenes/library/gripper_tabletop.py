@@ -14,7 +14,7 @@ from candata.schema.scene import Noise, SceneFile
 
 RATE_HZ = 50.0
 RAILS = ("rail", "lift")
-#: Where each finger's root sits in the palm [m], and how far about +z it is turned [rad]: two against one.
+#: Place of each finger's root in the palm [m], and its turn about +z [rad]: two against one.
 FINGERS = {"left": (-0.055, 0.028, 3.14159265), "right": (-0.055, -0.028, 3.14159265), "thumb": (0.055, 0.0, 0.0)}
 HINGES = tuple(f"{finger}_{joint}" for finger in FINGERS for joint in ("base", "end"))
 TIPS = tuple(f"{finger}_tip" for finger in FINGERS)

@@ -139,9 +139,9 @@ def _add_can(spec: mujoco.MjSpec) -> None:
 def _exclude_neighbours(spec: mujoco.MjSpec, joints: tuple[str, ...]) -> None:
     """Let the hand touch the object and the table only: its own links never meet in these motions."""
     bodies = ["palm", *joints]
-    for i, first in enumerate(bodies):
-        for second in bodies[i + 1 :]:
-            spec.add_exclude(bodyname1=first, bodyname2=second)
+    for i, first_body in enumerate(bodies):
+        for second_body in bodies[i + 1 :]:
+            spec.add_exclude(bodyname1=first_body, bodyname2=second_body)
 
 
 def _add_posture(spec: mujoco.MjSpec, name: str, hinges: tuple[float, ...]) -> None:

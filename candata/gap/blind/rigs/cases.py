@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
-from candata.datasets.durable import passing
+from candata.datasets.durable import temporary_folder
 from candata.gap.blind.cases import CASE, CASES, LABELS, missing_cases, standing_labels
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
@@ -194,7 +194,7 @@ def write_rig_case(path: Path, label: Label, sealed: str, number: int, duration_
     shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
     case = CaseFile(name=path.name, scene="scene.yaml", episodes=number, sealed=sealed)
-    with passing(draft):
+    with temporary_folder(draft):
         create_dataset(draft, path.name)
         append(draft, episodes(rig, drawn.outlines, read), Lineage(operation="blind case", sealed=sealed))
         (draft / "scene.xml").write_text(rig.xml + "\n")
