@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.checks._lags import lag
+from candata.checks._lags import CLOSELY, followed, lag
 from candata.checks._signal import spread
 from candata.checks._view import View, rounded
 
@@ -16,8 +17,9 @@ from candata.checks._view import View, rounded
 LEADS = -0.5
 #: Share of episodes that must lead before the set does.
 MOST = 0.7
-#: An episode is apart from others of its kind by so many rows and so many spreads; fewest of a kind, and of the set.
-APART, SPREADS, KIND, FEWEST = 0.75, 8.0, 3, 6
+#: An episode is apart from others of its kind by so many rows and so many spreads; fewest of a kind, and of the set;
+#: fewest joints that say so alike.
+APART, SPREADS, KIND, FEWEST, JOINTS = 0.75, 8.0, 3, 6, 2
 #: A shift against the scene is whole rows to within this, with this spread over episodes.
 WHOLE, STEADY = 0.25, 0.25
 #: Rows of an episode that are replayed in the scene.
@@ -27,20 +29,37 @@ REMEDY = "check which command a row holds: `action: next` or `previous` in the m
 
 @dataclass(frozen=True)
 class _Lag:
-    """Rows by which joints come behind their commands in an episode, and in the scene (NaN without one)."""
+    """Rows by which joints come behind their commands in an episode.
+
+    Attributes
+    ----------
+    id, task : str
+    rows : float
+        All together.
+    each : dict of str to float
+        Joints that follow closely, by name.
+    scene : float
+        The same of the scene's joints under these commands; NaN without a scene.
+    rate_hz : float
+    """
 
     id: str
     task: str
     rows: float
+    each: dict[str, float]
     scene: float
     rate_hz: float
 
 
 def _gather(view: View) -> _Lag | None:
     """Return the lag of an episode; None where its joints do not tell."""
-    rows = lag(view)
+    found = followed(view)
+    if found is None or not np.isfinite(found.rows):
+        return None
     task = (view.meta.task if view.meta else None) or ""
-    return _Lag(view.id, task, rows, _of_scene(view), view.rate_hz) if np.isfinite(rows) else None
+    close = np.isfinite(found.each) & (found.alike > CLOSELY)
+    each = {name: float(rows) for name, rows, c in zip(found.names, found.each, close, strict=True) if c}
+    return _Lag(view.id, task, found.rows, each, _of_scene(view), view.rate_hz)
 
 
 def _of_scene(view: View) -> float:
@@ -95,20 +114,41 @@ def _shifted(rows: float, rate_hz: float, episodes: int) -> Iterator[Finding]:
 
 
 def _apart(seen: Sequence[_Lag]) -> Iterator[Finding]:
-    """Yield episodes whose lag is not that of the others of their kind."""
-    kinds = {task: [one.rows for one in seen if one.task == task] for task in {one.task for one in seen}}
-    some = [one for one in seen if len(kinds[one.task]) >= KIND]
+    """Yield episodes in which every joint that follows closely comes as many rows apart from the others of their kind.
+
+    Commands that are logged late shift all joints alike; what a finger meets shifts those that meet it.
+    """
+    usual = {key: float(np.median(rows)) for key, rows in _kinds(seen).items() if len(rows) >= KIND}
+    off = {
+        one.id: np.array([rows - usual[one.task, name] for name, rows in one.each.items() if (one.task, name) in usual])
+        for one in seen
+    }
+    some = [one for one in seen if len(off[one.id]) >= JOINTS]
     if len(some) < FEWEST:
         return
-    usual = {task: float(np.median(rows)) for task, rows in kinds.items()}
-    off = np.array([one.rows - usual[one.task] for one in some])
-    for k in np.flatnonzero(np.abs(off) > max(APART, SPREADS * spread(off))).tolist():
-        problem = "commands are shifted against those of the other episodes"
-        one = some[k]
-        yield _found(
-            "warning", problem, f"joints come {one.rows:.1f} rows behind, in the others {usual[one.task]:.1f}", one.id,
-            lag_rows=one.rows, others_rows=usual[one.task], others_spread_rows=spread(off),
-        )  # fmt: skip
+    middle = np.array([np.median(off[one.id]) for one in some])
+    least = max(APART, SPREADS * spread(middle))
+    for one, shift in zip(some, middle.tolist(), strict=True):
+        if (np.abs(off[one.id]) > least).all() and np.ptp(off[one.id]) < APART:
+            problem, others = "commands are shifted against those of the other episodes", one.rows - shift
+            yield _found(
+                "warning",
+                problem,
+                f"joints come {one.rows:.1f} rows behind, in the others {others:.1f}",
+                one.id,
+                lag_rows=one.rows,
+                others_rows=others,
+                others_spread_rows=spread(middle),
+            )
+
+
+def _kinds(seen: Sequence[_Lag]) -> dict[tuple[str, str], list[float]]:
+    """Return the rows by which each joint comes behind in the episodes of each task."""
+    out: dict[tuple[str, str], list[float]] = defaultdict(list)
+    for one in seen:
+        for name, rows in one.each.items():
+            out[one.task, name].append(rows)
+    return out
 
 
 def _found(level: Level, problem: str, detail: str, episode: str | None = None, **evidence: float) -> Finding:
