@@ -35,7 +35,7 @@ from candata.simulate.episodes import Job, make_episodes
 SETS = {"built-in": 24, "random small": 12}
 #: Lengths of an episode of a built-in scene [s].
 DURATIONS_S = (1.2, 2.0, 3.2, 5.0)
-#: Target: warnings an episode, of each rule.
+#: Target: warnings an episode, of all rules together.
 WARNINGS = 0.001
 
 
@@ -48,8 +48,8 @@ class Alarm(NamedTuple):
     text: str
 
 
-def looked_at(group: str, number: int, seed: int, log: Path) -> str:
-    """Return the name of a set after its alarms were written to `log` as a line of JSON."""
+def validated(group: str, number: int, seed: int, log: Path) -> str:
+    """Return a line on a set after its alarms were written to `log` as a line of JSON."""
     with TemporaryDirectory() as folder:
         scene = (_built_in if group == "built-in" else _random_small)(Path(folder) / "set", number, seed)
         data = open_dataset(Path(folder) / "set")
@@ -97,22 +97,25 @@ def _random_small(path: Path, number: int, seed: int) -> Scene:
 
 
 def table(lines: Sequence[dict]) -> tuple[list[str], bool]:
-    """Return the rows of a run, a rule each, and whether both targets are met."""
+    """Return the rows of a run, one for each rule and one for all, and whether both targets are met."""
     out, met = [], True
     for group in SETS:
-        mine = [line for line in lines if line["group"] == group]
-        total = sum(line["episodes"] for line in mine)
-        out += [f"{group}: {total} episodes in {len(mine)} sets", f"{'rule':<18}{'errors':>8}{'warnings':>10}{'%':>8}"]
-        for rule in rule_names():
-            places = {
-                level: {(line["set"], a[2]) for line in mine for a in line["alarms"] if a[0] == rule and a[1] == level}
-                for level in ("error", "warning")
-            }
-            errors, warnings = (len(places[level]) for level in ("error", "warning"))
-            met &= not errors and warnings <= WARNINGS * total
+        sets = [line for line in lines if line["group"] == group]
+        total = sum(line["episodes"] for line in sets)
+        out += [f"{group}: {total} episodes in {len(sets)} sets", f"{'rule':<18}{'errors':>8}{'warnings':>10}{'%':>8}"]
+        counts = np.array([[_count(sets, rule, level) for level in ("error", "warning")] for rule in rule_names()])
+        for rule, (errors, warnings) in zip(
+            (*rule_names(), "all"), (*counts.tolist(), counts.sum(0).tolist()), strict=True
+        ):
             out.append(f"{rule:<18}{errors:>8}{warnings:>10}{100 * warnings / max(total, 1):>8.2f}")
+        met &= not errors and warnings <= WARNINGS * total
     out.append(f"target: no error, warnings in at most {100 * WARNINGS:g} %: {'met' if met else 'MISSED'}")
     return out, met
+
+
+def _count(sets: Sequence[dict], rule: str, level: str) -> int:
+    """Return how many episodes a rule accuses, a finding of a whole set counted as one."""
+    return len({(s["set"], a[2]) for s in sets for a in s["alarms"] if (a[0], a[1]) == (rule, level)})
 
 
 def run(out: Path, episodes: int, seed: int, jobs: int) -> bool:
@@ -120,8 +123,10 @@ def run(out: Path, episodes: int, seed: int, jobs: int) -> bool:
     log = out / "clean_checks.jsonl"
     done = {_key(line) for line in _read(log)}
     wanted = [(group, k, seed) for group, size in SETS.items() for k in range(-(-episodes // size))]
-    for told in local(jobs)(looked_at, [(*key, log) for key in wanted if key not in done]):
-        print(f"  {told}", file=sys.stderr, flush=True)
+    # Both groups advance together: a run that is stopped says something of each.
+    wanted.sort(key=lambda key: key[1] * SETS[key[0]])
+    for text in local(jobs)(validated, [(*key, log) for key in wanted if key not in done]):
+        print(f"  {text}", file=sys.stderr, flush=True)
     rows, met = table([line for line in _read(log) if _key(line) in wanted])
     print("\n".join(rows))
     return met

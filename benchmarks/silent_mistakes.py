@@ -3,9 +3,10 @@
     python benchmarks/silent_mistakes.py --seed 1
 
 Sound recordings of `gripper_tabletop`, `xhand_tabletop` and three random small scenes with two fingertips or more are
-damaged by the injector, each mistake in all episodes, and validated with their scene. A row a mistake, a column a
-scene: level and rule of the gravest new finding, `unknown` where it is listed as not to be told, else SILENT. Targets: nothing
-silent; no error and no warning in the sound ones. Exit 1 where one is missed.
+damaged by the injector, each mistake in all episodes, and validated with their scene. Each row is a mistake, each
+column a scene. A cell holds level and rule of the gravest new finding, `unknown` where the mistake is listed as
+undecidable, else SILENT. Targets: nothing silent; no error and no warning in the sound ones. Exit 1 on a
+miss.
 """
 
 from __future__ import annotations
@@ -95,13 +96,13 @@ def validated(folder: Path, sound: Sound, mistake: str | None) -> tuple[Finding,
     return check(open_dataset(root), scene=sound.scene)
 
 
-def outcome(found: Sequence[Finding], before: Sequence[Finding], name: str) -> str:
-    """Return what a validation says of a mistake, which `unknown` calls by a name, beside what it said before."""
-    known = {(f.level, f.rule, f.problem) for f in before}
-    new = [f for f in found if f.level != "unknown" and (f.level, f.rule, f.problem) not in known]
+def outcome(damaged: Sequence[Finding], sound: Sequence[Finding], name: str) -> str:
+    """Return what the findings of damaged recordings say beside those of sound ones; `unknown` has a name for it."""
+    known = {(f.level, f.rule, f.problem) for f in sound}
+    new = [f for f in damaged if f.level != "unknown" and (f.level, f.rule, f.problem) not in known]
     if new:
         return f"{new[0].level}: {new[0].rule}"
-    return "unknown" if any(f.level == "unknown" and name in f.message for f in found) else "SILENT"
+    return "unknown" if any(f.level == "unknown" and name in f.message for f in damaged) else "SILENT"
 
 
 def table(folder: Path, makers: Sequence[Callable[[], Sound]]) -> bool:

@@ -136,7 +136,7 @@ def _judge(seen: Sequence[_Timing]) -> Iterator[Finding]:
     agree = float((curves[:, about].max(axis=1) > curves[:, zero].max(axis=1)).mean())
     # What one motion does may be its own: between its command and its touch there is the same time every time.
     without = [np.array([one.stops for one in timed if one.task != motion]) for motion in motions]
-    alike = all(_late(some.mean(axis=0), LAGS_S[k]) for some in without)
+    alike = all(abs(LAGS_S[int(np.argmax(curve.mean(axis=0)))] - LAGS_S[k]) <= LATE_S / 2 for curve in without)
     if mean[k] > HIGH and abs(LAGS_S[k]) > LATE_S and mean[k] > TIMES * near and agree >= MOST and alike:
         problem = f"forces come {'after' if LAGS_S[k] > 0 else 'before'} the fingers are stopped"
         text = f"{problem}, by {1e3 * abs(LAGS_S[k]):.0f} ms (correlation {mean[k]:.2f}, within {1e3 * LATE_S:.0f} ms "
@@ -153,12 +153,6 @@ def _judge(seen: Sequence[_Timing]) -> Iterator[Finding]:
             rounded(evidence),
             REMEDY,
         )
-
-
-def _late(mean: Array, lag_s: float) -> bool:
-    """Tell whether a mean curve is largest near a lag, and clearly larger than near zero."""
-    zero = float(mean[np.abs(LAGS_S) <= LATE_S].max())
-    return bool(abs(LAGS_S[int(np.argmax(mean))] - lag_s) <= LATE_S / 2 and mean.max() > TIMES * zero)
 
 
 RULE = Rule(

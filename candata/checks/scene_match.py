@@ -50,8 +50,8 @@ def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
         return
     found = compared(Replayer(scene), recs)
     yield from (_finding(one) for one in found.findings if one.kind not in NO_FAULT)
-    if found.untold:
-        reason = f"the object and the fingertips do too little to tell {'; '.join(found.untold)}"
+    if found.undecidable:
+        reason = f"the object and the fingertips do too little to tell {'; '.join(found.undecidable)}"
         yield Finding("unknown", NAME, reason, problem=reason)
 
 

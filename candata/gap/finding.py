@@ -53,9 +53,9 @@ class Comparison:
     ----------
     findings : tuple of Finding
         What is no physics; definite ones first.
-    untold : tuple of str
+    undecidable : tuple of str
         Mistakes that they could hold and that nothing in them contradicts.
     """
 
     findings: tuple[Finding, ...]
-    untold: tuple[str, ...] = ()
+    undecidable: tuple[str, ...] = ()

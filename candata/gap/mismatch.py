@@ -117,18 +117,18 @@ def compared(replayer: Replayer, recs: Recordings) -> Comparison:
     some = recs.take(_drawn(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
     found = pose_findings(scene, recs) + range_findings(scene, recs, paired(scene, recs))
-    untold: tuple[str, ...] = ()
+    undecidable: tuple[str, ...] = ()
     if pairs is not None and not any(f.definite for f in found):
         units = unit_findings(scene, pairs)
         found += (_exchanged(_Look(replayer, some, pairs)) if units else []) or units
         found += still_findings(some, pairs)
     if not any(f.definite for f in found) and not is_toss(scene):
         played = _by_replay(_Look(replayer, some, pairs))
-        found, untold = [*found, *played.findings], played.untold
+        found, undecidable = [*found, *played.findings], played.undecidable
     found += _tasks(recs)
     # What is wrong makes the rest say little: of that nothing is said.
     return Comparison(
-        tuple(sorted(found, key=lambda f: not f.definite)), () if any(f.definite for f in found) else untold
+        tuple(sorted(found, key=lambda f: not f.definite)), () if any(f.definite for f in found) else undecidable
     )
 
 
@@ -165,8 +165,9 @@ def _by_replay(look: _Look) -> Comparison:
     own = None
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
-        if found := slope_findings(look.pairs, own):
-            return Comparison(tuple(found))
+        if sloped := slope_findings(look.pairs, own):
+            # Joints that face each other run against the commands of each other.
+            return Comparison(tuple(_swapped(look, look.pairs, own) or sloped))
     shaky = unstable_findings(scene, look.recs, played.failed, MANY)
     if any(f.definite for f in shaky):
         return Comparison(tuple(shaky))
@@ -188,14 +189,14 @@ def _by_replay(look: _Look) -> Comparison:
         each = late(look.pairs, own)
         rows = float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0
     timed, in_time = late_findings(scene, look.recs, nominal, rows)
-    untold = (*places.untold, *timed.untold)
+    undecidable = (*places.undecidable, *timed.undecidable)
     if "fingertip_force" in nominal and "fingertip_force" in look.recs.readings:
         felt = _by_force(scene, look.recs, nominal["fingertip_force"])
         if not any(f.definite for f in felt):
             more = felt_findings(scene, in_time, nominal, look.another)
-            felt, untold = list(more.findings) or felt, (*untold, *more.untold)
+            felt, undecidable = list(more.findings) or felt, (*undecidable, *more.undecidable)
         found += felt
-    return Comparison((*found, *timed.findings, *shaky), untold)
+    return Comparison((*found, *timed.findings, *shaky), undecidable)
 
 
 def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:

@@ -1,8 +1,9 @@
 """Recordings that fit the scene only when they are read another way: conjugated, mirrored, exchanged, turned, late.
 
-Each other way is judged as the recordings are: the scene is played from the start and under the commands that it gives,
-and the difference to what was recorded is compared episode by episode. Another way is told where it fits far better in
-some episodes and far worse in none; it is ruled out where it fits far worse in some; else nothing tells.
+Each alternative is judged as the recordings are: the scene is played from the start and under the commands that it
+gives, and the difference to what was recorded is compared episode by episode. An alternative holds where it fits far
+better in some episodes and far worse in none; it is ruled out where it fits far worse in some; else the recordings
+cannot decide.
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.finding import Comparison, Finding
+from candata.gap.mismatch_alternatives import Alternative, force_alternatives, pair_alternatives, pose_alternatives
 from candata.gap.mismatch_commands import Paired
 from candata.gap.mismatch_forces import tells_unit
 from candata.gap.mismatch_swaps import CLOSER
-from candata.gap.mismatch_ways import Another, force_ways, pair_ways, pose_ways
 from candata.gap.recordings import Recordings
 from candata.rotation import difference
 from candata.scenes import Scene
@@ -27,11 +28,11 @@ Index = NDArray[np.int64]
 #: Plays recorded commands from recorded starts.
 Play = Callable[[Recordings], dict[str, Array]]
 #: By how much the other quantities of an episode may fit worse where one fits far better. Measured beside `CLOSER` in
-#: worlds of other physics, 60 of three fingers: no other way came to more than one episode without one against.
+#: worlds of other physics, 60 of three fingers: no alternative came to more than one episode without one against.
 WORSE = 1.25
-#: Episodes in which another way must fit far better, and none may fit far worse.
+#: Episodes in which an alternative must fit far better, and none may fit far worse.
 BETTER_IN = 3
-#: Episodes that each way is tried on first.
+#: Episodes that each alternative is tried on first.
 TRIED_ON = 4
 #: Ratio of the errors from which a shift by whole rows is told: it costs no simulation and accuses nobody.
 SHIFTED = 0.8
@@ -48,7 +49,7 @@ UNITS = {"position": "m", "rotation": "rad", "force": "N", "joint": "rad or m"}
 
 @dataclass(frozen=True)
 class Votes:
-    """How episodes judge another way.
+    """How episodes judge an alternative.
 
     Attributes
     ----------
@@ -77,9 +78,9 @@ def errors(recs: Recordings, played: dict[str, Array]) -> dict[str, Array]:
     if "joint_position" in recs.readings:
         out["joint"] = _rms(recs.readings["joint_position"] - played["joint_position"])
     if "object_pose" in recs.readings:
-        real, own = recs.readings["object_pose"], played["object_pose"]
-        out["position"] = _rms(real[..., :3] - own[..., :3])
-        out["rotation"] = _rms(difference(real[..., 3:], own[..., 3:]))
+        real, simulated = recs.readings["object_pose"], played["object_pose"]
+        out["position"] = _rms(real[..., :3] - simulated[..., :3])
+        out["rotation"] = _rms(difference(real[..., 3:], simulated[..., 3:]))
     if "fingertip_force" in recs.readings:
         out["force"] = _rms(recs.readings["fingertip_force"] - played["fingertip_force"])
     return out
@@ -93,23 +94,24 @@ def _rms(off: Array) -> Array:
     return np.where(seen.any(1), np.sqrt(total), np.nan)
 
 
-def votes(given: dict[str, Array], other: dict[str, Array], closer: float = CLOSER) -> Votes:
-    """Return how episodes judge another way by the errors `(E,)` of each quantity as given and that way."""
+def votes(given: dict[str, Array], alternative: dict[str, Array], closer: float = CLOSER) -> Votes:
+    """Return how episodes judge an alternative by its errors `(E,)` of each quantity beside those as given."""
     names = list(given)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.nan_to_num(np.stack([np.log(other[n] / given[n]) for n in names]), posinf=0.0, neginf=0.0)
+        ratio = np.stack([np.log(alternative[name] / given[name]) for name in names])
+    ratio = np.nan_to_num(ratio, posinf=0.0, neginf=0.0)
     better = (ratio.min(0) < np.log(closer)) & (ratio.max(0) < np.log(WORSE))
     worse = ratio.max(0) > -np.log(closer)
-    some = better if better.any() else np.ones(len(better), bool)
-    name = names[int(ratio[:, some].mean(1).argmin())]
-    before, after = (float(np.nanmedian(e[name][some])) for e in (given, other))
+    counted = better if better.any() else np.ones(len(better), bool)
+    name = names[int(ratio[:, counted].mean(1).argmin())]
+    before, after = (float(np.nanmedian(error[name][counted])) for error in (given, alternative))
     text = f"{name} error {after:.2g} instead of {before:.2g} {UNITS[name]}"
     text += f", in {better.sum()} of {len(better)} episodes looked at"
     return Votes(int(better.sum()), int(worse.sum()), float(ratio.mean()), text)
 
 
-def judged(ways: Iterable[Another], recs: Recordings, nominal: dict[str, Array], play: Play) -> Comparison:
-    """Return the way that the episodes are for, the best of several, or the ways of which nothing tells.
+def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[str, Array], play: Play) -> Comparison:
+    """Return the alternative that holds, the best of several; else those that the recordings cannot decide.
 
     Each is tried on the most telling episodes, and on all where these speak for it.
 
@@ -118,37 +120,39 @@ def judged(ways: Iterable[Another], recs: Recordings, nominal: dict[str, Array],
     nominal : dict of str to ndarray
         What the scene does under the recordings as given.
     """
-    given, some = errors(recs, nominal), _telling(recs)
-    few = {name: error[some] for name, error in given.items()}
+    given, telling = errors(recs, nominal), _telling(recs)
+    first = {name: error[telling] for name, error in given.items()}
     won: list[tuple[float, Finding]] = []
-    untold: list[Another] = []
-    for way in ways:
-        if way.moves:
-            first = votes(few, errors(way.recs.take(some), play(way.recs.take(some))))
-            if first.worse or not first.better:
-                untold += [way] * (not first.worse)
+    undecided: list[Alternative] = []
+    for alternative in alternatives:
+        if alternative.moves:
+            part = alternative.recs.take(telling)
+            vote = votes(first, errors(part, play(part)))
+            if vote.worse or not vote.better:
+                undecided += [alternative] * (not vote.worse)
                 continue
-        found = votes(given, errors(way.recs, play(way.recs) if way.moves else nominal))
-        if found.won:
-            won.append((found.gain, finding(way, found)))
-        elif not found.worse:
-            untold.append(way)
+        played = play(alternative.recs) if alternative.moves else nominal
+        vote = votes(given, errors(alternative.recs, played))
+        if vote.won:
+            won.append((vote.gain, _read_otherwise(alternative, vote)))
+        elif not vote.worse:
+            undecided.append(alternative)
     if won:
-        return Comparison((min(won, key=lambda one: one[0])[1],))
-    return Comparison((), tuple(dict.fromkeys(way.name for way in untold if way.name)))
+        return Comparison((min(won, key=lambda ranked: ranked[0])[1],))
+    return Comparison((), tuple(dict.fromkeys(a.name for a in undecided if a.name)))
 
 
-def finding(way: Another, found: Votes, definite: bool = True) -> Finding:
+def _read_otherwise(alternative: Alternative, vote: Votes) -> Finding:
     """Return the finding that recordings are to be read another way."""
     return Finding(
-        way.kind,
-        definite,
-        way.problem,
+        alternative.kind,
+        True,
+        alternative.problem,
         "readings as the scene's",
-        f"as if {way.words}: {found.text}",
-        way.fix,
-        way.channel,
-        way.elements,
+        f"as if {alternative.words}: {vote.text}",
+        alternative.fix,
+        alternative.channel,
+        alternative.elements,
     )
 
 
@@ -183,25 +187,30 @@ def late_findings(
     joint_rows : float
         Rows by which the joints come after the scene's: what they do to the object comes with them.
     """
-    out: list[Finding] = []
-    untold: list[str] = []
+    notes: list[Finding] = []
+    undecidable: list[str] = []
     rate = scene.file.rate_hz
     for channel, name in (("object_pose", "poses"), ("fingertip_force", "forces")):
         if channel not in recs.readings:
             continue
-        each = _by_shift(channel, recs, nominal, max(2, round(LATEST_S * rate)))
-        best = min(each, key=lambda rows: float(np.nansum(np.log(np.stack(list(each[rows].values())) + SMALLEST))))
-        found = votes(each[0], each[best], SHIFTED)
-        if found.won and abs(best - joint_rows) >= APART_ROWS:
-            out.append(_lateness(channel, name, best, rate, found))
-            recs = replace(recs, readings=recs.readings | {channel: _moved(recs.readings[channel], best)})
-        elif not any(v.better or v.worse for v in (votes(each[0], e, SHIFTED) for e in each.values())):
-            untold.append(f"{name} that come late")
-    return Comparison(tuple(out), tuple(untold)), recs
+        by_rows = _errors_by_shift(channel, recs, nominal, max(2, round(LATEST_S * rate)))
+        best = min(by_rows, key=lambda rows: _log_error(by_rows[rows]))
+        vote = votes(by_rows[0], by_rows[best], SHIFTED)
+        if vote.won and abs(best - joint_rows) >= APART_ROWS:
+            notes.append(_lateness(channel, name, best, rate, vote))
+            recs = replace(recs, readings=recs.readings | {channel: _in_time(recs.readings[channel], best)})
+        elif not any(v.better or v.worse for v in (votes(by_rows[0], e, SHIFTED) for e in by_rows.values())):
+            undecidable.append(f"{name} that come late")
+    return Comparison(tuple(notes), tuple(undecidable)), recs
 
 
-def _moved(values: Array, rows: int) -> Array:
-    """Return readings `(E, T, ...)` that came some rows late at their own rows; NaN where they lack."""
+def _log_error(error: dict[str, Array]) -> float:
+    """Return the sum of the logarithms of all errors."""
+    return float(np.nansum(np.log(np.stack(list(error.values())) + SMALLEST)))
+
+
+def _in_time(values: Array, rows: int) -> Array:
+    """Return readings `(E, T, ...)` that came some rows late at the rows they belong to; NaN where they lack."""
     out = np.full_like(values, np.nan)
     if rows > 0:
         out[:, :-rows] = values[:, rows:]
@@ -210,22 +219,21 @@ def _moved(values: Array, rows: int) -> Array:
     return out
 
 
-def _by_shift(channel: str, recs: Recordings, nominal: dict[str, Array], latest: int) -> dict[int, dict[str, Array]]:
-    """Return the errors of a channel against the scene's, by how many rows it is taken to come late.
+def _errors_by_shift(
+    channel: str, recs: Recordings, nominal: dict[str, Array], latest: int
+) -> dict[int, dict[str, Array]]:
+    """Return the errors of a channel against the scene's by the rows that it is taken to come late.
 
-    Each on the same recorded rows.
+    All are of the same recorded rows.
     """
-    real, own = recs.readings[channel], nominal[channel]
+    real, simulated = recs.readings[channel], nominal[channel]
     latest = min(latest, real.shape[1] // 4)
     rows = np.arange(latest, real.shape[1] - EARLIEST)
-    out = {}
-    for late in range(-EARLIEST, latest + 1):
-        part = replace(recs, readings={channel: real[:, rows]})
-        out[late] = errors(part, {channel: own[:, rows - late]})
-    return out
+    part = replace(recs, readings={channel: real[:, rows]})
+    return {late: errors(part, {channel: simulated[:, rows - late]}) for late in range(-EARLIEST, latest + 1)}
 
 
-def _lateness(channel: str, name: str, rows: int, rate: float, found: Votes) -> Finding:
+def _lateness(channel: str, name: str, rows: int, rate: float, vote: Votes) -> Finding:
     """Return the note that a channel comes some rows late, or early."""
     when, ms = "later" if rows > 0 else "earlier", f"{1e3 * abs(rows) / rate:.0f} ms"
     count = f"{abs(rows)} row{'s' * (abs(rows) != 1)}"
@@ -234,7 +242,7 @@ def _lateness(channel: str, name: str, rows: int, rate: float, found: Votes) -> 
         False,
         f"{name} come {when} than the scene's",
         "readings at the time of their row",
-        f"as if they came {count} ({ms}) {'late' if rows > 0 else 'early'}: {found.text}",
+        f"as if they came {count} ({ms}) {'late' if rows > 0 else 'early'}: {vote.text}",
         "a sensor that takes its time, or rows counted wrong: look at the stamps of this stream",
         channel,
     )
@@ -243,27 +251,30 @@ def _lateness(channel: str, name: str, rows: int, rate: float, found: Votes) -> 
 def place_findings(
     scene: Scene, recs: Recordings, pairs: Paired | None, nominal: dict[str, Array], play: Play
 ) -> Comparison:
-    """Return that joints are exchanged with their commands, or poses to be read another way, or what is not told."""
-    untold: list[str] = []
+    """Return that joints are exchanged with their commands or poses read another way, else what is undecidable."""
+    undecidable: tuple[str, ...] = ()
     if pairs is not None and len(pairs.names) > 1:
         if _tells_nothing(recs, nominal):
-            untold.append("joints exchanged together with their commands")
-        elif is_off(recs, nominal) and (one := judged(pair_ways(scene, recs, pairs), recs, nominal, play)).findings:
-            return one
-    if "object_pose" in recs.readings:
-        poses = judged(pose_ways(recs), recs, nominal, play)
-        return poses if poses.findings else Comparison((), (*untold, *poses.untold))
-    return Comparison((), tuple(untold))
+            undecidable = ("joints exchanged together with their commands",)
+        elif is_off(recs, nominal):
+            exchanged = judged(pair_alternatives(scene, recs, pairs), recs, nominal, play)
+            if exchanged.findings:
+                return exchanged
+    if "object_pose" not in recs.readings:
+        return Comparison((), undecidable)
+    poses = judged(pose_alternatives(recs), recs, nominal, play)
+    return poses if poses.findings else Comparison((), (*undecidable, *poses.undecidable))
 
 
 def felt_findings(scene: Scene, recs: Recordings, nominal: dict[str, Array], play: Play) -> Comparison:
-    """Return that forces are to be read another way, or what of them is not told."""
-    felt = judged(force_ways(scene, recs), recs, nominal, play)
+    """Return that forces are to be read another way, else what of them is undecidable."""
+    felt = judged(force_alternatives(scene, recs), recs, nominal, play)
     if felt.findings:
         return felt
     timing = _instants(recs, nominal, play)
     unit = tells_unit(recs.readings["fingertip_force"], nominal["fingertip_force"])
-    return Comparison(timing.findings, (*felt.untold, *timing.untold, *["forces in another unit"] * (not unit)))
+    units = () if unit else ("forces in another unit",)
+    return Comparison(timing.findings, (*felt.undecidable, *timing.undecidable, *units))
 
 
 def _instants(recs: Recordings, nominal: dict[str, Array], play: Play) -> Comparison:
@@ -271,36 +282,36 @@ def _instants(recs: Recordings, nominal: dict[str, Array], play: Play) -> Compar
 
     Instants lie half a row after the means before them: so forces are also compared with the means of two rows.
     """
-    real, own = recs.readings["fingertip_force"], nominal["fingertip_force"]
-    ends = (own[:, :1], own) if recs.instant_force else (own, own[:, -1:])
-    whole = np.concatenate(ends, axis=1)
-    between = 0.5 * (whole[:, 1:] + whole[:, :-1])
+    real, simulated = recs.readings["fingertip_force"], nominal["fingertip_force"]
+    whole = (simulated[:, :1], simulated) if recs.instant_force else (simulated, simulated[:, -1:])
+    padded = np.concatenate(whole, axis=1)
+    between = 0.5 * (padded[:, 1:] + padded[:, :-1])
     other = play(replace(recs, instant_force=not recs.instant_force))["fingertip_force"]
-    given = {"force": _rms(real - own)}
-    tried = [votes(given, {"force": _rms(real - way)}) for way in (other, between)]
-    best = min(tried, key=lambda v: v.gain)
+    given = {"force": _rms(real - simulated)}
+    tried = [votes(given, {"force": _rms(real - timed)}) for timed in (other, between)]
+    best = min(tried, key=lambda vote: vote.gain)
     if not best.won:
-        known = any(v.worse for v in tried)
+        known = any(vote.worse for vote in tried)
         return Comparison((), () if known else ("forces of one instant taken for means, or the reverse",))
-    names = ("instant", "mean") if recs.instant_force else ("mean", "instant")
-    problem = f"forces may be {'means over the step' if recs.instant_force else 'of one instant'}"
-    text = f"as if `force: {names[1]}`: {best.text}"
-    fix = f"say `force: {names[1]}` in map.yaml"
-    one = Finding(
-        "force_timing",
-        False,
-        problem,
-        f"`force: {names[0]}`, as declared",
-        text,
-        fix,
-        "fingertip_force",
+    declared, better = ("instant", "mean") if recs.instant_force else ("mean", "instant")
+    return Comparison(
+        (
+            Finding(
+                "force_timing",
+                False,
+                f"forces may be {'means over the step' if recs.instant_force else 'of one instant'}",
+                f"`force: {declared}`, as declared",
+                f"as if `force: {better}`: {best.text}",
+                f"say `force: {better}` in map.yaml",
+                "fingertip_force",
+            ),
+        )
     )
-    return Comparison((one,))
 
 
 def _tells_nothing(recs: Recordings, nominal: dict[str, Array]) -> bool:
     """Tell whether the scene's object and fingertips do nothing that the recordings could contradict."""
     still = {name: np.zeros_like(v) if name == "fingertip_force" else v[:, :1] + 0 * v for name, v in nominal.items()}
-    some = [name for name in ("object_pose", "fingertip_force") if name in recs.readings]
-    part = replace(recs, readings={name: recs.readings[name] for name in some})
-    return not some or not votes(errors(part, nominal), errors(part, still)).worse
+    felt = {name: recs.readings[name] for name in ("object_pose", "fingertip_force") if name in recs.readings}
+    part = replace(recs, readings=felt)
+    return not felt or not votes(errors(part, nominal), errors(part, still)).worse

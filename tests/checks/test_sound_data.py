@@ -77,13 +77,13 @@ def test_all_joints_falling_behind_are_a_drift_of_clocks(judged):
     assert told(judged, raws, "stream_drift") == [("warning", "streams drift apart")]
 
 
-@pytest.mark.parametrize(("slow", "expected"), [((0, 5), []), ((5, 5), ["e7"])])
+@pytest.mark.parametrize(("slow", "expected"), [((0, 0, 5), []), ((0, 5, 5), []), ((5, 5, 5), ["e7"])])
 def test_commands_are_shifted_where_all_joints_are(judged, slow, expected):
-    """In the odd episode one joint comes late, as something is in its way, or both do."""
+    """In the odd episode some joints come late, as something is in their way, or all do."""
     raws = []
     for k in range(10):
-        action = waves(k, 2)
-        joint = behind(action, 3 + np.array(slow if k == 7 else (0, 0)))
+        action = waves(k, 3)
+        joint = behind(action, 3 + np.array(slow if k == 7 else (0, 0, 0)))
         raws.append(stored(f"e{k}", "sweep", action=action, joint_position=read(joint, k)))
     assert [f.episode for f in judged(raws, rules=["command_lag"])] == expected
 

@@ -1,4 +1,4 @@
-"""Other ways to read recordings: poses conjugated or mirrored, joints and fingertips exchanged, forces turned."""
+"""Alternative readings: poses conjugated or mirrored, joints and fingertips exchanged, forces turned."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Another:
-    """Another way to read recordings.
+class Alternative:
+    """A way to read recordings other than as given.
 
     Attributes
     ----------
     kind, channel : str
         As in `Finding`.
     problem : str
-        What is wrong then.
+        What is wrong if the alternative holds.
     words : str
-        The way, after "as if".
+        The alternative, after "as if".
     fix : str
-        What to do then.
+        What to do if it holds.
     recs : Recordings
-        The recordings, read so.
+        The recordings read that way.
     elements : tuple of str
+        Joints or fingertips concerned; empty for all.
     name : str
-        What is named where nothing tells; empty for what goes without a name.
+        What it is called where the recordings cannot decide; empty where a sibling is named for it.
     moves : bool
-        Whether the scene does something else then.
+        Whether the scene does something else under it, so that it must be played again.
     """
 
     kind: str
@@ -50,11 +51,11 @@ class Another:
     moves: bool = True
 
 
-def pose_ways(recs: Recordings) -> Iterator[Another]:
-    """Yield other ways to read the object's poses: conjugated quaternions, left-handed worlds."""
+def pose_alternatives(recs: Recordings) -> Iterator[Alternative]:
+    """Yield alternatives for the object's poses: conjugated quaternions, left-handed worlds."""
     pose = recs.readings["object_pose"]
     turn = np.array([1, 1, 1, 1, -1, -1, -1.0])
-    yield Another(
+    yield Alternative(
         "conjugated_quaternions",
         "object_pose",
         "quaternions of object_pose turn from the world to the body",
@@ -64,7 +65,7 @@ def pose_ways(recs: Recordings) -> Iterator[Another]:
         name="conjugated quaternions",
     )
     for words, mirrored, fix in _mirrors(pose):
-        yield Another(
+        yield Alternative(
             "left_handed_world",
             "object_pose",
             "object_pose is in a left-handed world",
@@ -74,7 +75,7 @@ def pose_ways(recs: Recordings) -> Iterator[Another]:
             name=f"a left-handed world, {words.removeprefix('its ').replace(' were', '')}",
         )
         places = np.concatenate([mirrored[..., :3], pose[..., 3:]], axis=-1)
-        yield Another(
+        yield Alternative(
             "left_handed_world",
             "object_pose",
             "places of object_pose are in a left-handed world, its turns are not",
@@ -85,9 +86,10 @@ def pose_ways(recs: Recordings) -> Iterator[Another]:
 
 
 def _mirrors(pose: Array) -> Iterator[tuple[str, Array, str]]:
-    """Yield poses of left-handed worlds: one axis reversed, two exchanged; in words, read so, and what to do.
+    """Yield what was done to the axes in words, the poses with that undone, and what to do.
 
-    A mirror turns a rotation's axis as it does places, and its angle the other way (Goldstein 1980, section 4-2).
+    A left-handed world has one axis reversed, or two exchanged. A mirror turns a rotation's axis as it does
+    places, and its angle the other way (Goldstein 1980, section 4-2).
     """
     for k, axis in enumerate("xyz"):
         sign = np.ones(3)
@@ -115,8 +117,8 @@ def _posed(recs: Recordings, pose: Array) -> Recordings:
     return replace(recs, readings=recs.readings | {"object_pose": pose})
 
 
-def pair_ways(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator[Another]:
-    """Yield recordings in which two joints of a kind, and the commands of both, are in the place of each other."""
+def pair_alternatives(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator[Alternative]:
+    """Yield alternatives in which two joints of a kind, and their commands, take the place of each other."""
     drive, kinds = pairs.drive, scene.model.jnt_type[scene.joint_ids[pairs.drive.joints]]
     for a, b in combinations(range(len(drive.joints)), 2):
         if kinds[a] != kinds[b]:
@@ -125,7 +127,7 @@ def pair_ways(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator[Another
         for values, columns in ((joint, drive.joints[[a, b]]), (commands, drive.columns[[a, b]])):
             values[..., columns] = values[..., columns[::-1]]
         names = (pairs.names[a], pairs.names[b])
-        yield Another(
+        yield Alternative(
             "swapped_pairs",
             "joint_position",
             "joints and their commands are in another order than the scene's",
@@ -136,15 +138,15 @@ def pair_ways(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator[Another
         )
 
 
-def force_ways(scene: Scene, recs: Recordings) -> Iterator[Another]:
-    """Yield other ways to read forces that need no other simulation: sign, axes, two fingertips exchanged."""
+def force_alternatives(scene: Scene, recs: Recordings) -> Iterator[Alternative]:
+    """Yield alternatives for the forces, which the scene need not play again: sign, axes, two fingertips exchanged."""
     force, tips = recs.readings["fingertip_force"], scene.file.fingertips
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
         if order == (0, 1, 2) and signs == (1.0, 1.0, 1.0):
             continue
         negated, reordered = order == (0, 1, 2) and signs == (-1.0, -1.0, -1.0), signs == (1.0, 1.0, 1.0)
         axes = " ".join(("-" if s < 0 else "") + "xyz"[k] for k, s in zip(order, signs, strict=True))
-        yield Another(
+        yield Alternative(
             "force_sign" if negated else "force_frame",
             "fingertip_force",
             "fingertip_force is not the force on the fingertip in its own frame",
@@ -157,7 +159,7 @@ def force_ways(scene: Scene, recs: Recordings) -> Iterator[Another]:
     for a, b in combinations(range(len(tips)), 2):
         columns = np.arange(len(tips))
         columns[[a, b]] = b, a
-        yield Another(
+        yield Alternative(
             "swapped_fingertips",
             "fingertip_force",
             "forces are in another order than the scene's fingertips",
