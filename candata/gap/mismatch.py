@@ -117,19 +117,17 @@ def compared(replayer: Replayer, recs: Recordings) -> Comparison:
     some = recs.take(_drawn(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
     found = pose_findings(scene, recs) + range_findings(scene, recs, paired(scene, recs))
-    undecidable: tuple[str, ...] = ()
+    played = Comparison(())
     if pairs is not None and not any(f.definite for f in found):
         units = unit_findings(scene, pairs)
         found += (_exchanged(_Look(replayer, some, pairs)) if units else []) or units
         found += still_findings(some, pairs)
     if not any(f.definite for f in found) and not is_toss(scene):
         played = _by_replay(_Look(replayer, some, pairs))
-        found, undecidable = [*found, *played.findings], played.undecidable
-    found += _tasks(recs)
-    # What is wrong makes the rest say little: of that nothing is said.
-    return Comparison(
-        tuple(sorted(found, key=lambda f: not f.definite)), () if any(f.definite for f in found) else undecidable
-    )
+    found = [*found, *played.findings, *_tasks(recs)]
+    # What is wrong leaves the rest of the recordings with little to say.
+    undecidable = () if any(f.definite for f in found) else played.undecidable
+    return Comparison(tuple(sorted(found, key=lambda f: not f.definite)), undecidable)
 
 
 def _exchanged(look: _Look) -> list[Finding]:
@@ -196,7 +194,8 @@ def _by_replay(look: _Look) -> Comparison:
             more = felt_findings(scene, in_time, nominal, look.another)
             felt, undecidable = list(more.findings) or felt, (*undecidable, *more.undecidable)
         found += felt
-    return Comparison((*found, *timed.findings, *shaky), undecidable)
+    wrong = {f.channel for f in found if f.definite}
+    return Comparison((*found, *(note for note in timed.findings if note.channel not in wrong), *shaky), undecidable)
 
 
 def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
