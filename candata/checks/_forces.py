@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Threshold that is assumed where the record states none [N]: the schema's default.
 THRESHOLD_N = 0.3
-#: A fingertip feels something from so many noises of its reading, or so many of its smallest steps. Chosen: no row of a
-#: free one in ten thousand passes.
+#: A fingertip feels something from so many noises of its reading, or so many of its smallest steps. Chosen: of ten
+#: thousand rows of a free fingertip none passes.
 FEELS_NOISES, FEELS_STEPS = 6.0, 1.5
 
 
@@ -87,8 +87,8 @@ def pressing(view: View) -> Mask | None:
     force = forces(view)
     if force is None:
         return None
-    least = np.array([
+    thresholds = [
         [max(FEELS_NOISES * quiet_noise(axis), FEELS_STEPS * resolution(axis)) for axis in tip.T]
         for tip in np.moveaxis(force.xyz, 1, 0)
-    ])  # fmt: skip
-    return np.asarray(~(np.abs(force.xyz) <= least).all(axis=(1, 2)))
+    ]
+    return np.asarray(~(np.abs(force.xyz) <= np.array(thresholds)).all(axis=(1, 2)))

@@ -74,15 +74,13 @@ def _couplings(scene: Scene) -> list[_Led]:
 
 
 def adrift(scene: Scene) -> frozenset[int]:
-    """Return the bodies that move by joints which were not recorded: springs, a base that gives. Where they are is not
-    known.
-    """
+    """Return the bodies whose place is not known: they move by joints that were not recorded, as on springs."""
     model = scene.model
     known = set(scene.joint_ids.tolist()) | {led.joint for led in _couplings(scene)}
     free: set[int] = set()
     for body in range(1, model.nbody):
-        first, own = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        joints = set(range(first, first + own)) if own and body != scene.object_id else set()
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        joints = set(range(first, first + count)) if count and body != scene.object_id else set()
         if joints - known or int(model.body_parentid[body]) in free:
             free.add(body)
     return frozenset(free)

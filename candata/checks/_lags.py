@@ -35,8 +35,8 @@ class Followed:
     names : tuple of str
     rows : float
         By how many rows they come behind, all together; NaN where they do not tell.
-    each : (M,) float64
-        The same of each; NaN at the ends of the reach.
+    by_joint : (M,) float64
+        The same, joint by joint; NaN at the ends of the reach.
     alike : (M,) float64
         Largest correlation of its speed with its command's.
     share : (M,) float64
@@ -45,15 +45,15 @@ class Followed:
 
     names: tuple[str, ...]
     rows: float
-    each: Array
+    by_joint: Array
     alike: Array
     share: Array
 
 
 def lag(view: View, rows: slice = slice(None), joint: Array | None = None) -> float:
     """Return by how many rows joints come behind their commands in some rows; NaN where they do not tell."""
-    found = followed(view, rows, joint)
-    return np.nan if found is None else found.rows
+    lags = followed(view, rows, joint)
+    return np.nan if lags is None else lags.rows
 
 
 def followed(view: View, rows: slice = slice(None), joint: Array | None = None) -> Followed | None:

@@ -39,7 +39,7 @@ class _Lag:
     id, task : str
     rows : float
         All together.
-    each : dict of str to float
+    by_joint : dict of str to float
         Those of the joints that have a say, by name.
     scene : float
         The same of the scene's joints under these commands; NaN without a scene.
@@ -49,20 +49,20 @@ class _Lag:
     id: str
     task: str
     rows: float
-    each: dict[str, float]
+    by_joint: dict[str, float]
     scene: float
     rate_hz: float
 
 
 def _gather(view: View) -> _Lag | None:
     """Return the lag of an episode; None where its joints do not tell."""
-    found = followed(view)
-    if found is None or not np.isfinite(found.rows):
+    lags = followed(view)
+    if lags is None or not np.isfinite(lags.rows):
         return None
     task = (view.meta.task if view.meta else None) or ""
-    close = np.isfinite(found.each) & (found.alike > FOLLOWING)
-    each = {name: float(rows) for name, rows, c in zip(found.names, found.each, close, strict=True) if c}
-    return _Lag(view.id, task, found.rows, each, _of_scene(view), view.rate_hz)
+    follows = np.isfinite(lags.by_joint) & (lags.alike > FOLLOWING)
+    by_joint = {name: float(rows) for name, rows, f in zip(lags.names, lags.by_joint, follows, strict=True) if f}
+    return _Lag(view.id, task, lags.rows, by_joint, _of_scene(view), view.rate_hz)
 
 
 def _of_scene(view: View) -> float:
@@ -123,23 +123,25 @@ def _apart(seen: Sequence[_Lag]) -> Iterator[Finding]:
     """
     usual = {key: float(np.median(rows)) for key, rows in _kinds(seen).items() if len(rows) >= KIND}
     off = {
-        one.id: np.array([rows - usual[one.task, name] for name, rows in one.each.items() if (one.task, name) in usual])
-        for one in seen
+        timing.id: np.array(
+            [rows - usual[timing.task, name] for name, rows in timing.by_joint.items() if (timing.task, name) in usual]
+        )
+        for timing in seen
     }
-    some = [one for one in seen if len(off[one.id]) >= JOINTS]
-    if len(some) < FEWEST:
+    compared = [timing for timing in seen if len(off[timing.id]) >= JOINTS]
+    if len(compared) < FEWEST:
         return
-    middle = np.array([np.median(off[one.id]) for one in some])
+    middle = np.array([np.median(off[timing.id]) for timing in compared])
     least = max(APART, SPREADS * spread(middle))
-    for one, shift in zip(some, middle.tolist(), strict=True):
-        if (np.abs(off[one.id]) > least).all() and np.ptp(off[one.id]) < APART:
-            problem, others = "commands are shifted against those of the other episodes", one.rows - shift
+    for timing, shift in zip(compared, middle.tolist(), strict=True):
+        if (np.abs(off[timing.id]) > least).all() and np.ptp(off[timing.id]) < APART:
+            problem, others = "commands are shifted against those of the other episodes", timing.rows - shift
             yield _found(
                 "warning",
                 problem,
-                f"joints come {one.rows:.1f} rows behind, in the others {others:.1f}",
-                one.id,
-                lag_rows=one.rows,
+                f"joints come {timing.rows:.1f} rows behind, in the others {others:.1f}",
+                timing.id,
+                lag_rows=timing.rows,
                 others_rows=others,
                 others_spread_rows=spread(middle),
             )
@@ -148,9 +150,9 @@ def _apart(seen: Sequence[_Lag]) -> Iterator[Finding]:
 def _kinds(seen: Sequence[_Lag]) -> dict[tuple[str, str], list[float]]:
     """Return the rows by which each joint comes behind in the episodes of each task."""
     out: dict[tuple[str, str], list[float]] = defaultdict(list)
-    for one in seen:
-        for name, rows in one.each.items():
-            out[one.task, name].append(rows)
+    for timing in seen:
+        for name, rows in timing.by_joint.items():
+            out[timing.task, name].append(rows)
     return out
 
 

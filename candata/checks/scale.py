@@ -90,13 +90,13 @@ def _compare(seen: Sequence[_Scales]) -> tuple[dict[_Key, dict[str, float]], dic
 def _scaled(seen: Sequence[_Scales], key: _Key, apart: set[str], ratio: float) -> bool:
     """Tell whether an episode's values are scaled by a ratio, not only moved by it: noise tells, else their reach."""
     name, channel = key
-    (mine,) = [one for one in seen if one.id == name]
+    (episode,) = [scales for scales in seen if scales.id == name]
     keys = {f"{channel}/{element}" for element in apart if element != "distance"}
-    for of, within in (("quiet", NOISE), ("reach", NEAR)):
-        own, every = getattr(mine, of), [getattr(one, of) for one in seen]
-        told = [np.log(own[k] / np.median([some[k] for some in every if k in some])) for k in keys & own.keys()]
-        if 2 * len(told) > len(keys):
-            return bool(abs(np.median(told) - np.log(ratio)) < within)
+    for quantity, within in (("quiet", NOISE), ("reach", NEAR)):
+        sizes, others = getattr(episode, quantity), [getattr(scales, quantity) for scales in seen]
+        usual = {k: np.median([values[k] for values in others if k in values]) for k in keys & sizes.keys()}
+        if 2 * len(usual) > len(keys):
+            return bool(abs(np.median([np.log(sizes[k] / usual[k]) for k in usual]) - np.log(ratio)) < within)
     return not keys
 
 

@@ -26,7 +26,7 @@ class _Growth:
     """By how much each joint that follows freely falls behind its command through an episode, by name [s]."""
 
     id: str
-    each_s: dict[str, float]
+    by_joint_s: dict[str, float]
     rate_hz: float
 
 
@@ -45,27 +45,29 @@ def _gather(view: View) -> _Growth | None:
     total = len(view.raw.arrays["time_ns"])
     ends = [_free(followed(view, rows)) for rows in (slice(0, total * 2 // 5), slice(total * 3 // 5, total))]
     # The ends are 0.6 of an episode apart.
-    each = {name: (ends[1][name] - ends[0][name]) / 0.6 / view.rate_hz for name in ends[0].keys() & ends[1].keys()}
-    return _Growth(view.id, each, view.rate_hz) if each else None
+    shared = ends[0].keys() & ends[1].keys()
+    growth_s = {name: (ends[1][name] - ends[0][name]) / 0.6 / view.rate_hz for name in shared}
+    return _Growth(view.id, growth_s, view.rate_hz) if growth_s else None
 
 
-def _free(found: Followed | None) -> dict[str, float]:
+def _free(lags: Followed | None) -> dict[str, float]:
     """Return the lags of the joints that follow their commands freely, by name [rows]."""
-    if found is None:
+    if lags is None:
         return {}
-    free = np.isfinite(found.each) & (found.alike > CLOSELY) & (found.share > FREELY)
-    return {name: float(rows) for name, rows, f in zip(found.names, found.each, free, strict=True) if f}
+    free = np.isfinite(lags.by_joint) & (lags.alike > CLOSELY) & (lags.share > FREELY)
+    return {name: float(rows) for name, rows, f in zip(lags.names, lags.by_joint, free, strict=True) if f}
 
 
 def _judge(seen: Sequence[_Growth]) -> Iterator[Finding]:
     """Yield that the lag grows alike in all joints and nearly all episodes: a clock is one for all of them."""
-    each = {n: [one.each_s[n] for one in seen if n in one.each_s] for n in {n for one in seen for n in one.each_s}}
-    growth = np.array([np.median(some) for some in each.values() if len(some) >= FEWEST])
+    names = {name for episode in seen for name in episode.by_joint_s}
+    by_joint = [[episode.by_joint_s[n] for episode in seen if n in episode.by_joint_s] for n in names]
+    growth = np.array([np.median(growths) for growths in by_joint if len(growths) >= FEWEST])
     if len(growth) < JOINTS:
         reason = "too few joints follow their commands freely at both ends of the episodes"
         yield Finding("unknown", "stream_drift", reason, problem=reason)
         return
-    episodes = np.array([np.median(list(one.each_s.values())) for one in seen])
+    episodes = np.array([np.median(list(episode.by_joint_s.values())) for episode in seen])
     middle, scale = float(np.median(episodes)), spread(episodes)
     least = max(GROWS_S, GROWS_ROWS / seen[0].rate_hz, SPREADS * scale / np.sqrt(len(seen)))
     if abs(middle) > least and (growth * np.sign(middle) > ALIKE * abs(middle)).all():

@@ -312,6 +312,6 @@ def _instants(recs: Recordings, nominal: dict[str, Array], play: Play) -> Compar
 def _tells_nothing(recs: Recordings, nominal: dict[str, Array]) -> bool:
     """Tell whether the scene's object and fingertips do nothing that the recordings could contradict."""
     still = {name: np.zeros_like(v) if name == "fingertip_force" else v[:, :1] + 0 * v for name, v in nominal.items()}
-    felt = {name: recs.readings[name] for name in ("object_pose", "fingertip_force") if name in recs.readings}
+    felt = {name: values for name, values in recs.readings.items() if name in ("object_pose", "fingertip_force")}
     part = replace(recs, readings=felt)
     return not felt or not votes(errors(part, nominal), errors(part, still)).worse

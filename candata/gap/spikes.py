@@ -73,7 +73,8 @@ def _jumped_to(place: Array, seen: NDArray[np.bool_]) -> NDArray[np.int64] | Non
     for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         if jumps[start] and jumps[end] and end - start < len(rows):
             runs.setdefault(place[rows[start]].tobytes(), []).append(rows[start:end])
-    lost = [np.concatenate(some) for some in runs.values() if len(some) > 1 or not place[some[0][0]].any()]
+    # A value of one run alone may be where something lay: only the origin stands for nothing by itself.
+    lost = [np.concatenate(spans) for spans in runs.values() if len(spans) > 1 or not place[spans[0][0]].any()]
     rarest = min(lost, key=len, default=None)
     return rarest if rarest is not None and 2 * len(rarest) < len(rows) else None
 
