@@ -99,7 +99,10 @@ def validated(folder: Path, sound: Sound, mistake: str | None) -> tuple[Finding,
 def outcome(damaged: Sequence[Finding], sound: Sequence[Finding], name: str) -> str:
     """Return what the findings of damaged recordings say beside those of sound ones; `unknown` has a name for it."""
     known = {(f.level, f.rule, f.problem) for f in sound}
-    new = [f for f in damaged if f.level != "unknown" and (f.level, f.rule, f.problem) not in known]
+    candidates = [
+        f for f in damaged if f.level in ("error", "warning") or (f.level == "info" and f.rule == "scene_match")
+    ]
+    new = [f for f in candidates if (f.level, f.rule, f.problem) not in known]
     if new:
         return f"{new[0].level}: {new[0].rule}"
     return "unknown" if any(f.level == "unknown" and name in f.message for f in damaged) else "SILENT"

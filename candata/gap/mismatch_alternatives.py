@@ -117,6 +117,12 @@ def _posed(recs: Recordings, pose: Array) -> Recordings:
     return replace(recs, readings=recs.readings | {"object_pose": pose})
 
 
+def count_pairs(scene: Scene, pairs: Paired) -> int:
+    """Return how many pairs of driven joints are of a kind."""
+    kinds = scene.model.jnt_type[scene.joint_ids[pairs.drive.joints]]
+    return sum(int(a == b) for a, b in combinations(kinds, 2))
+
+
 def pair_alternatives(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator[Alternative]:
     """Yield alternatives in which two joints of a kind, and their commands, take the place of each other."""
     drive, kinds = pairs.drive, scene.model.jnt_type[scene.joint_ids[pairs.drive.joints]]
@@ -135,6 +141,7 @@ def pair_alternatives(scene: Scene, recs: Recordings, pairs: Paired) -> Iterator
             "put the columns of both in the order of `joints` and `actuators` in scene.yaml, or name them",
             replace(recs, commands=commands, readings=recs.readings | {"joint_position": joint}),
             names,
+            name="joints exchanged together with their commands",
         )
 
 

@@ -88,8 +88,12 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
 
 
 def tells_unit(real: Array, force: Array) -> bool:
-    """Tell whether recorded forces and the scene's, `(E, T, F, 3)`, touch enough to give their factor."""
-    return bool(np.isfinite(_factors(real, force)).any())
+    """Tell whether every fingertip of recorded forces `(E, T, F, 3)` reads what a gain makes of the scene's.
+
+    What touches nothing gives no factor; one that is no gain's may be a unit's, or another contact's.
+    """
+    factors = _factors(real, force)
+    return all(bool(np.isfinite(factor)) and _ratio(factor) < DRAWN for factor in factors.tolist())
 
 
 def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding | None:

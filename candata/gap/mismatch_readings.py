@@ -2,8 +2,8 @@
 
 Each alternative is judged as the recordings are: the scene is played from the start and under the commands that it
 gives, and the difference to what was recorded is compared episode by episode. An alternative holds where it fits far
-better in some episodes and far worse in none; it is ruled out where it fits far worse in some; else the recordings
-cannot decide.
+better in some episodes and far worse in none; it is ruled out where it fits far worse in more episodes than far
+better; else the recordings cannot decide.
 """
 
 from __future__ import annotations
@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.finding import Comparison, Finding
-from candata.gap.mismatch_alternatives import Alternative, force_alternatives, pair_alternatives, pose_alternatives
+from candata.gap.mismatch_alternatives import (
+    Alternative,
+    count_pairs,
+    force_alternatives,
+    pair_alternatives,
+    pose_alternatives,
+)
 from candata.gap.mismatch_commands import Paired
 from candata.gap.mismatch_forces import tells_unit
 from candata.gap.mismatch_swaps import CLOSER
@@ -41,6 +47,8 @@ LATEST_S, EARLIEST, APART_ROWS = 0.16, 3, 0.75
 #: Misfit from which joints are asked whether two of them were exchanged with their commands: of forces as a share of
 #: their size, of the object's place [m]. Chosen: that asks for a simulation of each pair.
 FORCE_OFF, PLACE_OFF_M = 0.5, 0.005
+#: Pairs of joints up to which they are asked whatever the misfit. Chosen: all pairs of a gripper, a second or two.
+FEW_PAIRS = 20
 #: Added to errors before their logarithm.
 SMALLEST = 1e-12
 #: Units of what is compared.
@@ -70,6 +78,11 @@ class Votes:
     def won(self) -> bool:
         """Whether the episodes are for it."""
         return self.better >= BETTER_IN and not self.worse
+
+    @property
+    def ruled_out(self) -> bool:
+        """Whether the episodes are against it."""
+        return self.worse > self.better
 
 
 def errors(recs: Recordings, played: dict[str, Array]) -> dict[str, Array]:
@@ -129,13 +142,13 @@ def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[
             part = alternative.recs.take(telling)
             vote = votes(first, errors(part, play(part)))
             if vote.worse or not vote.better:
-                undecided += [alternative] * (not vote.worse)
+                undecided += [alternative] * (not vote.ruled_out)
                 continue
         played = play(alternative.recs) if alternative.moves else nominal
         vote = votes(given, errors(alternative.recs, played))
         if vote.won:
             won.append((vote.gain, _read_otherwise(alternative, vote)))
-        elif not vote.worse:
+        elif not vote.ruled_out:
             undecided.append(alternative)
     if won:
         return Comparison((min(won, key=lambda ranked: ranked[0])[1],))
@@ -256,10 +269,11 @@ def place_findings(
     if pairs is not None and len(pairs.names) > 1:
         if _tells_nothing(recs, nominal):
             undecidable = ("joints exchanged together with their commands",)
-        elif is_off(recs, nominal):
+        elif count_pairs(scene, pairs) <= FEW_PAIRS or is_off(recs, nominal):
             exchanged = judged(pair_alternatives(scene, recs, pairs), recs, nominal, play)
             if exchanged.findings:
                 return exchanged
+            undecidable = exchanged.undecidable
     if "object_pose" not in recs.readings:
         return Comparison((), undecidable)
     poses = judged(pose_alternatives(recs), recs, nominal, play)
