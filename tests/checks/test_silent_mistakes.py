@@ -64,7 +64,9 @@ def test_of_sound_recordings_nothing_is_said_nor_left_open(light, light_scene, t
 @pytest.mark.parametrize("mistake", SAID)
 def test_a_mistake_is_said_once_with_what_fits_better(light, light_scene, tmp_path, mistake):
     level, words = SAID[mistake]
-    ((found_level, message),) = said(tmp_path, light, mistake, light_scene)
+    findings = said(tmp_path, light, mistake, light_scene)
+    # Readings that come late may leave other mistakes undecidable.
+    ((found_level, message),) = [finding for finding in findings if finding[0] != "unknown"]
     assert found_level == level
     assert words in message
 
