@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.checks._signal import quiet_noise, resolution
 from candata.checks._view import View
 from candata.schema.contact import THRESHOLD_MARGIN_N
 
@@ -14,6 +15,9 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Threshold that is assumed where the record states none [N]: the schema's default.
 THRESHOLD_N = 0.3
+#: A fingertip feels something from so many noises of its reading, or so many of its smallest steps. Chosen: of ten
+#: thousand rows of a free fingertip none passes.
+FEELS_NOISES, FEELS_STEPS = 6.0, 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,3 +77,18 @@ def touched(view: View) -> Array | None:
     if tips is not None:
         return np.where(np.isfinite(tips).all(axis=1), np.nan_to_num(tips).max(axis=1), np.nan)
     return view.values("contact")
+
+
+def pressing(view: View) -> Mask | None:
+    """Return `(T,) bool` where any fingertip reads more than its noise, or nothing; None where there are no forces.
+
+    A sensor that is not zero out of contact presses all the time: what it touches is not known.
+    """
+    force = forces(view)
+    if force is None:
+        return None
+    thresholds = [
+        [max(FEELS_NOISES * quiet_noise(axis), FEELS_STEPS * resolution(axis)) for axis in tip.T]
+        for tip in np.moveaxis(force.xyz, 1, 0)
+    ]
+    return np.asarray(~(np.abs(force.xyz) <= np.array(thresholds)).all(axis=(1, 2)))

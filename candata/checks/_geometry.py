@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -27,16 +28,62 @@ def placed(view: View, scene: Scene, rows: NDArray[np.int64]) -> Iterator[tuple[
         return
     seen = np.isfinite(pose[:, 0]) & (np.ones(len(pose), bool) if joint is None else np.isfinite(joint[:, 0]))
     rows = rows[seen[rows]]
-    data = mujoco.MjData(scene.model)
+    data, couplings = mujoco.MjData(scene.model), _couplings(scene)
     for row in (
         rows[np.unique(np.linspace(0, len(rows) - 1, min(LOOKED_AT, len(rows))).astype(int))] if len(rows) else ()
     ):
         data.qpos[scene.object_qpos : scene.object_qpos + 7] = pose[row]
         if joint is not None and len(scene.joint_qpos):
             data.qpos[scene.joint_qpos] = joint[row, columns]
+            for led in couplings:
+                data.qpos[led.qpos] = led.place(data.qpos[led.leader])
         mujoco.mj_kinematics(scene.model, data)
         mujoco.mj_comPos(scene.model, data)
         yield int(row), data
+
+
+@dataclass(frozen=True)
+class _Led:
+    """A joint that an equality holds at a polynomial of a recorded one: its number, and addresses of both in qpos."""
+
+    joint: int
+    qpos: int
+    leader: int
+    zero: float
+    leader_zero: float
+    polynomial: Array
+
+    def place(self, leader: float) -> float:
+        """Return where it is (MuJoCo XML reference, "equality/joint": y - y0 = a0 + a1 (x - x0) + ...)."""
+        return self.zero + float(np.polynomial.polynomial.polyval(leader - self.leader_zero, self.polynomial))
+
+
+def _couplings(scene: Scene) -> list[_Led]:
+    """Return the joints that follow recorded ones; of two that only differ by a factor, either may be recorded."""
+    model, known = scene.model, set(scene.joint_ids.tolist())
+    out = []
+    for k in np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 > 0)):
+        led, leader, a = int(model.eq_obj1id[k]), int(model.eq_obj2id[k]), np.array(model.eq_data[k, :5], float)
+        if led in known and leader >= 0 and leader not in known and a[1] and not a[2:].any():
+            led, leader, a = leader, led, np.array([-a[0] / a[1], 1 / a[1]])
+        if led in known or leader not in known:
+            continue
+        at, from_ = int(model.jnt_qposadr[led]), int(model.jnt_qposadr[leader])
+        out.append(_Led(led, at, from_, float(model.qpos0[at]), float(model.qpos0[from_]), a))
+    return out
+
+
+def adrift(scene: Scene) -> frozenset[int]:
+    """Return the bodies whose place is not known: they move by joints that were not recorded, as on springs."""
+    model = scene.model
+    known = set(scene.joint_ids.tolist()) | {led.joint for led in _couplings(scene)}
+    free: set[int] = set()
+    for body in range(1, model.nbody):
+        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+        joints = set(range(first, first + count)) if count and body != scene.object_id else set()
+        if joints - known or int(model.body_parentid[body]) in free:
+            free.add(body)
+    return frozenset(free)
 
 
 def _columns(view: View, scene: Scene) -> list[int] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from candata.checks._forces import forces
-from candata.checks._signal import noise
+from candata.checks._signal import noise, white_noise
 from candata.checks._view import View
 
 #: Channels whose scale is compared, all but flags, counts and clocks.
@@ -27,8 +27,7 @@ def scales(view: View) -> dict[str, float]:
         if channel in ("object_pose", "hand_pose"):
             out[f"{channel}/distance"] = float(np.nanmedian(np.linalg.norm(values[:, :3], axis=1)))
             values = values[:, :3]
-        named = view.elements(channel)
-        names = named if len(named) == values.shape[1] else tuple(map(str, range(values.shape[1])))
+        names = _names(view, channel, values.shape[1])
         low, high = np.nanquantile(values, [0.05, 0.95], axis=0)
         quiet = noise(values)
         for name, size, still in zip(names, high - low, quiet, strict=True):
@@ -41,4 +40,39 @@ def scales(view: View) -> dict[str, float]:
     if force is not None and (force.touch & force.seen).any():
         size = np.sqrt((force.xyz**2).sum(axis=2))
         out["fingertip_force/in contact"] = float(np.median(size[force.touch & force.seen]))
-    return {name: value for name, value in out.items() if np.isfinite(value) and value > 0}
+    return _positive(out)
+
+
+def _names(view: View, channel: str, count: int) -> tuple[str, ...]:
+    """Return the names of a channel's columns that are compared; their numbers where they have none."""
+    named = view.elements(channel)
+    return named if len(named) == count else tuple(map(str, range(count)))
+
+
+def _positive(sizes: dict[str, float]) -> dict[str, float]:
+    """Return the sizes that are numbers above zero."""
+    return {name: value for name, value in sizes.items() if np.isfinite(value) and value > 0}
+
+
+def reaches(view: View) -> tuple[dict[str, float], dict[str, float]]:
+    """Return how far the values of each element reach from zero, and their noise, by the keys of `scales`.
+
+    A unit scales both with what moves; less motion scales neither. Noise is left out where there is none.
+    """
+    reach: dict[str, float] = {}
+    quiet: dict[str, float] = {}
+    for channel in (*COMPARED, "fingertip_force"):
+        values = view.whole(channel)
+        if values is None:
+            continue
+        pose = channel in ("object_pose", "hand_pose")
+        places = values[:, :3] if pose else values.reshape(len(values), -1)
+        sizes = np.linalg.norm(places, axis=1, keepdims=True) + 0 * places if pose else np.abs(places)
+        far, own = np.nanquantile(sizes, 0.95, axis=0), white_noise(places)
+        if channel == "fingertip_force":
+            reach[f"{channel}/in contact"], quiet[f"{channel}/in contact"] = float(far.max()), float(np.nanmedian(own))
+            continue
+        names = _names(view, channel, places.shape[1])
+        reach |= {f"{channel}/{name}": float(x) for name, x in zip(names, far, strict=True)}
+        quiet |= {f"{channel}/{name}": float(x) for name, x in zip(names, own, strict=True)}
+    return _positive(reach), _positive(quiet)

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+#: Parts of an episode whose noise is compared, and the share of them that is quiet: contact chatters. Chosen.
+SEGMENTS, QUIET = 8, 0.2
+#: Share of the noise by second differences that those of fourth order show of white noise, at least. Chosen: of motion
+#: that takes ten rows a twentieth is left.
+WHITE = 0.5
 #: Factors between units that people mix up (CGPM SI brochure, 9th edition): what a value is multiplied by.
 UNITS = {
     "thousandths (mm, mN, mrad)": 1000.0,
@@ -17,18 +24,31 @@ UNITS = {
 }
 
 
-def noise(values: Array) -> Array:
-    """Return the spread of white noise in each column of `(T, N)`, by second differences.
+def noise(values: Array, order: int = 2) -> Array:
+    """Return the spread of white noise in each column of `(T, N)`, by differences of an order.
 
-    Source: second differences of white noise have six times its variance; 0.6745 is the median of |x| for a unit
-    normal (Rousseeuw and Croux 1993, eq. 1.3).
+    Source: differences of order n of white noise have (2n choose n) times its variance; 0.6745 is the median of |x| for
+    a unit normal (Rousseeuw and Croux 1993, eq. 1.3).
     """
-    bend = np.abs(np.diff(values, 2, axis=0))
+    bend = np.abs(np.diff(values, order, axis=0))
     if not len(bend):
         return np.zeros(values.shape[1:])
     # nanmedian takes a hundred times as long.
     middle = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
-    return np.asarray(np.nan_to_num(middle) / 0.6745 / np.sqrt(6))
+    return np.asarray(np.nan_to_num(middle) / 0.6745 / np.sqrt(comb(2 * order, order)))
+
+
+def white_noise(values: Array) -> Array:
+    """Return `noise` where it is one: smooth motion bends too, but less the higher the order; NaN there."""
+    second, fourth = noise(values), noise(values, 4)
+    return np.where((second > 0) & (fourth > WHITE * second), second, np.nan)
+
+
+def quiet_noise(series: Array) -> float:
+    """Return the noise of a series `(T,)` where it is quietest, of `SEGMENTS` parts of it; 0 where nothing is seen."""
+    seen = series[np.isfinite(series)]
+    parts = [float(noise(part[:, None])[0]) for part in np.array_split(seen, SEGMENTS) if len(part) > 2]
+    return float(np.quantile(parts, QUIET)) if parts else 0.0
 
 
 def resolution(values: Array) -> float:

@@ -1,20 +1,11 @@
-"""Defects that only the scene's own motion tells: units of both sides, orders, and stamps."""
+"""Defects that only the scene's own motion tells: units of both sides, orders, frames, signs."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-Arrays = dict[str, NDArray]
-#: `(arrays, rate_hz, severity, rng) -> arrays`: what is stored, damaged.
-Damage = Callable[[Arrays, float, float, np.random.Generator], Arrays]
-
-
-def changed(arrays: Arrays, **columns: NDArray) -> Arrays:
-    """Return arrays with other columns, in the type that they had."""
-    return arrays | {name: np.asarray(value).astype(arrays[name].dtype) for name, value in columns.items()}
+from candata.checks._time_defects import Arrays, Damage, changed, late
 
 
 def all_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -32,21 +23,76 @@ def force_divided(arrays: Arrays, rate_hz: float, severity: float, rng: np.rando
     return changed(arrays, fingertip_force=arrays["fingertip_force"] / severity)
 
 
-def exchanged(channel: str) -> Damage:
-    """Return what puts the last two columns of a channel in the place of each other."""
+def tip_divided(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with the forces of the fingertip that feels most over `severity`: kilogram-force by default."""
+    force = arrays["fingertip_force"].copy()
+    force[:, _busiest(force)] /= severity
+    return changed(arrays, fingertip_force=force)
+
+
+def _busiest(force: NDArray) -> int:
+    """Return the fingertip that feels most."""
+    return int(np.argmax(np.nansum(np.abs(force), axis=(0, 2))))
+
+
+def exchanged(*channels: str) -> Damage:
+    """Return what puts two columns of channels in the place of each other: the last, and that so many before it."""
 
     def damage(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-        """Return arrays with two columns exchanged."""
-        columns = np.arange(arrays[channel].shape[1])
-        columns[-2:] = columns[:-3:-1]
-        return changed(arrays, **{channel: arrays[channel][:, columns]})
+        """Return arrays with two columns exchanged; the first and the last where there are fewer."""
+        out = {}
+        for channel in channels:
+            columns = np.arange(arrays[channel].shape[1])
+            other = max(-1 - int(severity), -len(columns))
+            columns[[-1, other]] = columns[[other, -1]]
+            out[channel] = arrays[channel][:, columns]
+        return changed(arrays, **out)
 
     return damage
 
 
-def stamps_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose stamps are `severity` times as far apart."""
-    return arrays | {"time_ns": (arrays["time_ns"] * severity).astype(arrays["time_ns"].dtype)}
+def force_turned(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces have their axes in another order: y z x."""
+    return changed(arrays, fingertip_force=arrays["fingertip_force"][..., [1, 2, 0]])
+
+
+def force_negated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with the forces that fingertips exert."""
+    return changed(arrays, fingertip_force=-arrays["fingertip_force"])
+
+
+def force_mirrored(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces have their last axis reversed, as in a left-handed frame."""
+    return changed(arrays, fingertip_force=arrays["fingertip_force"] * np.array([1, 1, -1]))
+
+
+def quaternion_conjugated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose quaternions turn from the world to the body."""
+    return changed(arrays, object_pose=arrays["object_pose"] * np.array([1, 1, 1, 1, -1, -1, -1]))
+
+
+def world_mirrored(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with poses in a left-handed world: its y axis points the other way."""
+    return changed(arrays, object_pose=arrays["object_pose"] * np.array([1, -1, 1, 1, -1, 1, -1]))
+
+
+def world_exchanged(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with poses in a left-handed world: x and y in the place of each other."""
+    pose = arrays["object_pose"][:, [1, 0, 2, 3, 5, 4, 6]]
+    return changed(arrays, object_pose=pose * np.array([1, 1, 1, 1, -1, -1, -1]))
+
+
+def pose_lost(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with a share `severity` of the poses at the origin, as where a tracker saw nothing."""
+    pose = arrays["object_pose"].copy()
+    pose[rng.choice(len(pose), max(1, round(severity * len(pose))), replace=False)] = [0, 0, 0, 1, 0, 0, 0]
+    return changed(arrays, object_pose=pose)
+
+
+def force_instant(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays whose forces are those between two means: nearly what is read at the row, not over its step."""
+    force = arrays["fingertip_force"]
+    return changed(arrays, fingertip_force=0.5 * (force + late(force, -1)))
 
 
 def joint_in_degrees(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:

@@ -15,16 +15,36 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.checks._unit_defects import (
+from candata.checks._time_defects import (
     Arrays,
     Damage,
-    all_in_degrees,
+    action_shifted,
     changed,
+    clock_drift,
+    joint_dead,
+    late,
+    rows_dropped,
+    rows_dropped_unseen,
+    rows_late,
+    rows_of,
+    stamps_scaled,
+    time_jump,
+)
+from candata.checks._unit_defects import (
+    all_in_degrees,
     commands_in_degrees,
     exchanged,
     force_divided,
+    force_instant,
+    force_mirrored,
+    force_negated,
+    force_turned,
     joint_in_degrees,
-    stamps_scaled,
+    pose_lost,
+    quaternion_conjugated,
+    tip_divided,
+    world_exchanged,
+    world_mirrored,
 )
 from candata.datasets import Dataset, RawEpisode, append, create_dataset
 from candata.datasets.encode import hash_columns, meta_json
@@ -69,20 +89,6 @@ class Defect:
     milder: tuple[float, ...] = ()
 
 
-def _late(array: NDArray, rows: int) -> NDArray:
-    """Return an array that comes `rows` rows later; the first row is held before. Earlier where negative."""
-    if rows == 0:
-        return array
-    if rows < 0:
-        return np.concatenate([array[-rows:], np.repeat(array[-1:], -rows, axis=0)])[: len(array)]
-    return np.concatenate([np.repeat(array[:1], rows, axis=0), array])[: len(array)]
-
-
-def _rows(rate_hz: float, seconds: float) -> int:
-    """Return how many rows a time is."""
-    return round(rate_hz * seconds)
-
-
 def contact_inverted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays in which contact is flagged where there is none, and the other way round."""
     names = [n for n in ("fingertip_contact", "contact") if n in arrays]
@@ -96,7 +102,7 @@ def force_in_grams(arrays: Arrays, rate_hz: float, severity: float, rng: np.rand
 
 def force_late(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose forces come `severity` seconds late."""
-    return changed(arrays, fingertip_force=_late(arrays["fingertip_force"], _rows(rate_hz, severity)))
+    return changed(arrays, fingertip_force=late(arrays["fingertip_force"], rows_of(rate_hz, severity)))
 
 
 def force_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -144,51 +150,6 @@ def quaternion_swapped(arrays: Arrays, rate_hz: float, severity: float, rng: np.
     return arrays | {n: arrays[n][:, [0, 1, 2, 4, 5, 6, 3]] for n in QUATERNION if n in arrays}
 
 
-def joint_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays in which the joint that moves most stands still."""
-    joint = arrays["joint_position"].copy()
-    moves = int(np.argmax(np.ptp(joint, axis=0)))
-    joint[:, moves] = joint[0, moves]
-    return changed(arrays, joint_position=joint)
-
-
-def rows_dropped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays that lack a share `severity` of their rows, stamps kept."""
-    keep = np.ones(len(arrays["time_ns"]), bool)
-    keep[rng.choice(len(keep), max(1, int(severity * len(keep))), replace=False)] = False
-    return {name: array[keep] for name, array in arrays.items()}
-
-
-def rows_dropped_unseen(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays that lack `severity` seconds in their middle, stamps made as if they did not."""
-    total = len(arrays["time_ns"])
-    lost = min(_rows(rate_hz, severity), total // 2)
-    at = int(rng.integers(total // 4, total // 2))
-    keep = np.r_[0:at, at + lost : total]
-    return {n: a[: len(keep)] if n == "time_ns" else a[keep] for n, a in arrays.items()}
-
-
-def time_jump(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose clock jumps ahead by `severity` seconds in the middle."""
-    time_ns = arrays["time_ns"].copy()
-    time_ns[len(time_ns) // 2 :] += int(severity * 1e9)
-    return arrays | {"time_ns": time_ns}
-
-
-def clock_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose joints and poses fall behind the commands, by `severity` seconds at the end."""
-    total = len(arrays["time_ns"])
-    rows = np.arange(total) - np.linspace(0, severity * rate_hz, total)
-    at = np.clip(np.round(rows).astype(int), 0, total - 1)
-    names = [n for n in ("joint_position", "joint_velocity", "object_pose", "fingertip_force") if n in arrays]
-    return arrays | {name: arrays[name][at] for name in names}
-
-
-def action_shifted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose commands are logged `severity` rows late."""
-    return changed(arrays, action=_late(arrays["action"], int(severity)))
-
-
 def joint_beyond_limits(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays in which all joints are off by `severity` radian."""
     return changed(arrays, joint_position=arrays["joint_position"] + severity)
@@ -210,6 +171,7 @@ def fall_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.
 
 
 _FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")
+_MATCH = ("scene_match",)
 #: Name of a defect to what it is; the first ten are those of other validators' test.
 DEFECTS: Mapping[str, Defect] = MappingProxyType({
     "contact_inverted": Defect("contact flags inverted", ("contact",), ("contact_flags", "contact_motion"),
@@ -244,12 +206,27 @@ DEFECTS: Mapping[str, Defect] = MappingProxyType({
                          0.2, "m", (0.1, 0.05)),
     "fall_scaled": Defect("free flight is no free fall", _POSE, ("free_fall",), fall_scaled, 0.5, "1",
                           (0.2, 0.1, 0.05)),
-    "all_in_degrees": Defect("joints and commands in degrees", _DRIVE, ("scene_match",), all_in_degrees),
-    "commands_in_degrees": Defect("commands in degrees", _DRIVE, ("scene_match",), commands_in_degrees),
-    "force_in_kilograms": Defect("forces in kilogram-force", _FORCE, ("scene_match",), force_divided, 9.80665, "1"),
-    "tips_exchanged": Defect("two fingertips exchanged", _FORCE, ("scene_match",), exchanged("fingertip_force")),
-    "joints_exchanged": Defect("two joints exchanged", _DRIVE, ("scene_match",), exchanged("joint_position")),
-    "commands_exchanged": Defect("two commands exchanged", _DRIVE, ("scene_match",), exchanged("action")),
+    "all_in_degrees": Defect("joints and commands in degrees", _DRIVE, _MATCH, all_in_degrees),
+    "commands_in_degrees": Defect("commands in degrees", _DRIVE, _MATCH, commands_in_degrees),
+    "force_in_kilograms": Defect("forces in kilogram-force", _FORCE, _MATCH, force_divided, 9.80665, "1"),
+    "tips_exchanged": Defect("two fingertips exchanged", _FORCE, _MATCH, exchanged("fingertip_force"), 1.0, "columns"),
+    "joints_exchanged": Defect("two joints exchanged", _DRIVE, _MATCH, exchanged("joint_position"), 1.0, "columns"),
+    "commands_exchanged": Defect("two commands exchanged", _DRIVE, _MATCH, exchanged("action"), 1.0, "columns"),
+    "pairs_exchanged": Defect("two joints exchanged, and their commands", _DRIVE, _MATCH,
+                              exchanged("joint_position", "action"), 1.0, "columns"),
+    "tip_in_kilograms": Defect("one fingertip in kilogram-force", _FORCE, _MATCH, tip_divided, 9.80665, "1"),
+    "force_negated": Defect("forces that fingertips exert", _FORCE, _MATCH, force_negated),
+    "force_turned": Defect("axes of the forces in another order", _FORCE, _MATCH, force_turned),
+    "force_mirrored": Defect("one axis of the forces reversed", _FORCE, _MATCH, force_mirrored),
+    "force_rows_late": Defect("forces some rows late", _FORCE, _MATCH, rows_late("fingertip_force"), 3.0, "rows",
+                              (2.0, 1.0)),
+    "pose_rows_late": Defect("poses some rows late", _POSE, _MATCH, rows_late("object_pose"), 3.0, "rows", (2.0, 1.0)),
+    "quaternion_conjugated": Defect("quaternions from world to body", _POSE, _MATCH, quaternion_conjugated),
+    "world_mirrored": Defect("poses in a left-handed world, y reversed", _POSE, _MATCH, world_mirrored),
+    "world_exchanged": Defect("poses in a left-handed world, x and y exchanged", _POSE, _MATCH, world_exchanged),
+    "action_previous": Defect("rows hold the command before", _DRIVE, _MATCH, rows_late("action"), 1.0, "rows"),
+    "force_instant": Defect("forces of one instant, not of the step", _FORCE, _MATCH, force_instant),
+    "pose_lost": Defect("poses at the origin", _POSE, ("lost_poses",), pose_lost, 0.02, "1", (0.01,)),
     "stamps_scaled": Defect("stamps twice as far apart", ("time_ns",), ("time", "scene_match"), stamps_scaled, 2.0, "1",
                             (0.5,)),
     "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),

@@ -30,17 +30,27 @@ AGREES, GAINS = 0.97, 0.02
 HIGH, TIMES = 0.25, 1.8
 #: Share of the episodes that must correlate better there than near zero.
 MOST = 0.7
-#: Fewest episodes with contact, and averaging of both [s].
-FEWEST, OVER_S = 3, 0.05
+#: Fewest episodes with contact, and unlike motions among them; averaging of both [s].
+FEWEST, MOTIONS, OVER_S = 3, 2, 0.05
 REMEDY = "measure the delay of the force stream and move it (map or import with its own clock)"
 LAGS_S = np.round(np.arange(-REACH_S, REACH_S + STEP_S / 2, STEP_S), 6)
 
 
 @dataclass(frozen=True)
 class _Timing:
-    """Of an episode: how much later forces are than flags [s], NaN unless sure; the correlation with stops by lag."""
+    """What an episode tells of its forces.
+
+    Attributes
+    ----------
+    id, task : str
+    flags_s : float
+        How much later they are than flags [s]; NaN unless sure.
+    stops : (L,) float64, optional
+        Their correlation with stops at `LAGS_S`.
+    """
 
     id: str
+    task: str
     flags_s: float
     stops: Array | None
 
@@ -50,7 +60,8 @@ def _gather(view: View) -> _Timing | None:
     force = forces(view)
     if force is None or not (force.touch & force.seen).any() or len(force.xyz) < 40:
         return None
-    return _Timing(view.id, _by_flags(view, force), _by_stops(view, force))
+    task = (view.meta.task if view.meta else None) or ""
+    return _Timing(view.id, task, _by_flags(view, force), _by_stops(view, force))
 
 
 def _by_flags(view: View, force: Forces) -> float:
@@ -109,24 +120,39 @@ def _judge(seen: Sequence[_Timing]) -> Iterator[Finding]:
             "error", "force_delay", f"{problem}, by {1e3 * abs(one.flags_s):.0f} ms", one.id, "fingertip_force", None,
             problem, (), rounded({"late_s": one.flags_s}), REMEDY,
         )  # fmt: skip
-    curves = np.array([one.stops for one in seen if one.stops is not None])
-    if len(curves) < FEWEST:
+    timed = [one for one in seen if one.stops is not None]
+    motions = {one.task for one in timed}
+    if len(timed) < FEWEST or len(motions) < MOTIONS:
         if not late and not any(np.isfinite(one.flags_s) for one in seen):
             reason = "too few contacts with commands of the joints, or flags, beside them"
+            reason = reason if len(timed) < FEWEST else "one motion alone does not tell a late force from a late touch"
             yield Finding("unknown", "force_delay", reason, problem=reason)
         return
+    curves = np.array([one.stops for one in timed])
     mean = curves.mean(axis=0)
     k = int(np.argmax(mean))
+    near = float(mean[np.abs(LAGS_S) <= LATE_S].max())
     about, zero = np.abs(LAGS_S - LAGS_S[k]) <= LATE_S / 2, np.abs(LAGS_S) <= LATE_S
-    near = float(mean[zero].max())
     agree = float((curves[:, about].max(axis=1) > curves[:, zero].max(axis=1)).mean())
-    if mean[k] > HIGH and abs(LAGS_S[k]) > LATE_S and mean[k] > TIMES * near and agree >= MOST:
+    # What one motion does may be its own: between its command and its touch there is the same time every time.
+    without = [np.array([one.stops for one in timed if one.task != motion]) for motion in motions]
+    alike = all(abs(LAGS_S[int(np.argmax(curve.mean(axis=0)))] - LAGS_S[k]) <= LATE_S / 2 for curve in without)
+    if mean[k] > HIGH and abs(LAGS_S[k]) > LATE_S and mean[k] > TIMES * near and agree >= MOST and alike:
         problem = f"forces come {'after' if LAGS_S[k] > 0 else 'before'} the fingers are stopped"
+        text = f"{problem}, by {1e3 * abs(LAGS_S[k]):.0f} ms (correlation {mean[k]:.2f}, within {1e3 * LATE_S:.0f} ms "
+        evidence = {"late_s": LAGS_S[k], "correlation": mean[k], "near_zero": near, "episodes": len(curves)}
         yield Finding(
-            "warning", "force_delay", f"{problem}, by {1e3 * abs(LAGS_S[k]):.0f} ms (correlation {mean[k]:.2f}, within "
-            f"{1e3 * LATE_S:.0f} ms {near:.2f})", None, "fingertip_force", None, problem, (),
-            rounded({"late_s": LAGS_S[k], "correlation": mean[k], "near_zero": near, "episodes": len(curves)}), REMEDY,
-        )  # fmt: skip
+            "warning",
+            "force_delay",
+            f"{text}{near:.2f})",
+            None,
+            "fingertip_force",
+            None,
+            problem,
+            (),
+            rounded(evidence),
+            REMEDY,
+        )
 
 
 RULE = Rule(

@@ -9,14 +9,17 @@ from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Rule
 from candata.checks._forces import Forces, flags, forces
-from candata.checks._signal import noise, spread
+from candata.checks._signal import SEGMENTS, quiet_noise, smooth, spread
 from candata.checks._view import View
 
 Array = NDArray[np.float64]
-#: Rows that are looked at, evenly spread, and segments of the episode that a drift must run through.
-LOOKED_AT, SEGMENTS = 400, 8
+#: Rows that are looked at, evenly spread; a drift must run through the `SEGMENTS` of the episode.
+LOOKED_AT = 400
 #: Segments in which enough readings lie on one line, the share of readings that is enough, and the share over all.
 COVERED, ENOUGH, ALL = 7, 0.2, 0.4
+#: Rows over which a reading is averaged before it is laid on a line: of one out of contact noise is left, and less.
+#: A force in contact that crosses the line stays off it as before. Chosen.
+OVER_ROWS = 9
 #: Smallest drift over the episode [N], also in tolerances of the line.
 DRIFT_N, TOLERANCES = 0.25, 6.0
 #: Narrowest tolerance of the line [N].
@@ -56,6 +59,7 @@ def _episode(view: View) -> Iterator[Finding]:
 
 def _drift(time_s: Array, series: Array) -> float:
     """Return by how much a reading drifts along one line [N]; 0 where no line runs through the episode."""
+    quiet, series = _quiet(series[np.isfinite(series)]), _averaged(series)
     keep = np.flatnonzero(np.isfinite(series))
     keep = keep[np.unique(np.linspace(0, len(keep) - 1, min(LOOKED_AT, len(keep))).astype(int))] if len(keep) else keep
     t, x = time_s[keep], series[keep]
@@ -64,7 +68,7 @@ def _drift(time_s: Array, series: Array) -> float:
     duration = time_s[-1] - time_s[0]
     if t[-1] - t[0] < SPAN * duration:
         return 0.0
-    within = max(TOLERANCE_N, 4 * _quiet(series[np.isfinite(series)]))
+    within = max(TOLERANCE_N, 4 * quiet / np.sqrt(OVER_ROWS))
     first, last = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))
     some = [rows[np.linspace(0, len(rows) - 1, min(24, len(rows))).astype(int)] for rows in (first, last)]
     i, j = (a.ravel() for a in np.meshgrid(*some, indexing="ij"))
@@ -83,13 +87,17 @@ def _drift(time_s: Array, series: Array) -> float:
     return float(slopes[np.argmax(np.where(good, near.mean(axis=1), 0))] * duration) if good.any() else 0.0
 
 
+def _averaged(series: Array) -> Array:
+    """Return a reading averaged over `OVER_ROWS` rows, where it was seen."""
+    return np.where(np.isfinite(series), smooth(series, OVER_ROWS), np.nan)
+
+
 def _quiet(series: Array) -> float:
     """Return the noise of a reading where it is quietest [N]: contact chatters."""
-    parts = [noise(part[:, None])[0] for part in np.array_split(series, SEGMENTS) if len(part) > 2]
     # Readings rounded to steps hide noise below half a step: one step is then the least that can be told.
     steps = np.diff(np.unique(series))
     grain = float(steps.min()) if 0 < len(steps) < len(series) / 3 else 0.0
-    return max(float(np.quantile(parts, 0.2)), grain / 4)
+    return max(quiet_noise(series), grain / 4)
 
 
 def _level(x: Array, within: float) -> float:

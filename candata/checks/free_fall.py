@@ -1,7 +1,9 @@
-"""Rule: what flies freely falls freely: with 9.81 m/s2, along -z.
+"""Rule: what flies freely falls freely: with the scene's gravity, or 9.81 m/s2 along -z.
 
-An object flies while nobody touches it (by its flags, or because the episode has no commands at all) and its place is a
-parabola to within noise over a whole window of rows, with at least a quarter of gravity. Hovering and sliding are none.
+An object flies while nothing holds it: no flag is on, no fingertip reads more than it reads at rest, it is away from
+the height at which it rests, and it turns as a body without torque does. Then its place is a parabola to within noise
+over a window of rows, and it moves on along its own acceleration: what slides or rolls out moves against it. Such a
+window counts where it points as gravity does, and as a sign of a turned frame where it is as strong as gravity.
 """
 
 from __future__ import annotations
@@ -13,21 +15,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.checks._forces import touched
-from candata.checks._signal import noise
+from candata.checks._forces import pressing, touched
+from candata.checks._signal import noise, spread
 from candata.checks._view import View, rounded
+from candata.rotation import conjugate, log, multiply, normalise
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 #: Standard gravity [m/s^2] (CGPM 1901).
 GRAVITY_MPS2 = 9.80665
-#: Windows: fewest rows, shortest time [s], growth from one length to the next.
-ROWS, SHORTEST_S, GROWTH = 8, 0.05, 1.3
-#: A fall is one from here on [m].
-FALLEN_M = 0.01
+#: Windows: fewest rows, shortest and longest time [s] (a fall of 4.9 m), growth from one length to the next.
+ROWS, SHORTEST_S, LONGEST_S, GROWTH = 8, 0.05, 1.0, 1.3
+#: A fall is one from here on [m], and in noises of the tracker, of which it must stand clear. Chosen.
+FALLEN_M, FALLEN_NOISES = 0.01, 20.0
+#: Time over which what rests keeps its height [s], and the distance from that height at which no support is near [m],
+#: also in noises: at the top of a throw a third of gravity moves things by 16 mm in that time. Chosen.
+REST_S, AWAY_M, AWAY_NOISES = 0.2, 0.005, 6.0
 #: Smallest acceleration that is a flight, as a share of gravity.
 LEAST = 0.25
 #: A window is a parabola when its residual is within so many times the noise, or this [m].
 WITHIN, WITHIN_M = 1.5, 2e-5
+#: What tips over an edge turns ever faster, by its acceleration over its distance from that edge; what flies does not.
+#: Angular acceleration, as a share of that at so small a distance [m], up to which something flies, and how many noises
+#: of the tracker its turn may differ by. Chosen: a box that tumbles at 10 rad/s changes by half as much.
+TURNS, SMALL_M, TURNS_NOISES = 0.2, 0.02, 6.0
 #: Largest standard error of one flight, as a share.
 ERROR = 0.1
 #: Flights that agree: within this share of their median, and so many standard errors; the share of them that must.
@@ -38,35 +49,60 @@ TOLD, DOUBTFUL, WRONG = 0.015, 0.05, 0.2
 SURE = 4.0
 #: Fewest flights for a finding; an episode that differs from the others by this share, among this share that agree.
 FEWEST, APART, NEARLY_ALL = 3, 0.12, 0.85
-#: Angle to -z from which things do not fall down.
-TILT_DEG = 10.0
+#: Angle to gravity up to which a fall is one [deg]: trackers are set up by eye. Chosen.
+TILT_DEG = 5.0
 REMEDY = "check the unit and scale of the poses, the rate, and whether z points up"
 
 
 @dataclass(frozen=True)
 class _Flight:
-    """The surest flight of an episode: acceleration [m/s^2], its standard error, from when to when [s]."""
+    """The surest flight of an episode.
+
+    Attributes
+    ----------
+    id : str
+    acceleration : (3,) float64
+        [m/s^2].
+    error : float
+        Its standard error, as a share.
+    span : (float, float)
+        From when to when [s].
+    gravity : (3,) float64
+        What it should be [m/s^2].
+    """
 
     id: str
     acceleration: Array
     error: float
     span: tuple[float, float]
+    gravity: Array
+
+    @property
+    def size(self) -> float:
+        """Size of the acceleration [m/s^2]."""
+        return float(np.linalg.norm(self.acceleration))
+
+    @property
+    def falls(self) -> bool:
+        """Whether the acceleration points as gravity does, as far as it is known."""
+        return bool(_angles_deg(self.acceleration[None], self.gravity)[0] < _tilt_deg(self.error))
 
 
 def _gather(view: View) -> _Flight | None:
     """Return the longest flight of an episode; None where nothing flies."""
-    pose, touch = view.whole("object_pose"), touched(view)
-    if pose is None or view.time_s is None or (touch is None and "action" in view.raw.arrays):
+    pose, held = view.whole("object_pose"), _held(view)
+    gravity = np.r_[0.0, 0.0, -GRAVITY_MPS2] if view.scene is None else np.array(view.scene.model.opt.gravity, float)
+    if pose is None or view.time_s is None or held is None or not gravity.any():
         return None
-    free = np.isfinite(pose[:, 0]) & (np.ones(len(pose), bool) if touch is None else touch == 0)
-    place, step = np.nan_to_num(pose[:, :3]), 1 / view.rate_hz
-    free &= _before_impact(place[:, 2], free)
-    quiet = float(np.median(noise(pose[:, :3])))
+    step = 1 / view.rate_hz
     even = np.abs(np.diff(view.time_s, prepend=-step) - step) < 0.2 * step
+    free = np.isfinite(pose[:, 0]) & ~held & even
+    above = _away(pose, view.rate_hz, hand="action" in view.raw.arrays)
+    above &= _before_impact(np.nan_to_num(pose[:, 2]), free)
     best: list[_Flight] = []
     rows = max(ROWS, int(np.ceil(SHORTEST_S / step)))
-    while rows <= len(place):
-        found = _longest(view, place, free & even, rows, step, quiet)
+    while rows <= min(len(pose), max(ROWS, LONGEST_S / step)):
+        found = _surest(view, pose, free, above, rows, gravity)
         if found is None:
             break
         best.append(found)
@@ -75,7 +111,39 @@ def _gather(view: View) -> _Flight | None:
     return best[max(0, len(best) - 2)] if best and best[max(0, len(best) - 2)].error < ERROR else None
 
 
-def _before_impact(height: Array, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _tilt_deg(error: Array | float) -> Array | float:
+    """Return the angle to gravity up to which a flight of a standard error, as a share, falls along it."""
+    return TILT_DEG + np.degrees(ERRORS * error)
+
+
+def _held(view: View) -> Mask | None:
+    """Return `(T,) bool`: rows in which something may hold the object; None where that is not known beside a hand."""
+    touch, pressed = touched(view), pressing(view)
+    if touch is None and pressed is None:
+        return None if "action" in view.raw.arrays else np.zeros(len(view.raw.arrays["time_ns"]), bool)
+    flagged = np.zeros(len(view.raw.arrays["time_ns"]), bool) if touch is None else ~(touch == 0)
+    return flagged if pressed is None else flagged | pressed
+
+
+def _away(pose: Array, rate_hz: float, hand: bool) -> Mask:
+    """Return `(T,) bool`: rows at another height than any at which the object rests: no support is near.
+
+    Where it never rests, nothing is known beside a hand; without one it was recorded in flight.
+    """
+    z, rows = pose[:, 2], max(2, round(REST_S * rate_hz))
+    within = max(AWAY_M, AWAY_NOISES * float(noise(pose[:, 2:3])[0]))
+    if len(z) < rows:
+        return np.full(len(z), not hand)
+    windows = np.lib.stride_tricks.sliding_window_view(z, rows)
+    levels = np.sort(windows.mean(axis=1)[np.ptp(windows, axis=1) < within])
+    if not len(levels):
+        return np.full(len(z), not hand)
+    above = np.clip(np.searchsorted(levels, z), 1, len(levels)) - 1
+    below = np.minimum(above + 1, len(levels) - 1)
+    return np.asarray(np.minimum(np.abs(z - levels[above]), np.abs(z - levels[below])) > within)
+
+
+def _before_impact(height: Array, free: Mask) -> Mask:
     """Return `(T,) bool`: rows of each free stretch until a fall first ends; what bounces may slide as well."""
     keep = np.zeros(len(height), bool)
     for start, end in np.flatnonzero(np.diff(np.r_[False, free, False].astype(np.int8))).reshape(-1, 2):
@@ -87,85 +155,180 @@ def _before_impact(height: Array, free: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return keep
 
 
-def _slow(z: Array) -> NDArray[np.bool_]:
+def _slow(z: Array) -> Mask:
     """Return rows after which the height hardly changes any more, against its fastest row so far."""
     step = np.abs(np.diff(z, append=z[-1:]))
     return np.asarray(step < 0.3 * np.maximum.accumulate(step))
 
 
-def _longest(view: View, place: Array, free: NDArray[np.bool_], rows: int, step: float, quiet: float) -> _Flight | None:
+def _surest(view: View, pose: Array, free: Mask, above: Mask, rows: int, gravity: Array) -> _Flight | None:
     """Return the flight in the window of so many rows that is the best parabola; None where none is."""
-    x = np.linspace(-1, 1, rows)
-    basis, _ = np.linalg.qr(np.stack([np.ones(rows), x, x**2], axis=1))
-    windows = np.lib.stride_tricks.sliding_window_view(place, rows, axis=0)
-    parts = windows @ basis
-    left = np.maximum((windows - windows.mean(-1, keepdims=True)) ** 2, 0).sum(-1) - (parts[..., 1:] ** 2).sum(-1)
-    residual = np.sqrt(np.maximum(left, 0) / (rows - 3)).max(axis=1)
-    # x**2 in steps: its second derivative in time is 2 / (half the window)^2.
-    curve = 2 / (0.5 * (rows - 1) * step) ** 2 / float(basis[:, 2] @ x**2)
-    # (signed: the basis may point either way)
-    acceleration = parts[..., 2] * curve
-    whole = np.convolve(free, np.ones(rows), "valid") > rows - 0.5
-    size = np.linalg.norm(acceleration, axis=1)
-    good = whole & (size > LEAST * GRAVITY_MPS2) & (residual < max(WITHIN * quiet, WITHIN_M))
+    half_s, quiet = 0.5 * (rows - 1) / view.rate_hz, float(np.median(noise(pose[:, :3])))
+    speed, acceleration, residual, curve = _parabolas(np.nan_to_num(pose[:, :3]), rows, half_s)
+    size, off_deg = np.linalg.norm(acceleration, axis=1), _angles_deg(acceleration, gravity)
+    straight = _fallen(speed, acceleration, half_s) > max(FALLEN_M, FALLEN_NOISES * quiet)
+    straight &= (size > LEAST * GRAVITY_MPS2) & (residual < max(WITHIN * quiet, WITHIN_M))
+    error = np.maximum(quiet, residual) * curve / np.maximum(size, 1e-12)
+    straight &= _steady(pose[:, 3:], rows, size * half_s**2)
+    down = off_deg < _tilt_deg(error)
+    falls = straight & _whole(free & above, rows) & down
+    turned = straight & _whole(free, rows) & ~down & (np.abs(size / np.linalg.norm(gravity) - 1) < WRONG)
+    good = falls if falls.any() else turned
     if not good.any():
         return None
     k = int(np.argmin(np.where(good, residual, np.inf)))
-    error = max(quiet, float(residual[k])) * abs(curve) / size[k]
-    times = np.zeros(0) if view.time_s is None else view.time_s
-    return _Flight(view.id, acceleration[k], float(error), (float(times[k]), float(times[k + rows - 1])))
+    time_s = np.zeros(0) if view.time_s is None else view.time_s
+    return _Flight(view.id, acceleration[k], float(error[k]), (float(time_s[k]), float(time_s[k + rows - 1])), gravity)
+
+
+def _whole(some: Mask, rows: int) -> Mask:
+    """Return `(W,) bool`: windows in which all rows are true."""
+    return np.asarray(np.convolve(some, np.ones(rows), "valid") > rows - 0.5)
+
+
+def _parabolas(place: Array, rows: int, half_s: float) -> tuple[Array, Array, Array, float]:
+    """Return what the parabola through each window of `(T, 3)` places says.
+
+    Speed in the middle and acceleration `(W, 3)`, the largest residual of an axis `(W,)`, and the acceleration's
+    standard error for a residual of 1. By sums over rows: windows side by side would not fit into memory where
+    recordings are long.
+    """
+    x = np.linspace(-1, 1, rows)
+    basis, _ = np.linalg.qr(np.stack([np.ones(rows), x, x**2], axis=1))
+    about = place - place.mean(axis=0)
+    parts = np.stack([_sums(about, column) for column in basis.T], axis=-1)
+    left = np.maximum(_sums(about**2, np.ones(rows)) - (parts**2).sum(axis=-1), 0)
+    # A column of the basis is its power of x, less lower ones, over this (signed) length.
+    line, curve = 1 / float(basis[:, 1] @ x) / half_s, 2 / float(basis[:, 2] @ x**2) / half_s**2
+    return parts[..., 1] * line, parts[..., 2] * curve, np.sqrt(left / (rows - 3)).max(axis=1), abs(curve)
+
+
+def _sums(values: Array, weights: Array) -> Array:
+    """Return `(W, N)` the weighted sums over each window of `(T, N)` values."""
+    return np.stack([np.convolve(column, weights[::-1], "valid") for column in values.T], axis=1)
+
+
+def _fallen(speed: Array, acceleration: Array, half_s: float) -> Array:
+    """Return `(W,)` how far each parabola goes on along its own acceleration [m], from its top on."""
+    size = np.maximum(np.linalg.norm(acceleration, axis=1), 1e-12)
+    along = (speed * acceleration).sum(axis=1) / size
+    first, last = np.maximum(along - size * half_s, 0), np.maximum(along + size * half_s, 0)
+    return np.asarray((last**2 - first**2) / (2 * size))
+
+
+def _steady(quaternion: Array, rows: int, moved_m: Array) -> Mask:
+    """Return `(W,) bool`: windows whose halves turn alike, as without torque.
+
+    Parameters
+    ----------
+    moved_m : (W,) float64
+        Acceleration times the square of half a window's time [m].
+    """
+    q = normalise(np.where(np.isfinite(quaternion), quaternion, np.array([1.0, 0, 0, 0])))
+    steps = log(multiply(conjugate(q[:-1]), q[1:]))
+    quiet = float(np.linalg.norm(noise(np.cumsum(steps, axis=0))))
+    turned = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    start = np.arange(len(q) - rows + 1)
+    middle, end = turned[start + (rows - 1) // 2], turned[start + 2 * ((rows - 1) // 2)]
+    apart = np.linalg.norm(end - 2 * middle + turned[start], axis=1)
+    return np.asarray(apart < np.maximum(TURNS * moved_m / SMALL_M, TURNS_NOISES * quiet))
+
+
+def _angles_deg(vectors: Array, axis: Array) -> Array:
+    """Return `(W,)` the angles between vectors `(W, 3)` and an axis [deg]."""
+    size = np.maximum(np.linalg.norm(vectors, axis=1) * np.linalg.norm(axis), 1e-12)
+    return np.asarray(np.degrees(np.arccos(np.clip(vectors @ axis / size, -1, 1))))
 
 
 def _judge(seen: Sequence[_Flight]) -> Iterator[Finding]:
     """Yield what all flights say of gravity, and flights that differ from all others."""
-    size = np.array([np.linalg.norm(one.acceleration) for one in seen])
-    errors = np.array([one.error for one in seen])
-    middle = float(np.median(size))
-    agree = np.abs(size / middle - 1) < AGREE + ERRORS * errors
-    if len(seen) < FEWEST or agree.mean() < MOST:
-        reason = "too few flights" if len(seen) < FEWEST else "flights do not agree on any acceleration"
+    falls, turned = ([one for one in seen if one.falls is kind] for kind in (True, False))
+    if len(turned) >= FEWEST and len(turned) > len(falls):
+        yield from _direction(turned)
+        return
+    size = np.array([one.size for one in falls])
+    errors = np.array([one.error for one in falls])
+    middle = float(np.median(size)) if falls else 0.0
+    agree = np.abs(size / middle - 1) < AGREE + ERRORS * errors if falls else np.zeros(0, bool)
+    if len(falls) < FEWEST or agree.mean() < MOST:
+        reason = "too few flights" if len(falls) < FEWEST else "flights do not agree on any acceleration"
         yield Finding("unknown", "free_fall", reason, problem=reason)
         return
-    yield from _gravity(seen, size, agree)
+    yield from _gravity([one for one, a in zip(falls, agree, strict=True) if a])
     if agree.mean() >= NEARLY_ALL:
         apart = ~agree & (np.abs(size / middle - 1) > np.maximum(APART, 6 * errors))
-        # An origin off the mass centre goes round it: that pulls to all sides, a wrong scale of height only down.
-        down = np.array([-one.acceleration[2] for one in seen]) > np.cos(np.radians(TILT_DEG)) * size
-        for k in np.flatnonzero(apart & down).tolist():
+        for k in np.flatnonzero(apart).tolist():
             problem = "a flight is not as the others"
             yield Finding(
-                "warning", "free_fall", f"{problem}: {size[k]:.3g} m/s2 where the others have {middle:.3g}", seen[k].id,
-                "object_pose", None, problem, (seen[k].span,),
-                rounded({"acceleration_mps2": size[k], "others_mps2": middle}), REMEDY,
-            )  # fmt: skip
+                "warning",
+                "free_fall",
+                f"{problem}: {size[k]:.3g} m/s2 where the others have {middle:.3g}",
+                falls[k].id,
+                "object_pose",
+                None,
+                problem,
+                (falls[k].span,),
+                rounded({"acceleration_mps2": size[k], "others_mps2": middle}),
+                REMEDY,
+            )
 
 
-def _gravity(seen: Sequence[_Flight], size: Array, agree: NDArray[np.bool_]) -> Iterator[Finding]:
-    """Yield that things fall with another acceleration than gravity, or in another direction."""
-    some = size[agree]
+def _direction(seen: Sequence[_Flight]) -> Iterator[Finding]:
+    """Yield that things fall as fast as by gravity, but all in another direction."""
+    mean = np.median([one.acceleration / one.size for one in seen], axis=0)
+    apart = _angles_deg(np.stack([one.acceleration for one in seen]), mean)
+    if np.median(apart) > TILT_DEG:
+        reason = "flights do not agree on any direction"
+        yield Finding("unknown", "free_fall", reason, problem=reason)
+        return
+    tilt = float(_angles_deg(mean[None], seen[0].gravity)[0])
+    problem = "things do not fall along gravity"
+    yield Finding(
+        "warning",
+        "free_fall",
+        f"{problem}: {tilt:.0f} deg away from it in {len(seen)} flights",
+        None,
+        "object_pose",
+        None,
+        problem,
+        (seen[0].span,),
+        rounded({"tilt_deg": tilt, "flights": len(seen)}),
+        "turn the poses so that z points up",
+    )
+
+
+def _gravity(seen: Sequence[_Flight]) -> Iterator[Finding]:
+    """Yield that things fall with another acceleration than gravity."""
+    some, gravity = np.array([one.size for one in seen]), float(np.linalg.norm(seen[0].gravity))
     middle = float(np.median(some))
-    error = float(1.2533 * 1.4826 * np.median(np.abs(some - middle)) / np.sqrt(len(some)))
-    off = abs(middle / GRAVITY_MPS2 - 1)
-    mean = np.median([seen[k].acceleration / size[k] for k in np.flatnonzero(agree).tolist()], axis=0)
-    tilt = float(np.degrees(np.arccos(np.clip(-mean[2] / np.linalg.norm(mean), -1, 1))))
-    evidence = rounded({"acceleration_mps2": middle, "of_gravity": middle / GRAVITY_MPS2,
-                        "standard_error_mps2": error, "flights": int(agree.sum()), "tilt_deg": tilt})  # fmt: skip
-    spans = (seen[int(np.argmax(agree))].span,)
-    if tilt > TILT_DEG:
-        problem = "things do not fall along -z"
-        yield Finding("warning", "free_fall", f"{problem}: {tilt:.0f} deg away from it", None, "object_pose", None,
-                      problem, spans, evidence, "turn the poses so that z points up")  # fmt: skip
-    if off > max(TOLD, SURE * error / GRAVITY_MPS2):
-        level: Level = "error" if off > WRONG else "warning" if off > DOUBTFUL else "info"
-        problem = "free flight is not free fall"
-        text = f"{problem}: {middle:.4g} +- {error:.2g} m/s2 in {agree.sum()} flights, {middle / GRAVITY_MPS2:.3f} of "
-        text += (
-            f"gravity: lengths read {middle / GRAVITY_MPS2:.3f} of true, or time {np.sqrt(GRAVITY_MPS2 / middle):.3f}"
-        )
-        yield Finding(level, "free_fall", text, None, "object_pose", None, problem, spans, evidence, REMEDY)
+    # The median of normal values has 1.2533 times the error of their mean (Kendall and Stuart 1977, section 10.10).
+    error = float(1.2533 * spread(some) / np.sqrt(len(some)))
+    off = abs(middle / gravity - 1)
+    if off <= max(TOLD, SURE * error / gravity):
+        return
+    level: Level = "error" if off > WRONG else "warning" if off > DOUBTFUL else "info"
+    problem = "free flight is not free fall"
+    text = f"{problem}: {middle:.4g} +- {error:.2g} m/s2 in {len(seen)} flights, {middle / gravity:.3f} of gravity: "
+    text += f"lengths read {middle / gravity:.3f} of true, or time {np.sqrt(gravity / middle):.3f}"
+    evidence = {"acceleration_mps2": middle, "of_gravity": middle / gravity, "standard_error_mps2": error}
+    yield Finding(
+        level,
+        "free_fall",
+        text,
+        None,
+        "object_pose",
+        None,
+        problem,
+        (seen[0].span,),
+        rounded(evidence | {"flights": len(seen)}),
+        REMEDY,
+    )
 
 
 RULE = Rule(
-    meaning="free flight is free fall", gather=_gather, judge=_judge, needs=("object_pose",),
+    meaning="free flight is free fall",
+    gather=_gather,
+    judge=_judge,
+    needs=("object_pose",),
     idle="nothing flies freely, or it is not known when it is touched",
-)  # fmt: skip
+)

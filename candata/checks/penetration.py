@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.checks._geometry import LOOKED_AT, fits, placed
+from candata.checks._geometry import LOOKED_AT, adrift, fits, placed
 from candata.checks._view import View
 
 #: Depths that are told, doubtful and wrong [m]: trackers are off by millimetres, soft contact gives by as much.
@@ -27,11 +27,16 @@ def _episode(view: View) -> Iterator[Finding]:
     if reason:
         yield view.finding("unknown", "penetration", reason)
         return
-    mine = set(scene.object_geoms.tolist())
+    mine, lost = set(scene.object_geoms.tolist()), adrift(scene)
     rows, depths, into = [], [], []
     for row, data in placed(view, scene, np.arange(len(view.raw.arrays["time_ns"]))):
         mujoco.mj_collision(scene.model, data)
-        touching = [c for c in data.contact[: data.ncon] if len(mine & {int(c.geom1), int(c.geom2)}) == 1]
+        touching = [
+            c
+            for c in data.contact[: data.ncon]
+            if len(mine & {int(c.geom1), int(c.geom2)}) == 1
+            and not lost & {int(scene.model.geom_bodyid[g]) for g in (c.geom1, c.geom2)}
+        ]
         deepest = min(touching, key=lambda c: c.dist, default=None)
         rows.append(row)
         depths.append(0.0 if deepest is None else max(0.0, -float(deepest.dist)))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Level, Rule
 from candata.checks._forces import flags, forces, touched
-from candata.checks._geometry import fits, placed
+from candata.checks._geometry import adrift, fits, placed
 from candata.checks._view import View
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
@@ -39,9 +39,19 @@ def _episode(view: View) -> Iterator[Finding]:
     if tips is None:
         yield view.finding("unknown", "proximity", "it is not known when fingertips touch")
         return
-    rows = np.flatnonzero(tips.any(axis=1))
     groups = [_geoms(scene, tip) for tip in range(len(scene.file.fingertips))]
     others = [_touchable(scene.model, geoms) for geoms in groups]
+    moved = adrift(scene)
+    lost = [
+        bool(moved & {int(scene.model.geom_bodyid[g]) for g in [*own, *near]})
+        for own, near in zip(groups, others, strict=True)
+    ]
+    if all(lost) or (any(lost) and tips.shape[1] != len(lost)):
+        reason = "fingertips, or what they touch, move by joints that were not recorded"
+        yield view.finding("unknown", "proximity", reason)
+        return
+    tips = tips & ~np.array(lost) if any(lost) else tips
+    rows = np.flatnonzero(tips.any(axis=1))
     found = [(row, _distance(scene.model, data, groups, others, tips[row])) for row, data in placed(view, scene, rows)]
     if len(found) < FEWEST:
         return

@@ -121,17 +121,20 @@ def _stray(directions: Array) -> float:
 
 
 def _rest(view: View, pose: Array, up: Array) -> Array:
-    """Return the up directions at the end, where the height is constant for a tenth of a second.
+    """Return the up directions at the end, where the object rests for a tenth of a second; NaN where it does not.
 
-    NaN where it is not, and for a reading in which the object still tumbles there.
+    What rests keeps its numbers, whatever their order; what sways may do so about an axis that one reading hides.
     """
     rows = max(4, round(0.1 * view.rate_hz))
-    z = pose[-rows:, 2]
-    if len(pose) < 2 * rows or not np.isfinite(z).all() or np.ptp(z) > max(8 * noise(pose[:, 2:3])[0], LEVEL_M):
+    z, quaternion = pose[-rows:, 2], normalise(pose[-rows:, 3:])
+    if (
+        len(pose) < 2 * rows
+        or not np.isfinite(pose[-rows:]).all()
+        or np.ptp(z) > max(8 * noise(pose[:, 2:3])[0], LEVEL_M)
+    ):
         return np.full((2, 3), np.nan)
-    ends = up[:, -rows:]
-    steady = np.array([_stray(end) < STEADY for end in ends])
-    return np.where(steady[:, None], ends.mean(axis=1), np.nan)
+    turned = 2 * np.arccos(np.clip(np.abs(quaternion @ quaternion[rows // 2]), 0, 1))
+    return up[:, -rows:].mean(axis=1) if np.quantile(turned, 0.9) < STEADY else np.full((2, 3), np.nan)
 
 
 def _judge(seen: Sequence[list[_Turns]]) -> Iterator[Finding]:
@@ -193,7 +196,11 @@ def _clusters(mine: Sequence[_Turns]) -> Iterator[Finding]:
     resting = [one for one in mine if np.isfinite(one.rest[1]).all()]
     if len(resting) < FEWEST:
         return
-    given, other = (_repeat(np.array([one.rest[k] for one in resting])) for k in (0, 1))
+    sides = np.array([one.rest for one in resting])
+    # Read as x y z w, every turn about x stands on its head: what rolled there by any angle seems to repeat.
+    if sides[:, 1, 2].mean() < -UPRIGHT:
+        return
+    given, other = (_repeat(sides[:, k]) for k in (0, 1))
     if other < WELL and given > max(APART, BETTER * other):
         problem = "quaternions are x y z w"
         yield Finding(
@@ -205,9 +212,9 @@ def _clusters(mine: Sequence[_Turns]) -> Iterator[Finding]:
 
 
 def _repeat(directions: Array) -> float:
-    """Return the median angle of directions `(N, 3)` to the nearest other one [rad]; a tumbling one is far from all."""
+    """Return the median angle of directions `(N, 3)` to the nearest other one [rad]."""
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
-    cosines = np.where(np.isfinite(unit @ unit.T), unit @ unit.T, -1.0)
+    cosines = unit @ unit.T
     np.fill_diagonal(cosines, -1.0)
     return float(np.median(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._scales import scales
+from candata.checks._scales import reaches, scales
 from candata.checks._signal import UNITS, spread, unit_of
 from candata.checks._view import View, rounded
 
@@ -23,21 +23,25 @@ FEWEST, SPREADS = 5, 5.0
 FACTOR, NEAR = 20.0, 0.5
 #: Share of a channel's elements that must be apart in the same way.
 MOST = 0.6
+#: Nearness of the noise's factor to a unit's, as a difference of logarithms: a factor of three.
+NOISE = 1.1
 REMEDY = "give the unit of the source in its map, and import these episodes again"
 
 
 @dataclass(frozen=True)
 class _Scales:
-    """Sizes of what moves in an episode, by `channel/element`."""
+    """Sizes of what moves in an episode, how far its values reach, and their noise, by `channel/element`."""
 
     id: str
     sizes: dict[str, float]
+    reach: dict[str, float]
+    quiet: dict[str, float]
 
 
 def _gather(view: View) -> _Scales | None:
     """Return the sizes of an episode; None where nothing moves."""
     found = scales(view)
-    return _Scales(view.id, found) if found else None
+    return _Scales(view.id, found, *reaches(view)) if found else None
 
 
 def _judge(seen: Sequence[_Scales]) -> Iterator[Finding]:
@@ -47,18 +51,19 @@ def _judge(seen: Sequence[_Scales]) -> Iterator[Finding]:
     where those positions are found to be.
     """
     sizes, apart = _compare(seen)
-    judged = {key: found for key in sizes if (found := _unit(sizes[key], apart[key], key[1]))}
+    found = {key: unit for key in sizes if (unit := _unit(sizes[key], apart[key], key[1]))}
+    judged = {key: (ratio, unit) for key, (ratio, unit) in found.items() if _scaled(seen, key, apart[key], ratio)}
     for name, channel in sizes:
         if channel == "action" and (name, channel) in judged and (name, "joint_position") not in judged:
             moved = sizes.get((name, "joint_position"), {})
             alike = {k for k in apart[name, channel] if abs(sizes[name, channel][k] - moved.get(k, np.inf)) < NEAR}
             if not _unit(sizes[name, channel], apart[name, channel] - alike, channel):
                 del judged[name, channel]
-    for (name, channel), (ratio, unit) in judged.items():
+    for (name, channel), (ratio, of) in judged.items():
         problem = f"{channel} is on another scale than in the other episodes"
         yield Finding(
-            "warning", "scale", f"{problem}: {ratio:.3g} times, as in {unit}", name, channel, None, problem, (),
-            rounded({"ratio": ratio, "as": unit, "elements": len(apart[name, channel])}), REMEDY,
+            "warning", "scale", f"{problem}: {ratio:.3g} times, as in {of}", name, channel, None, problem, (),
+            rounded({"ratio": ratio, "as": of, "elements": len(apart[name, channel])}), REMEDY,
         )  # fmt: skip
 
 
@@ -80,6 +85,19 @@ def _compare(seen: Sequence[_Scales]) -> tuple[dict[_Key, dict[str, float]], dic
             if abs(ratio) > max(np.log(FACTOR), SPREADS * scale):
                 apart[one.id, channel].add(element)
     return sizes, apart
+
+
+def _scaled(seen: Sequence[_Scales], key: _Key, apart: set[str], ratio: float) -> bool:
+    """Tell whether an episode's values are scaled by a ratio, not only moved by it: noise tells, else their reach."""
+    name, channel = key
+    (episode,) = [scales for scales in seen if scales.id == name]
+    keys = {f"{channel}/{element}" for element in apart if element != "distance"}
+    for quantity, within in (("quiet", NOISE), ("reach", NEAR)):
+        sizes, others = getattr(episode, quantity), [getattr(scales, quantity) for scales in seen]
+        usual = {k: np.median([values[k] for values in others if k in values]) for k in keys & sizes.keys()}
+        if 2 * len(usual) > len(keys):
+            return bool(abs(np.median([np.log(sizes[k] / usual[k]) for k in usual]) - np.log(ratio)) < within)
+    return not keys
 
 
 def _unit(sizes: dict[str, float], apart: set[str], channel: str) -> tuple[float, str] | None:

@@ -10,7 +10,7 @@ from candata.checks._finding import Finding, Level, Rule
 from candata.checks._view import View
 from candata.errors import CandataError, DataError, RateError
 from candata.gap.finding import Finding as Mismatch
-from candata.gap.mismatch import mismatch
+from candata.gap.mismatch import compared
 from candata.gap.recordings import Recordings, fault_of, recordings
 from candata.gap.replay import Replayer
 from candata.scenes import Scene
@@ -20,7 +20,15 @@ NAME = "scene_match"
 #: Kinds of what `mismatch` notes that say nothing of the data being wrong.
 NO_FAULT = ("no_repeats", "still")
 #: Kinds that are worth a look where they are not sure; others may be the world's own doing.
-DOUBTFUL = ("joint_unit", "command_unit", "force_unit", "pose_unit", "swapped_fingertips", "broken_episodes")
+DOUBTFUL = (
+    "joint_unit",
+    "command_unit",
+    "force_unit",
+    "force_timing",
+    "pose_unit",
+    "swapped_fingertips",
+    "broken_episodes",
+)
 
 
 def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
@@ -40,7 +48,11 @@ def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
         if not any(isinstance(f, RateError) for f in faults):
             yield Finding("unknown", NAME, reason, problem=reason)
         return
-    yield from (_finding(one) for one in mismatch(Replayer(scene), recs) if one.kind not in NO_FAULT)
+    found = compared(Replayer(scene), recs)
+    yield from (_finding(one) for one in found.findings if one.kind not in NO_FAULT)
+    if found.undecidable:
+        reason = f"the object and the fingertips do too little to tell {'; '.join(found.undecidable)}"
+        yield Finding("unknown", NAME, reason, problem=reason)
 
 
 def _episode(view: View) -> Episode | None:

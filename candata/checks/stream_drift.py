@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._lags import lag
+from candata.checks._lags import CLOSELY, FREELY, Followed, followed
 from candata.checks._signal import spread
 from candata.checks._view import View, rounded
 
 #: Growth of the lag over an episode that is worth a look [s], and in rows.
 GROWS_S, GROWS_ROWS = 0.04, 1.5
-#: By how many spreads of the mean growth, and fewest episodes.
-SPREADS, FEWEST = 5.0, 4
+#: By how many spreads of the mean growth; fewest episodes and joints that tell it; the least share of it in each joint.
+SPREADS, FEWEST, JOINTS, ALIKE = 5.0, 4, 2, 0.5
 #: Drift beyond which a stated alignment is told [ppm]: quartz clocks keep within 100.
 TOLD_PPM = 500.0
 REMEDY = "measure the clocks of both streams and resample one onto the other's (candata import log does)"
@@ -23,11 +23,10 @@ REMEDY = "measure the clocks of both streams and resample one onto the other's (
 
 @dataclass(frozen=True)
 class _Growth:
-    """Lag in the first and the last third of an episode, in seconds."""
+    """By how much each joint that follows freely falls behind its command through an episode, by name [s]."""
 
     id: str
-    first_s: float
-    last_s: float
+    by_joint_s: dict[str, float]
     rate_hz: float
 
 
@@ -42,29 +41,52 @@ def _episode(view: View) -> Iterator[Finding]:
 
 
 def _gather(view: View) -> _Growth | None:
-    """Return the lags at both ends of an episode; None where one is not told."""
+    """Return the growth of the lags between both ends of an episode; None where none is told."""
     total = len(view.raw.arrays["time_ns"])
-    first, last = (lag(view, rows) for rows in (slice(0, total * 2 // 5), slice(total * 3 // 5, total)))
-    if not (np.isfinite(first) and np.isfinite(last)):
-        return None
-    return _Growth(view.id, first / view.rate_hz, last / view.rate_hz, view.rate_hz)
+    ends = [_free(followed(view, rows)) for rows in (slice(0, total * 2 // 5), slice(total * 3 // 5, total))]
+    # The ends are 0.6 of an episode apart.
+    shared = ends[0].keys() & ends[1].keys()
+    growth_s = {name: (ends[1][name] - ends[0][name]) / 0.6 / view.rate_hz for name in shared}
+    return _Growth(view.id, growth_s, view.rate_hz) if growth_s else None
+
+
+def _free(lags: Followed | None) -> dict[str, float]:
+    """Return the lags of the joints that follow their commands freely, by name [rows]."""
+    if lags is None:
+        return {}
+    free = np.isfinite(lags.by_joint) & (lags.alike > CLOSELY) & (lags.share > FREELY)
+    return {name: float(rows) for name, rows, f in zip(lags.names, lags.by_joint, free, strict=True) if f}
 
 
 def _judge(seen: Sequence[_Growth]) -> Iterator[Finding]:
-    """Yield that the lag grows in the same way in nearly all episodes."""
-    growth = np.array([one.last_s - one.first_s for one in seen]) / 0.6  # ends are 0.6 of an episode apart
-    middle, scale = float(np.median(growth)), spread(growth)
-    if len(seen) < FEWEST:
-        reason = "too few episodes in which the lag can be read at both ends"
+    """Yield that the lag grows alike in all joints and nearly all episodes: a clock is one for all of them."""
+    names = {name for episode in seen for name in episode.by_joint_s}
+    by_joint = [[episode.by_joint_s[n] for episode in seen if n in episode.by_joint_s] for n in names]
+    growth = np.array([np.median(growths) for growths in by_joint if len(growths) >= FEWEST])
+    if len(growth) < JOINTS:
+        reason = "too few joints follow their commands freely at both ends of the episodes"
         yield Finding("unknown", "stream_drift", reason, problem=reason)
         return
-    if abs(middle) > max(GROWS_S, GROWS_ROWS / seen[0].rate_hz, SPREADS * scale / np.sqrt(len(seen))):
+    episodes = np.array([np.median(list(episode.by_joint_s.values())) for episode in seen])
+    middle, scale = float(np.median(episodes)), spread(episodes)
+    least = max(GROWS_S, GROWS_ROWS / seen[0].rate_hz, SPREADS * scale / np.sqrt(len(seen)))
+    if abs(middle) > least and (growth * np.sign(middle) > ALIKE * abs(middle)).all():
         problem = "streams drift apart"
+        text = f"{problem}: joints fall behind their commands by {1e3 * middle:.0f} ms from the first row to the last "
+        text += f"(median of {len(seen)} episodes, {len(growth)} joints alike)"
+        evidence = rounded({"growth_s": middle, "spread_s": scale, "episodes": len(seen), "joints": len(growth)})
         yield Finding(
-            "warning", "stream_drift", f"{problem}: joints fall behind their commands by {1e3 * middle:.0f} ms from "
-            f"the first row to the last (median of {len(seen)} episodes)", None, "joint_position", None, problem, (),
-            rounded({"growth_s": middle, "spread_s": scale, "episodes": len(seen)}), REMEDY,
-        )  # fmt: skip
+            "warning",
+            "stream_drift",
+            text,
+            None,
+            "joint_position",
+            None,
+            problem,
+            (),
+            evidence,
+            REMEDY,
+        )
 
 
 RULE = Rule(

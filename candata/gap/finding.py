@@ -43,3 +43,19 @@ class Finding:
     def note(self) -> str:
         """Return the finding as one sentence for the report."""
         return f"{self.problem}: {self.found}; {self.fix}"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What recordings say beside their scene.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        What is no physics; definite ones first.
+    undecidable : tuple of str
+        Mistakes that they could hold and that nothing in them contradicts.
+    """
+
+    findings: tuple[Finding, ...]
+    undecidable: tuple[str, ...] = ()

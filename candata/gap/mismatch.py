@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.effects import effect
 from candata.gap.candidates import candidate
-from candata.gap.finding import Finding
+from candata.gap.finding import Comparison, Finding
 from candata.gap.mismatch_commands import (
     Paired,
     following_findings,
@@ -25,6 +25,7 @@ from candata.gap.mismatch_commands import (
 )
 from candata.gap.mismatch_forces import exchange_findings, exchange_rivals, scale_findings
 from candata.gap.mismatch_range import range_findings
+from candata.gap.mismatch_readings import felt_findings, late_findings, place_findings
 from candata.gap.mismatch_sensors import distance_findings, force_findings, pose_findings, touches
 from candata.gap.mismatch_swaps import Swap, confirmed, distances, ordered, overlap, swap_findings, swaps
 from candata.gap.recordings import Recordings
@@ -80,6 +81,10 @@ class _Look:
         """Return the readings of the scene under recorded commands from the recorded starts."""
         return dict(self.played(recs, effects).readings)
 
+    def another(self, recs: Recordings) -> dict[str, Array]:
+        """Return the readings of the scene under other recordings: their commands, from their starts."""
+        return _Look(self.replayer, recs, None).play(recs)
+
     def played(self, recs: Recordings, effects: EffectSet = ()) -> Trajectory:
         """Return what the scene does under recorded commands from the recorded starts."""
         scene, begin = self.replayer.scene, starts(self.replayer.scene, self.recs)
@@ -93,9 +98,14 @@ class _Look:
 
 
 def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
-    """Return what in the recordings is no physics; definite findings first.
+    """Return what in the recordings is no physics; definite findings first, see `compared`."""
+    return compared(replayer, recs).findings
 
-    First what the arrays alone tell; only where these are sound, one open-loop replay of a few episodes.
+
+def compared(replayer: Replayer, recs: Recordings) -> Comparison:
+    """Return what in the recordings is no physics, and which mistakes they do not tell.
+
+    First what the arrays alone tell; only where these are sound, open-loop replays of a few episodes.
 
     Parameters
     ----------
@@ -107,12 +117,28 @@ def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
     some = recs.take(_drawn(len(recs), LOOKED_AT))
     pairs = paired(scene, some)
     found = pose_findings(scene, recs) + range_findings(scene, recs, paired(scene, recs))
+    played = Comparison(())
     if pairs is not None and not any(f.definite for f in found):
-        found += unit_findings(scene, pairs) + still_findings(some, pairs)
+        units = unit_findings(scene, pairs)
+        found += (_exchanged(_Look(replayer, some, pairs)) if units else []) or units
+        found += still_findings(some, pairs)
     if not any(f.definite for f in found) and not is_toss(scene):
-        found += _by_replay(_Look(replayer, some, pairs))
-    found += _tasks(recs)
-    return tuple(sorted(found, key=lambda f: not f.definite))
+        played = _by_replay(_Look(replayer, some, pairs))
+    found = [*found, *played.findings, *_tasks(recs)]
+    # What is wrong leaves the rest of the recordings with little to say.
+    undecidable = () if any(f.definite for f in found) else played.undecidable
+    return Comparison(tuple(sorted(found, key=lambda f: not f.definite)), undecidable)
+
+
+def _exchanged(look: _Look) -> list[Finding]:
+    """Return that joints or commands are exchanged, where some follow their own at another unit's factor.
+
+    A slide that follows the command of a hinge moves by another number than it, which is no unit.
+    """
+    if look.pairs is None:
+        return []
+    own = look.play(look.recs).get("joint_position")
+    return [] if own is None else _swapped(look, look.pairs, own[..., look.pairs.drive.joints])
 
 
 def _drawn(count: int, most: int) -> NDArray[np.int64]:
@@ -130,32 +156,46 @@ def _evenly(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))
 
 
-def _by_replay(look: _Look) -> list[Finding]:
-    """Return the findings that need the scene's own motion."""
+def _by_replay(look: _Look) -> Comparison:
+    """Return what the scene's own motion tells."""
     scene, played = look.replayer.scene, look.played(look.recs)
-    nominal = played.readings
-    if look.pairs is not None and "joint_position" in nominal:
-        found = slope_findings(look.pairs, nominal["joint_position"][..., look.pairs.drive.joints])
-        if found:
-            return found
-    shaky = unstable_findings(scene, look.recs, played.failed, MANY)
-    if any(f.definite for f in shaky):
-        return shaky
-    found = []
+    nominal = dict(played.readings)
+    own = None
     if look.pairs is not None and "joint_position" in nominal:
         own = nominal["joint_position"][..., look.pairs.drive.joints]
+        if sloped := slope_findings(look.pairs, own):
+            # Joints that face each other run against the commands of each other.
+            return Comparison(tuple(_swapped(look, look.pairs, own) or sloped))
+    shaky = unstable_findings(scene, look.recs, played.failed, MANY)
+    if any(f.definite for f in shaky):
+        return Comparison(tuple(shaky))
+    found = []
+    if look.pairs is not None and own is not None:
         found += _swapped(look, look.pairs, own)
         found = found or _strangers(look, look.pairs, own)
         if any(f.definite for f in found):
-            return found
+            return Comparison(tuple(found))
         found += following_findings(look.pairs, own)
         if not found:
             found += zero_findings(scene, look.pairs, own)
-        if not any(f.kind == "scene_stuck" for f in found):
-            found += _shifted(look, look.pairs, own)
-    if "fingertip_force" in nominal:
-        found += _by_force(scene, look.recs, nominal["fingertip_force"])
-    return found + shaky
+    places = place_findings(scene, look.recs, look.pairs, nominal, look.another)
+    if places.findings:
+        return Comparison((*found, *places.findings))
+    rows = 0.0
+    if look.pairs is not None and own is not None and not any(f.kind == "scene_stuck" for f in found):
+        found += _shifted(look, look.pairs, own)
+        each = late(look.pairs, own)
+        rows = float(np.median(each[np.isfinite(each)])) if np.isfinite(each).any() else 0.0
+    timed, in_time = late_findings(scene, look.recs, nominal, rows)
+    undecidable = (*places.undecidable, *timed.undecidable)
+    if "fingertip_force" in nominal and "fingertip_force" in look.recs.readings:
+        felt = _by_force(scene, look.recs, nominal["fingertip_force"])
+        if not any(f.definite for f in felt):
+            more = felt_findings(scene, in_time, nominal, look.another)
+            felt, undecidable = list(more.findings) or felt, (*undecidable, *more.undecidable)
+        found += felt
+    wrong = {f.channel for f in found if f.definite}
+    return Comparison((*found, *(note for note in timed.findings if note.channel not in wrong), *shaky), undecidable)
 
 
 def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:

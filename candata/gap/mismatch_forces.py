@@ -82,7 +82,18 @@ def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding
     if near < (ALONE if newton else DRAWN):
         return [_doubtful(times, f"{unit} are {1 / TO_SI[unit]:.3g} times; `tactile_gain` explains it as well")]
     low, high = effect("tactile_gain").parameters[0].bounds(scene)
-    return [] if low < times < high else [_doubtful(times, f"`tactile_gain` goes from {low:g} to {high:g}")]
+    # Near no unit: the scene holds what the recording does not, or the reverse.
+    why = f"`tactile_gain` goes from {low:g} to {high:g}"
+    return [] if low < times < high else [_doubtful(times, why, "force_gain")]
+
+
+def tells_unit(real: Array, force: Array) -> bool:
+    """Tell whether every fingertip of recorded forces `(E, T, F, 3)` reads what a gain makes of the scene's.
+
+    What touches nothing gives no factor; one that is no gain's may be a unit's, or another contact's.
+    """
+    factors = _factors(real, force)
+    return all(bool(np.isfinite(factor)) and _ratio(factor) < DRAWN for factor in factors.tolist())
 
 
 def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding | None:
@@ -91,16 +102,17 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
     A gain that one sensor alone may have leaves its noise where that of the others is. Without noise to tell, only the
     factor of a unit that no gain reaches is sure.
     """
-    telling = np.flatnonzero(np.isfinite(factors))
-    noise = np.array([free_spread(real[:, :, [f]], force[:, :, [f]]) for f in range(len(factors))])
+    telling, noise = np.flatnonzero(np.isfinite(factors)), _noise(real, force)
     units: dict[int, str] = {}
-    for f in telling if len(telling) > 1 else ():
-        others, unit = np.median(noise[telling[telling != f]]), _nearest(factors[f])
+    by_noise = False
+    for f in telling if len(factors) > 1 else ():
+        others, unit = np.median(np.delete(noise, f)), _nearest(factors[f])
         near = _ratio(factors[f] * TO_SI[unit])
         loud = _ratio(noise[f] / others * TO_SI[unit]) < NOISE if noise[f] > 0 and others > 0 else None
         if (loud and near < DRAWN) or (loud is None and near < ALONE and _ratio(factors[f]) > FORCE_RATIO):
             units[int(f)] = unit
-    if not units or len(units) == len(telling):
+            by_noise |= bool(loud)
+    if not units or (len(units) == len(telling) and not by_noise):
         return None
     names = tuple(scene.file.fingertips[f] for f in units)
     told = ", ".join(f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
@@ -110,6 +122,12 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
         "forces near the scene's in contact, N, on every fingertip", told,
         "give the unit of their columns in map.yaml, or scale these to newtons", "fingertip_force", names,
     )  # fmt: skip
+
+
+def _noise(real: Array, force: Array) -> Array:
+    """Return `(F,)` the noise of each fingertip: of a free one where motions begin, else what bends from row to row."""
+    tips = range(real.shape[2])
+    return np.array([free_spread(real[:, :, [f]], force[:, :, [f]]) or _bend(real[:, :, [f]]) for f in tips])
 
 
 def _nearest(times: float) -> str:
@@ -127,7 +145,7 @@ def _factors(real: Array, force: Array) -> Array:
     size = np.linalg.norm(real - tare(real, force), axis=-1)
     own = np.linalg.norm(force, axis=-1)
     touched = (own > TOUCH_N) & np.isfinite(size)
-    both = touched & (size > ABOVE_NOISE * free_spread(real, force))
+    both = touched & (size > ABOVE_NOISE * _noise(real, force))
     rows = both.sum((0, 1))
     telling = np.flatnonzero(rows >= TOUCH_ROWS)
     factors = np.full(len(rows), np.nan)
@@ -171,10 +189,10 @@ def _unit(times: float, unit: str) -> Finding:
     )  # fmt: skip
 
 
-def _doubtful(times: float, why: str) -> Finding:
+def _doubtful(times: float, why: str, kind: str = "force_unit") -> Finding:
     """Return the note that forces may be in another unit."""
     return Finding(
-        "force_unit", False, "fingertip_force may be in another unit", "forces near the scene's in contact, N",
+        kind, False, "fingertip_force may be in another unit", "forces near the scene's in contact, N",
         f"{times:.3g} times those on all fingertips ({why})",
         "if so, give its unit in map.yaml: `units: {fingertip_force: ...}`", "fingertip_force",
     )  # fmt: skip

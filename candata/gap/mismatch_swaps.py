@@ -41,11 +41,14 @@ class Swap:
         `action`, `joint_position`, or both where they cannot be told apart.
     episodes : tuple of bool
         Where it holds; all True where no episode speaks against it.
+    errors : (float, float)
+        Usual difference of the joints that it moves to the scene's, with it and as given [rad or m].
     """
 
     chosen: Index
     channels: tuple[str, ...]
     episodes: tuple[bool, ...]
+    errors: tuple[float, float]
 
 
 def swaps(p: Paired) -> list[Index]:
@@ -118,7 +121,10 @@ def _clear(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: Ar
     moved = chosen != np.arange(len(chosen))
     left = {"action": p.joint - commanded, "joint_position": exchanged}
     channels = tuple(name for name, off in left.items() if _clearly(off, p.joint - own, moved))
-    return Swap(chosen, channels, (True,) * len(p.joint)) if channels else None
+    if not channels:
+        return None
+    after = min(float(np.median(distances(left[name], moved))) for name in channels)
+    return Swap(chosen, channels, (True,) * len(p.joint), (after, float(np.median(distances(p.joint - own, moved)))))
 
 
 def _closer(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: Array) -> Swap | None:
@@ -145,7 +151,8 @@ def _closer(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: A
     as_commands, as_joints = (float(np.median(v[holds])) for v in (commands, joints))
     rivals = [("action", as_joints), ("joint_position", as_commands)]
     told = tuple(name for name, rival in rivals if min(as_commands, as_joints) < CLOSER * rival)
-    return Swap(chosen, told if len(told) == 1 else ("action", "joint_position"), tuple(holds.tolist()))
+    both = (min(as_commands, as_joints), float(np.median(distances(p.joint - own, moved)[holds])))
+    return Swap(chosen, told if len(told) == 1 else ("action", "joint_position"), tuple(holds.tolist()), both)
 
 
 def swap_findings(p: Paired, recs: Recordings, found: Sequence[Swap]) -> list[Finding]:
@@ -166,6 +173,8 @@ def _swapped(p: Paired, recs: Recordings, group: Sequence[Swap]) -> Finding:
     words = {"action": ("commands", "actuators"), "joint_position": ("joint positions", "joints")}
     what, order = zip(*(words[c] for c in channels), strict=True)
     pairs = ", ".join(f"{p.names[i]} follows the command of {p.names[chosen[i]]}" for i in moved)
+    after, before = (max(one.errors[k] for one in group) for k in (0, 1))
+    pairs += f": as if these columns were exchanged, error {after:.2g} instead of {before:.2g} rad or m"
     columns = " or ".join(f"`{c}` in the order of `{o}`" for c, o in zip(channels, order, strict=True))
     fix = f"put the columns of {columns} in scene.yaml, or name them"
     return Finding(

@@ -12,7 +12,7 @@ from candata.align import time_factor
 from candata.datasets import Dataset
 from candata.errors import DataError, RateError, Where
 from candata.gap.held import sources
-from candata.gap.spikes import without_spikes
+from candata.gap.spikes import without_lost, without_spikes
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
@@ -136,7 +136,9 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     slow, slower = sources(readings, scene.file.rate_hz)
     spiky: tuple[str, ...] = ()
     if "object_pose" in readings:
+        readings["object_pose"], lost = without_lost(readings["object_pose"])
         readings["object_pose"], spiky = without_spikes(readings["object_pose"])
+        spiky = (*lost, *spiky)
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )

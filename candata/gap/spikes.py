@@ -1,4 +1,4 @@
-"""Poses that jump out for one row and back: a tracker that took another marker, never the object."""
+"""Poses of a tracker that took another marker, or saw nothing: they jump out for one row and back, or to one value."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 #: How many times the usual bend of an episode's poses a spike is, and the least that it is [m, rad]. Chosen: an object
 #: that bounces at 1 m/s turns round within 10 mm a row, but goes on from there.
 TIMES, LEAST = 12.0, (0.005, 0.2)
+#: Least jump to a value that stands for nothing [m], chosen: a finger's width; fewest rows that show it.
+LOST_M, FEWEST = 0.02, 5
 
 
 def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:
@@ -33,6 +35,48 @@ def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:
     total = int(np.isfinite(poses).all(2).sum())
     note = f"object_pose: {spike.sum()} of {total} poses jump out for one row and back, and are left out"
     return np.where(spike[..., None], np.nan, poses), (note,)
+
+
+def without_lost(poses: Array) -> tuple[Array, tuple[str, ...]]:
+    """Return poses `(E, T, 7)` with NaN in `lost_rows`, and a note."""
+    lost = np.stack([lost_rows(pose) for pose in poses]) if len(poses) else np.zeros(poses.shape[:2], bool)
+    if not lost.any():
+        return poses, ()
+    total = int(np.isfinite(poses).all(2).sum())
+    note = (
+        f"object_pose: {lost.sum()} of {total} poses stand at one value far from those around them, as where a tracker "
+    )
+    return np.where(lost[..., None], np.nan, poses), (f"{note}saw nothing, and are left out",)
+
+
+def lost_rows(pose: Array) -> NDArray[np.bool_]:
+    """Return `(T,) bool`: rows of poses `(T, 7)` whose place is one value to the last bit, to which they jump and back.
+
+    The origin, or a value that comes again, in fewer rows than others have. What rests repeats its place without noise,
+    but does not jump there.
+    """
+    place, out = pose[:, :3], np.zeros(len(pose), bool)
+    seen = np.asarray(np.isfinite(place).all(1))
+    while seen.sum() >= FEWEST and (rows := _jumped_to(place, seen)) is not None:
+        out[rows], seen[rows] = True, False
+    return out
+
+
+def _jumped_to(place: Array, seen: NDArray[np.bool_]) -> NDArray[np.int64] | None:
+    """Return the rows at the rarest value to which places `(T, 3)` jump and back; None where there is none."""
+    rows = np.flatnonzero(seen)
+    step = np.linalg.norm(np.diff(place[rows], axis=0), axis=1)
+    edges = np.r_[0, np.flatnonzero(step > 0) + 1, len(rows)]
+    # Into each run of equal places and out of it there is a jump, unless the episode begins or ends there.
+    jumps = np.r_[True, step > max(TIMES * float(np.median(step)), LOST_M), True]
+    runs: dict[bytes, list[NDArray[np.int64]]] = {}
+    for start, end in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if jumps[start] and jumps[end] and end - start < len(rows):
+            runs.setdefault(place[rows[start]].tobytes(), []).append(rows[start:end])
+    # A value of one run alone may be where something lay: only the origin stands for nothing by itself.
+    lost = [np.concatenate(spans) for spans in runs.values() if len(spans) > 1 or not place[spans[0][0]].any()]
+    rarest = min(lost, key=len, default=None)
+    return rarest if rarest is not None and 2 * len(rarest) < len(rows) else None
 
 
 def _spikes(around: list[Array], least: float) -> NDArray[np.bool_]:

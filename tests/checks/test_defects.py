@@ -14,6 +14,7 @@ from candata.scenes import assemble
 from candata.scenes.assemble import LIBRARY
 from candata.schema.effect import EffectSetting
 from tests.checks.conftest import simulated
+from tests.checks.test_silent_mistakes import SAID
 
 #: The ten of other validators' test.
 TEN = (
@@ -47,7 +48,7 @@ def caught(judged, raws, name, scene=None):
 
 def test_the_ten_are_there_and_every_defect_names_rules():
     assert set(TEN) <= set(defects.names())
-    assert {*TEN, *TOSS, *WITH_SCENE, *AGAINST_MOTION, *OTHERS} == set(defects.names())
+    assert {*TEN, *TOSS, *WITH_SCENE, *AGAINST_MOTION, *OTHERS, *SAID, "pose_lost"} == set(defects.names())
     for name in defects.names():
         assert set(defects.defect(name).rules) <= set(rule_names())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -346,10 +347,32 @@ def test_a_refusal_says_what_was_found_and_what_to_do(gripper, gripped):
     assert str(caught.value) == (
         "commands are in another order than the scene's actuators\n"
         "  expected: each joint follows its own command\n"
-        "  found: left follows the command of right, right follows the command of left\n"
+        "  found: left follows the command of right, right follows the command of left: as if these columns were "
+        "exchanged, error 0.0022 instead of 0.068 rad or m\n"
         "  where: channel action\n"
         "  do: put the columns of `action` in the order of `actuators` in scene.yaml, or name them"
     )
+
+
+def facing(folder: Path, episodes: Sequence[Episode]) -> tuple[Scene, list[Episode]]:
+    """The same gripper with both fingers turning about one direction: one closes by growing, the other by falling."""
+    text = GRIPPER.replace('axis="0 0 1" range="-.2 1.6"', 'axis="0 0 -1" range="-1.6 .2"')
+    (folder / "gripper.xml").write_text(text.replace('ctrlrange="-.2 1.6"', 'ctrlrange="-1.6 .2"'))
+    (folder / "scene.yaml").write_text(ROLES)
+    scene = load_scene(folder / "scene.yaml")
+    for name in ("joint_position", "action"):
+        episodes = changed(scene, episodes, columns(name, [2], np.negative))
+    return scene, list(episodes)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("joint_position", "swapped_joints"), ("action", "swapped_commands"), (None, None)]
+)
+def test_joints_that_face_each_other_are_exchanged_not_reversed(tmp_path, gripped, name, kind):
+    scene, episodes = facing(tmp_path, gripped)
+    if name is not None:
+        episodes = changed(scene, episodes, columns(name, [1, 2], lambda a: a[:, ::-1]))
+    assert found(scene, episodes) == ([(kind, True)] if kind else [])
 
 
 def test_one_dead_joint_is_held_where_it_was_and_left_out(hand, handled):
