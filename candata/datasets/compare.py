@@ -15,7 +15,7 @@ from candata.datasets.distance import DEALS, Bars, Pool, spread_of
 from candata.datasets.measures import Statistic, measure
 from candata.errors import DataError
 from candata.schema.channels import DENSE_CHANNELS, VALID_SUFFIX
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 
 #: Episodes of each dataset that are compared; more are drawn evenly along the sorted ids.
 MOST_EPISODES = 400
@@ -25,7 +25,7 @@ LEAST_WAYS = 40
 LEVEL = 0.05
 
 
-class Side(Record):
+class Side(ResultRecord):
     """One of the two datasets, called `label`; `compared` of its `episodes` were read."""
 
     label: str
@@ -41,7 +41,7 @@ class Side(Record):
     rates_hz: tuple[float, ...]
 
 
-class Spread(Record):
+class Spread(ResultRecord):
     """Median and the middle 90 % of the samples of one side; `episodes` had any."""
 
     samples: int
@@ -51,7 +51,7 @@ class Spread(Record):
     high: float
 
 
-class ComparisonRow(Record):
+class ComparisonRow(ResultRecord):
     """One statistic of one element on both sides.
 
     `distance` is Wasserstein's: how far, on average, values must be moved to turn one distribution into the other, in
@@ -72,7 +72,7 @@ class ComparisonRow(Record):
     differs: bool | None
 
 
-class Comparison(Record):
+class Comparison(ResultRecord):
     """What `candata inspect A --against B` prints; rows that differ first, then by `spreads`, the largest first.
 
     In units, `joint` stands for rad or m. `unmatched` says what only one side has, `notes` what else to know.

@@ -16,10 +16,10 @@ from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata.schema.phases import CONTACT_PHASES, contact_phases
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 
 
-class ChannelSummary(Record):
+class ChannelSummary(ResultRecord):
     """One channel over all episodes; `low` and `high` are null where no value is valid.
 
     Shapes are without the time axis; several where episodes differ.
@@ -34,7 +34,7 @@ class ChannelSummary(Record):
     invalid_share: float
 
 
-class Summary(Record):
+class Summary(ResultRecord):
     """What `candata inspect` prints; shares are of rows, null where no episode knows contact.
 
     Counts by scene, object and task leave out episodes that state none.

@@ -12,7 +12,7 @@ from candata.effects import active, effect, flatten, parameters_on, setting
 from candata.repair.fields import OPTIONS, differences, read
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
@@ -42,7 +42,7 @@ FIRST_NUMBER_ONLY = ("damping",)
 STRAIGHT = 1e-9
 
 
-class ParameterTarget(Record):
+class ParameterTarget(ResultRecord):
     """One number of a model that a parameter sets; `index` null where the attribute is one number."""
 
     kind: str
@@ -53,7 +53,7 @@ class ParameterTarget(Record):
     slope: float
 
 
-class FreeParameter(Record):
+class FreeParameter(ResultRecord):
     """One parameter with bounds and start; `places` for each of its components."""
 
     name: str

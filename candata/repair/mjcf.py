@@ -22,7 +22,7 @@ from candata.scenes import Scene, load_scene
 from candata.scenes.first_load import vouch
 from candata.scenes.model_file import compiled, parsed
 from candata.schema.effect import EffectSetting, EffectsFile
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
 
 EFFECTS, DIFF, LISTING_FILE = "effects.yaml", "changes.diff", "export.json"
@@ -31,7 +31,7 @@ EFFECTS, DIFF, LISTING_FILE = "effects.yaml", "changes.diff", "export.json"
 AGREEMENT: dict[Way, float] = {"patch": 1e-6, "whole": 2e-5}
 
 
-class Change(Record):
+class Change(ResultRecord):
     """One attribute that changed: null where there was none before, or is none after."""
 
     file: str
@@ -47,7 +47,7 @@ class Change(Record):
         return (f"{self.file}:{self.line}", self.element, self.attribute, self.before or "-", self.after or "-")
 
 
-class MjcfExport(Record):
+class MjcfExport(ResultRecord):
     """What an export wrote.
 
     `way` is patch (the user's own files, byte by byte the same but for the attributes in `changes`) or whole (the

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from candata.effects import effect
 from candata.schema.effect import EffectSetting, Value
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 
 _COMMAND = "commands: pass them through this in the code that sends them to the simulator"
 _READING = "readings: pass them through this in the code that reads the simulator's state"
@@ -15,7 +15,7 @@ _PACE = "clock: stamp the recording with its true rate, or step this much more o
 _AS_CANDATA = "run the effects.yaml beside this with candata"
 
 
-class HeldEffect(Record):
+class HeldEffect(ResultRecord):
     """An effect that the exported model holds."""
 
     name: str

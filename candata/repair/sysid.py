@@ -27,7 +27,7 @@ from candata.repair.script import IDENTIFY
 from candata.scenes import Scene
 from candata.scenes.model_file import compiled, parsed
 from candata.schema.effect import EffectSetting
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ _COMMAND = "filter the controls in custom_rollout (a delay: also the actuator's 
 _READING = "modify_residual, with signal_modifier.apply_delay, apply_bias or apply_gain"
 
 
-class SysidExport(Record):
+class SysidExport(ResultRecord):
     """What an export for mujoco.sysid wrote."""
 
     folder: str

@@ -10,13 +10,13 @@ from candata.plugins import load, names
 from candata.scenes import chains
 from candata.scenes.assemble import LIBRARY, Scene
 from candata.scenes.drives import drive_of, pulled_by
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 from candata.schema.scene import Noise, SceneFile
 
 _UNITS = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
 
 
-class JointRole(Record):
+class JointRole(ResultRecord):
     """One joint: range in its unit (null: unlimited), and the actuator that pulls it (null: none).
 
     `drive` is its kind, such as `position servo` or `torque motor`; `kp`, `kv` and `limit` are null where it has none,
@@ -39,7 +39,7 @@ class JointRole(Record):
     limit_unit: str | None = None
 
 
-class FingertipRole(Record):
+class FingertipRole(ResultRecord):
     """One fingertip, the body that carries it, and what its forces are expressed in."""
 
     name: str
@@ -47,7 +47,7 @@ class FingertipRole(Record):
     frame: str
 
 
-class Roles(Record):
+class Roles(ResultRecord):
     """Everything a scene says of its parts; masses in kg, times in s."""
 
     name: str
@@ -68,7 +68,7 @@ class Roles(Record):
     notes: tuple[str, ...] = ()
 
 
-class SceneEntry(Record):
+class SceneEntry(ResultRecord):
     """One line of the list of built-in scenes."""
 
     name: str

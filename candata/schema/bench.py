@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import Literal
 
 from candata.schema.effect import EffectSetting
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 from candata.schema.report import Report
 
 Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local"]
 
 
-class CaseFile(Record):
+class CaseFile(ResultRecord):
     """`case.json`, beside the dataset of a case: what may be known before the labels are opened.
 
     `scene` is a built-in scene or a `scene.yaml`, a relative path counting from the case's folder; `sealed` is
@@ -25,7 +25,7 @@ class CaseFile(Record):
     sealed: str
 
 
-class OutsideCause(Record):
+class OutsideCause(ResultRecord):
     """A cause that is in no library: what it is, where it acts, and its numbers."""
 
     name: str
@@ -34,7 +34,7 @@ class OutsideCause(Record):
     values: dict[str, float] = {}
 
 
-class Label(Record):
+class Label(ResultRecord):
     """The truth of a case: `effects` of the library in its world, `main` the one that stands above a background.
 
     `seed` feeds the noise of the case and keeps its hash from being guessed. `trait` says what marks a random small
@@ -50,7 +50,7 @@ class Label(Record):
     seed: int = 0
 
 
-class LabelsFile(Record):
+class LabelsFile(ResultRecord):
     """`sealed.json`: the secret salt and each case's label as canonical JSON text; `asked` is what was drawn from."""
 
     salt: str
@@ -58,7 +58,7 @@ class LabelsFile(Record):
     labels: dict[str, str]
 
 
-class CaseResult(Record):
+class CaseResult(ResultRecord):
     """One line of `results.jsonl`: what a diagnosis said of a case, or why it could not; `sealed` is the case's own.
 
     `cold` marks a case that was diagnosed with nothing kept from others; `process` is the number of the process.
@@ -74,20 +74,20 @@ class CaseResult(Record):
     error: str | None = None
 
 
-class FilledSignature(Record):
+class FilledSignature(ResultRecord):
     """One line of `filled.jsonl`: a signature was simulated into the cache that all cases share."""
 
     cpu_s: float
 
 
-class CaseResults(Record):
+class CaseResults(ResultRecord):
     """One line of `baselines.jsonl`: what each baseline said of a case."""
 
     sealed: str
     results: tuple[CaseResult, ...]
 
 
-class Shares(Record):
+class Shares(ResultRecord):
     """One line of `shares.jsonl`: by how much the loss rises, in floors, when a true contributor is left out.
 
     `alike` is the largest cosine between the residuals that two contributors make.
@@ -99,7 +99,7 @@ class Shares(Record):
     alike: float | None = None
 
 
-class BenchRow(Record):
+class BenchRow(ResultRecord):
     """A measure of the table: `low` and `high` bound the target; both null where there is none."""
 
     measure: str
@@ -117,7 +117,7 @@ class BenchRow(Record):
         return (self.low is None or self.value >= self.low) and (self.high is None or self.value <= self.high)
 
 
-class Miss(Record):
+class Miss(ResultRecord):
     """A case that went wrong: the truth, the verdict, what was named, and what made it count as a miss."""
 
     case: str
@@ -129,7 +129,7 @@ class Miss(Record):
     gap: float | None = None
 
 
-class ChangedCase(Record):
+class ChangedCase(ResultRecord):
     """A case that two versions take differently: its name, and what each said, `right` after what is right."""
 
     case: str
@@ -137,7 +137,7 @@ class ChangedCase(Record):
     second: str
 
 
-class PairedComparison(Record):
+class PairedComparison(ResultRecord):
     """Two runs on the same cases, paired: counts, McNemar's exact p of the cases where one is right, median CPU s."""
 
     cases: int
@@ -151,7 +151,7 @@ class PairedComparison(Record):
     changed: tuple[ChangedCase, ...] = ()
 
 
-class Bin(Record):
+class Bin(ResultRecord):
     """One bin of the calibration curve: mean stated support, share that was right, and how many."""
 
     support: float
@@ -159,7 +159,7 @@ class Bin(Record):
     n: int
 
 
-class BenchFile(Record):
+class BenchFile(ResultRecord):
     """`bench.json`: the table, the misses, the confusion matrix and the calibration curve of one method.
 
     `confusion` maps a true cause to what was said first and how often; `baselines` are other methods, and this one,

@@ -28,3 +28,9 @@ class Record(BaseModel):
             return cls.model_validate(value)
         except ValidationError as error:
             raise refusal(cls, value, error, path) from None
+
+
+class ResultRecord(Record):
+    """A record of what was computed: a number may be NaN or infinite where nothing could be measured."""
+
+    model_config = ConfigDict(allow_inf_nan=True)

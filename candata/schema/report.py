@@ -7,7 +7,7 @@ from typing import Any, Literal, Self
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
 from candata.schema.effect import Value
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 
 Verdict = Literal[
     "no_gap", "explained", "partly_explained", "ambiguous", "unknown_effect", "too_little_data", "out_of_budget"
@@ -23,7 +23,7 @@ _ENDS_KNOWN: dict[tuple[bool, bool], KnownEnds | None] = {
 }
 
 
-class Estimate(Record):
+class Estimate(ResultRecord):
     """A parameter with its 90 % interval; lists for vectors, a word for a discrete choice.
 
     `bounded` says which ends of the interval are known: where only the low one is, the parameter is at least that, and
@@ -54,7 +54,7 @@ class Estimate(Record):
         return self
 
 
-class NamedEffect(Record):
+class NamedEffect(ResultRecord):
     """An effect the verdict names.
 
     `rivals` are effects, with their elements, that the held-out episodes cannot tell from it beside the other ones.
@@ -69,7 +69,7 @@ class NamedEffect(Record):
     rivals: tuple[str, ...] = ()
 
 
-class UnknownCause(Record):
+class UnknownCause(ResultRecord):
     """What no effect of the library explains.
 
     `closable` is the share of the gap that a force fitted to it closes on held-out episodes: a bar for any cause.
@@ -84,7 +84,7 @@ class UnknownCause(Record):
     closable: float | None = None
 
 
-class RankedEffect(Record):
+class RankedEffect(ResultRecord):
     """A candidate with its held-out evidence."""
 
     name: str
@@ -97,7 +97,7 @@ class RankedEffect(Record):
     reason: str | None = None
 
 
-class Gap(Record):
+class Gap(ResultRecord):
     """How far: mean size of held-out residuals over that of the nulls; closed is null for no_gap.
 
     `outlying` are the fewest episodes that hold more than half of what remains, where they are an eighth at most;
@@ -114,7 +114,7 @@ class Gap(Record):
     closed_elsewhere: float | None = None
 
 
-class EditTest(Record):
+class EditTest(ResultRecord):
     """Whether the shrinkage is kept with another object or task in both worlds, nothing refitted.
 
     `kept` asks that the interval of `closed` lies above zero and that `closed` is at least 0.8 of `reference`, the
@@ -133,7 +133,7 @@ class EditTest(Record):
     reference: float = 1.0
 
 
-class Symptom(Record):
+class Symptom(ResultRecord):
     """Where: a channel, element and phase in which the recording leaves the nulls.
 
     `regime` is where the excess of this element lies, over all phases: "moving", "moving +", "moving -", "reversal",
@@ -149,7 +149,7 @@ class Symptom(Record):
     p: float
 
 
-class NextMotion(Record):
+class NextMotion(ResultRecord):
     """The motion that best separates what is tied.
 
     `expected_separation` is by how many floors the loss of a wrong candidate lies above that of the true one; `reason`
@@ -163,7 +163,7 @@ class NextMotion(Record):
     reason: str | None = None
 
 
-class EpisodeCount(Record):
+class EpisodeCount(ResultRecord):
     """Episodes used and how they were held out."""
 
     total: int
@@ -171,7 +171,7 @@ class EpisodeCount(Record):
     held_out: int
 
 
-class DiagnosisData(Record):
+class DiagnosisData(ResultRecord):
     """What the diagnosis saw."""
 
     dataset: str
@@ -181,7 +181,7 @@ class DiagnosisData(Record):
     notes: tuple[str, ...] = ()
 
 
-class Report(Record):
+class Report(ResultRecord):
     """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.schema.record import Record
+from candata.schema.record import ResultRecord
 
 
-class Contact(Record):
+class Contact(ResultRecord):
     """Forecast contact against recorded contact, over all steps; null where nothing can be said.
 
     Attributes
@@ -24,7 +24,7 @@ class Contact(Record):
     f1: float | None
 
 
-class WindowScores(Record):
+class WindowScores(ResultRecord):
     """One forecast of the whole horizon from each window; the mean of the samples is scored.
 
     Attributes
@@ -53,7 +53,7 @@ class WindowScores(Record):
     contact: Contact | None
 
 
-class Success(Record):
+class Success(ResultRecord):
     """Episodes whose final position lies within 5 cm of the true one, with a 95 % Wilson interval."""
 
     count: int
@@ -63,7 +63,7 @@ class Success(Record):
     high: float
 
 
-class ClosedLoopScores(Record):
+class ClosedLoopScores(ResultRecord):
     """Whole episodes: the forecaster's own poses are fed back.
 
     Attributes
@@ -89,7 +89,7 @@ class ClosedLoopScores(Record):
     contact: Contact | None
 
 
-class Scores(Record):
+class Scores(ResultRecord):
     """All of one forecaster."""
 
     summary: str
@@ -97,7 +97,7 @@ class Scores(Record):
     closed_loop: ClosedLoopScores
 
 
-class Gain(Record):
+class Gain(ResultRecord):
     """Closed-loop ADD-S AUC of the model less that of a baseline; 95 % interval over resampled episodes.
 
     The interval is null for fewer than 8 episodes.
@@ -108,7 +108,7 @@ class Gain(Record):
     high: float | None
 
 
-class EpisodeScores(Record):
+class EpisodeScores(ResultRecord):
     """One episode in closed loop, by forecaster.
 
     Attributes
@@ -129,7 +129,7 @@ class EpisodeScores(Record):
     final_position_error_m: dict[str, float]
 
 
-class Evaluation(Record):
+class Evaluation(ResultRecord):
     """A model beside the baselines on held-out episodes.
 
     Attributes

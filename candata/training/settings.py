@@ -8,7 +8,7 @@ from typing import Any, Self
 from pydantic import Field, model_validator
 
 from candata.loaders import Augmentation
-from candata.schema.record import Record
+from candata.schema.record import Record, ResultRecord
 
 #: Rate of a fine-tuning run as a share of a fresh one's.
 FINE_TUNE_SHARE = 0.1
@@ -162,7 +162,7 @@ class Run(Record):
         return self.sources or (Source(name=self.dataset, share=1.0, **dataset_fields),)
 
 
-class Progress(Record):
+class Progress(ResultRecord):
     """How far a run has come.
 
     Attributes

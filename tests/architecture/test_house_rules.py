@@ -18,7 +18,7 @@ FUNCTION_LINES = 60
 #: Modules that read JSON without bounds: what own processes and episodes say, DuckDB's parse tree, a script's text.
 UNBOUNDED = {
     *("checks/defects.py", "datasets/filtering.py", "record/reader.py", "record/reader_link.py", "repair/script.py"),
-    *("reports/offscreen.py", "schema/json_text.py", "schema/yaml_text.py"),
+    *("reports/offscreen.py", "scenes/first_load.py", "schema/json_text.py", "schema/yaml_text.py"),
 }
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
 
