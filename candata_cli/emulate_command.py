@@ -105,7 +105,7 @@ def emulate(
         if path:
             tried(path, "new", option)
     model, wrong = device(device_name), parse_faults(faults)
-    encoder_of(device_name)
+    encoder_of(device_name, model)
     _check(loop, seed, wrong, link)
     if episode is not None and dataset is None:
         raise UsageError("--episode names an episode of a dataset", fix="give --dataset")

@@ -43,14 +43,13 @@ def export(
     from candata.datasets.drafts import draft_beside, place
     from candata.datasets.durable import sync_tree
     from candata.errors import UnknownNameError, UsageError
-    from candata.formats import Writing
-    from candata.plugins import load, names
+    from candata.formats import FORMATS, Writing
 
-    known = {name: load("candata.formats", "FORMAT", name) for name in names("candata.formats")}
-    able = [name for name, one in known.items() if one.write]
-    if format_name not in able:
+    target = FORMATS.load(format_name) if format_name in FORMATS else None
+    if target is None or target.write is None:
+        able = [name for name, known in FORMATS.load_all().items() if known.write is not None]
         raise UnknownNameError("format to export to", format_name, able)
-    if v21 and "v21" not in known[format_name].variants:
+    if v21 and "v21" not in target.variants:
         raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
     tried(out, "new")
     data = console.opened(dataset, version)
@@ -60,7 +59,7 @@ def export(
     with console.stoppable(lambda: console.written(out)), draft_beside(out) as folder:
         staged = folder / "export"
         staged.mkdir()
-        known[format_name].write(_Counted(data), staged, writing)
+        target.write(_Counted(data), staged, writing)
         sync_tree(staged)
         place(staged, out)
     console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")

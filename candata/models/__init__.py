@@ -4,18 +4,18 @@ from typing import Any
 
 from candata.errors import MissingExtraError
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
-from candata.plugins import load, names
+from candata.plugins import EXTRAS, Registry
 
-PACKAGE = "candata.models"
+MODELS = Registry("models", "candata.models", "MODEL", Model, "summary")
 #: Functions on poses; they need torch, so they are imported on first use.
 _POSES = ("increments", "integrate", "targets")
 
-__all__ = ["Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_POSES]
+__all__ = ["MODELS", "Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_POSES]
 
 
 def model_names() -> tuple[str, ...]:
-    """Return the names of all models: the files of the folder."""
-    return names(PACKAGE)
+    """Return the names of all models: the files of the folder, and those of other packages."""
+    return MODELS.names()
 
 
 def model(name: str) -> Model:
@@ -27,12 +27,10 @@ def model(name: str) -> Model:
         When there is none; lists those there are.
     MissingExtraError
         When torch is not installed.
+    PluginError
+        When it comes from another package and cannot be used.
     """
-    try:
-        found: Model = load(PACKAGE, "MODEL", name)
-    except ModuleNotFoundError as error:
-        raise _missing(error) from None
-    return found
+    return MODELS.load(name)
 
 
 def __getattr__(name: str) -> Any:
@@ -42,10 +40,7 @@ def __getattr__(name: str) -> Any:
     try:
         from candata.models import _poses
     except ModuleNotFoundError as error:
-        raise _missing(error) from None
+        if error.name not in EXTRAS:
+            raise
+        raise MissingExtraError(error.name, EXTRAS[error.name]) from None
     return getattr(_poses, name)
-
-
-def _missing(error: ModuleNotFoundError) -> Exception:
-    """Return what to raise: the install hint when it is torch that is missing."""
-    return MissingExtraError("torch", "train") if error.name == "torch" else error
