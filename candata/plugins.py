@@ -139,6 +139,10 @@ class Registry(Generic[T]):
         """
         return _all_loaded(self)
 
+    def module(self, name: str) -> str:
+        """Return the dotted name of the module that exports a plug-in."""
+        return f"{self.package}.{name}" if name in names(self.package) else _brought(self.kind)[name][0].module
+
     def origin(self, name: str) -> str:
         """Return the package that a plug-in comes from, with its version; `candata` for the built-in ones."""
         if name in names(self.package):

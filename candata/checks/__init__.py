@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -137,7 +137,7 @@ def _of_part(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None)
                 yield View(part.whole(raw) if deep else raw, scene, deep)
 
 
-def _look(view: View, rules: dict[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
+def _look(view: View, rules: Mapping[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
     """Yield what the rules find in one episode, and keep what they gather."""
     for name, rule in rules.items():
         reason = _obstacle(view, rule)

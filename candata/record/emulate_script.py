@@ -154,7 +154,8 @@ def write_script(
     still = round(still_s * rate)
     row = np.concatenate([np.zeros(still, np.int64), np.arange(len(episode))])
     position, action = _whole(episode, "joint_position"), _next(_whole(episode, "action"), episode.meta)
-    force = _whole(episode, "fingertip_force")[row][:, tips].astype(np.float64)
+    felt = _whole(episode, "fingertip_force")[:, tips] if tips else np.zeros((len(episode), 0, 3))
+    force = felt[row].astype(np.float64)
     force[:still] = 0
     force_counts, force_clipped = counted(force, device, scale)
     shares = tip_pattern(device.taxels)[:, None]

@@ -31,6 +31,7 @@ LAYERS = (
     ("checks",),
     ("repair",),
     ("reports",),
+    ("testing",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 
