@@ -198,7 +198,7 @@ def _loaded(registry: Registry[T], name: str) -> T:
     if len(points) > 1:
         raise _taken(registry, points[0], f"package {_package_of(points[1])} brings it too")
     (point,) = points
-    wanted = f"{point.value} is a {registry.contract.__name__}"
+    wanted = f"{point.value} of type {registry.contract.__name__}"
     try:
         plugin = point.load()
     except ModuleNotFoundError as error:

@@ -1,5 +1,6 @@
 """Models: one file each; the folder is the registry. Needs the extra `train`."""
 
+import importlib
 from typing import Any
 
 from candata.errors import MissingExtraError
@@ -7,10 +8,20 @@ from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.plugins import EXTRAS, Registry
 
 MODELS = Registry("models", "candata.models", "MODEL", Model, "summary")
-#: Functions on poses; they need torch, so they are imported on first use.
-_POSES = ("increments", "integrate", "targets")
+#: What a model's file is written with, to its module; most need torch, so they are imported on first use.
+_HOMES = {
+    "HistoryConfig": "candata.models._config",
+    "Reader": "candata.models._inputs",
+    "increments": "candata.models._poses",
+    "integrate": "candata.models._poses",
+    "known_steps": "candata.models._inputs",
+    "masked_mean": "candata.models._inputs",
+    "parser": "candata.models._config",
+    "seeded": "candata.models._seed",
+    "targets": "candata.models._poses",
+}
 
-__all__ = ["MODELS", "Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_POSES]
+__all__ = ["MODELS", "Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_HOMES]
 
 
 def model_names() -> tuple[str, ...]:
@@ -34,13 +45,12 @@ def model(name: str) -> Model:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a function on poses, imported on first use."""
-    if name not in _POSES:
+    """Return what models are written with, imported on first use."""
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        from candata.models import _poses
+        return getattr(importlib.import_module(_HOMES[name]), name)
     except ModuleNotFoundError as error:
         if error.name not in EXTRAS:
             raise
         raise MissingExtraError(error.name, EXTRAS[error.name]) from None
-    return getattr(_poses, name)
