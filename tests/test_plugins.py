@@ -120,11 +120,11 @@ def test_a_command_that_needs_a_broken_plug_in_says_which_package(site):
 def test_a_built_in_name_asks_no_other_package(site):
     code = """
 import importlib.metadata
-def forbidden(*words, **named): raise SystemExit("other packages were asked")
-importlib.metadata.entry_points = forbidden
 from candata.formats import FORMATS
 from candata.policies import policy
 from candata.scenes import load_scene
+def forbidden(*words, **named): raise SystemExit("other packages were asked")
+importlib.metadata.entry_points = forbidden
 FORMATS.load("table"), policy("push"), load_scene("cube_toss")
 """
     done = site.python("-c", code)
