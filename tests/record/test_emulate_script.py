@@ -171,3 +171,14 @@ def test_gaps_are_refused():
 def test_a_device_that_writes_no_frames_is_refused():
     with pytest.raises(UsageError, match="xhand cannot be emulated"):
         write_script(make(), "xhand", replace(XHAND, encoder=None))
+
+
+def test_a_device_without_taxels_is_emulated():
+    def state_frames(position, force, taxels):
+        return XHAND.encoder.state_frames(position, force, np.zeros((len(position), 5, 120, 3), int))
+
+    bare = replace(XHAND, taxels=0, encoder=replace(XHAND.encoder, state_frames=state_frames))
+    script = write_script(make(), "bare", bare)
+    assert script.taxel_counts.shape == (len(script), 5, 0, 3)
+    assert not script.taxels_clipped.any()
+    np.testing.assert_array_equal(script.force_counts, write_script(make(), "xhand", XHAND).force_counts)
