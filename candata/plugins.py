@@ -75,7 +75,7 @@ def load(package: str, constant: str, name: str) -> Any:
     try:
         return getattr(importlib.import_module(f"{package}.{name}"), constant)
     except ModuleNotFoundError as error:
-        raise _missing(error) from None
+        raise _missing_module(error) from None
 
 
 @dataclass(frozen=True)
@@ -104,11 +104,11 @@ class Registry(Generic[T]):
 
     def names(self) -> tuple[str, ...]:
         """Return all names, sorted, without importing a plug-in; a name that is taken counts once."""
-        return tuple(sorted({*names(self.package), *_brought(self.kind)}))
+        return tuple(sorted({*names(self.package), *_points_of(self.kind)}))
 
     def __contains__(self, name: str) -> bool:
         """Tell whether a plug-in has this name; other packages are only asked where the folder has none."""
-        return name in names(self.package) or name in _brought(self.kind)
+        return name in names(self.package) or name in _points_of(self.kind)
 
     def load(self, name: str) -> T:
         """Return the plug-in called `name`.
@@ -125,9 +125,9 @@ class Registry(Generic[T]):
         if name in names(self.package):
             plugin: T = load(self.package, self.constant, name)
             return plugin
-        if name not in _brought(self.kind):
+        if name not in _points_of(self.kind):
             raise UnknownNameError(self.constant.lower(), name, self.names())
-        return _loaded(self, name)
+        return _load_point(self, name)
 
     def load_all(self) -> Mapping[str, T]:
         """Return every plug-in by name; of those of other packages that cannot be used, a warning says so once.
@@ -137,17 +137,17 @@ class Registry(Generic[T]):
         MissingExtraError
             When a built-in one needs a package of an optional extra that is not installed.
         """
-        return _all_loaded(self)
+        return _load_every(self)
 
     def module(self, name: str) -> str:
         """Return the dotted name of the module that exports a plug-in."""
-        return f"{self.package}.{name}" if name in names(self.package) else _brought(self.kind)[name][0].module
+        return f"{self.package}.{name}" if name in names(self.package) else _points_of(self.kind)[name][0].module
 
     def origin(self, name: str) -> str:
         """Return the package that a plug-in comes from, with its version; `candata` for the built-in ones."""
         if name in names(self.package):
             return "candata"
-        return _package_of(_brought(self.kind)[name][0])
+        return _package_of(_points_of(self.kind)[name][0])
 
     def name_of(self, plugin: T) -> str | None:
         """Return the name under which a plug-in is registered; None where it is not."""
@@ -174,7 +174,7 @@ def registry(kind: str) -> Registry[Any]:
 
 
 @cache
-def _groups() -> Mapping[str, Mapping[str, tuple[EntryPoint, ...]]]:
+def _points_by_group() -> Mapping[str, Mapping[str, tuple[EntryPoint, ...]]]:
     """Return the entry points of all packages by group and name; the packages are scanned once."""
     from importlib.metadata import entry_points  # only who asks for other packages pays for it
 
@@ -186,34 +186,34 @@ def _groups() -> Mapping[str, Mapping[str, tuple[EntryPoint, ...]]]:
     return groups
 
 
-def _brought(kind: str) -> Mapping[str, tuple[EntryPoint, ...]]:
+def _points_of(kind: str) -> Mapping[str, tuple[EntryPoint, ...]]:
     """Return what other packages bring of a kind, by name."""
-    return _groups().get(f"{GROUP_PREFIX}{kind}", {})
+    return _points_by_group().get(f"{GROUP_PREFIX}{kind}", {})
 
 
 @cache
-def _loaded(registry: Registry[T], name: str) -> T:
+def _load_point(registry: Registry[T], name: str) -> T:
     """Return a plug-in of another package, checked."""
-    points = _brought(registry.kind)[name]
+    points = _points_of(registry.kind)[name]
     if len(points) > 1:
-        raise _taken(registry, points[0], f"package {_package_of(points[1])} brings it too")
+        raise _name_taken(registry, points[0], f"package {_package_of(points[1])} brings it too")
     (point,) = points
     wanted = f"{point.value} of type {registry.contract.__name__}"
     try:
         plugin = point.load()
     except ModuleNotFoundError as error:
         if error.name in EXTRAS:
-            raise _missing(error) from None
-        raise _unusable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
+            raise _missing_module(error) from None
+        raise _not_usable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
     except Exception as error:
-        raise _unusable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
+        raise _not_usable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
     if not isinstance(plugin, registry.contract):
-        raise _unusable(registry, point, wanted, f"{type(plugin).__name__}")
+        raise _not_usable(registry, point, wanted, f"{type(plugin).__name__}")
     return plugin
 
 
 @cache
-def _all_loaded(registry: Registry[T]) -> Mapping[str, T]:
+def _load_every(registry: Registry[T]) -> Mapping[str, T]:
     """Return every plug-in that can be used; warn of the others."""
     problems = _problems(registry)
     for problem in problems:
@@ -226,16 +226,16 @@ def _all_loaded(registry: Registry[T]) -> Mapping[str, T]:
 def _problems(registry: Registry[Any]) -> tuple[PluginError, ...]:
     """Return why plug-ins of other packages cannot be used."""
     problems = []
-    for name, points in _brought(registry.kind).items():
+    for name, points in _points_of(registry.kind).items():
         if name in names(registry.package):
-            problems += [_taken(registry, point, "it is built in") for point in points]
+            problems += [_name_taken(registry, point, "it is built in") for point in points]
             continue
         try:
-            _loaded(registry, name)
+            _load_point(registry, name)
         except PluginError as error:
             problems.append(error)
         except MissingExtraError as error:
-            problems.append(_unusable(registry, points[0], points[0].value, str(error.problem), error.fix))
+            problems.append(_not_usable(registry, points[0], points[0].value, str(error.problem), error.fix))
     return tuple(problems)
 
 
@@ -244,14 +244,14 @@ def _package_of(point: EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else point.module.partition(".")[0]
 
 
-def _taken(registry: Registry[Any], point: EntryPoint, why: str) -> PluginError:
+def _name_taken(registry: Registry[Any], point: EntryPoint, why: str) -> PluginError:
     """Return the error of a name that is another plug-in's."""
     fix = f"rename it in the entry points of {_package_of(point)}"
     kind = registry.constant.lower()
     return PluginError(kind, point.name, _package_of(point), expected="a name of its own", found=why, fix=fix)
 
 
-def _unusable(
+def _not_usable(
     registry: Registry[Any], point: EntryPoint, expected: str, found: str, fix: str | None = None
 ) -> PluginError:
     """Return the error of a plug-in that does not import or is no such constant."""
@@ -260,6 +260,6 @@ def _unusable(
     return PluginError(registry.constant.lower(), point.name, package, expected=expected, found=found, fix=fix)
 
 
-def _missing(error: ModuleNotFoundError) -> Exception:
+def _missing_module(error: ModuleNotFoundError) -> Exception:
     """Return what to raise for a module that is not installed: the install hint where it is an extra's."""
     return MissingExtraError(error.name, EXTRAS[error.name]) if error.name in EXTRAS else error

@@ -22,8 +22,8 @@ def require(holds: object, otherwise: str) -> None:
         raise AssertionError(otherwise)
 
 
-def registered(registry: Registry[Any], plugin: object) -> str:
-    """Return the name under which a plug-in is registered.
+def registered_name(registry: Registry[Any], plugin: object) -> str:
+    """Return the name under which a plug-in is registered_name.
 
     Raises
     ------
@@ -41,14 +41,14 @@ def registered(registry: Registry[Any], plugin: object) -> str:
 
 def require_words(registry: Registry[Any], plugin: object) -> None:
     """Claim that a plug-in has a line for people, and its module a docstring."""
-    name = registered(registry, plugin)
+    name = registered_name(registry, plugin)
     line = getattr(plugin, registry.summary)
     require(line and "\n" not in line, f"{name}: `{registry.summary}` is not one line")
     module = registry.module(name)
     require(importlib.import_module(module).__doc__, f"{module} has no docstring")
 
 
-def refusal(run: Callable[[], object], doing: str) -> CandataError:
+def refusal_of(run: Callable[[], object], doing: str) -> CandataError:
     """Return the error of candata with which something is refused.
 
     Raises

@@ -21,7 +21,7 @@ from candata.schema.channels import CHANNELS
 from candata.schema.episode import Episode
 from candata.simulate.episodes import Job, make_episodes
 from candata.simulate.jobs import possible_policies
-from candata.testing._claims import registered, require, require_words
+from candata.testing._claims import registered_name, require, require_words
 
 Arrays = dict[str, NDArray]
 
@@ -61,7 +61,7 @@ class CheckConformance:
     def test_sound_data_say_nothing(self) -> None:
         """A false alarm makes people ignore the next one. What cannot be checked may be said."""
         for name in self.scenes:
-            scene, sound = _sound(name, self.episodes, self.duration_s)
+            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
             for given in (None, scene):
                 alarms = [f for f in self._findings(sound, given) if f.level in ("error", "warning")]
                 require(not alarms, f"scene {name}: sound data raise {alarms[:3]}")
@@ -70,7 +70,7 @@ class CheckConformance:
         """In the data of one of the scenes at least, and said in words that can be acted on."""
         found: list[Finding] = []
         for name in self.scenes:
-            scene, sound = _sound(name, self.episodes, self.duration_s)
+            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
             rng, raws = np.random.default_rng(0), [stored(episode) for episode in sound]
             damaged = [self.damage(dict(raw.arrays), raw.meta().rate_hz, rng) for raw in raws]
             if any(arrays is not None for arrays in damaged):
@@ -78,12 +78,12 @@ class CheckConformance:
                 found += [f for f in self._findings(given, scene) if f.level in ("error", "warning")]
         require(found, "its defect is not found")
         for finding in found:
-            _require_said(finding, registered(RULES, self.rule))
+            _require_said(finding, registered_name(RULES, self.rule))
 
     def test_no_data_break_it(self) -> None:
         """Channels that lack or hold nothing but NaN, and a single row: a finding or nothing, never an exception."""
         for name in self.scenes:
-            scene, sound = _sound(name, self.episodes, self.duration_s)
+            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
             raws = [stored(episode) for episode in sound]
             for broken in (_without_channels, _all_nan, _one_row):
                 self._findings([with_arrays(raw, broken(raw.arrays)) for raw in raws], scene)
@@ -92,11 +92,11 @@ class CheckConformance:
         """Return what the rule finds in stored episodes."""
         with tempfile.TemporaryDirectory() as folder:
             root = write(Path(folder) / "set", [stored(episode) for episode in episodes])
-            return check(open_dataset(root, partial=True), rules=[registered(RULES, self.rule)], scene=scene)
+            return check(open_dataset(root, partial=True), rules=[registered_name(RULES, self.rule)], scene=scene)
 
 
 @cache
-def _sound(name: str, count: int, duration_s: float) -> tuple[Scene, tuple[Episode, ...]]:
+def _sound_episodes(name: str, count: int, duration_s: float) -> tuple[Scene, tuple[Episode, ...]]:
     """Return a scene and episodes of its own policies in turn, with its declared noise."""
     scene = load_scene(name)
     motions = possible_policies(scene)

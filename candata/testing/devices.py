@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from candata.errors import MissingExtraError
 from candata.record.devices import DEVICES, Device, Encoder, Frame
 from candata.schema.episode import Episode, EpisodeMeta
-from candata.testing._claims import registered, require, require_words
+from candata.testing._claims import registered_name, require, require_words
 
 ROWS = 24
 
@@ -99,7 +99,7 @@ class DeviceConformance:
             noise, cut = rng.bytes(int(rng.integers(1, 40))), frame[: int(rng.integers(1, len(frame)))]
             stream = [*rows.frames[:number], noise, cut, *rows.frames[number:]]
             found = [f.data for f in self._read(b"".join(stream), 64)]
-            require(_holds(found, rows.frames), f"garbage before frame {number} costs a sound frame")
+            require(_is_subsequence(found, rows.frames), f"garbage before frame {number} costs a sound frame")
 
     def test_no_bytes_break_it(self) -> None:
         """A framer never raises, and a state that comes out of noise decodes."""
@@ -113,7 +113,7 @@ class DeviceConformance:
         from candata.record.emulate_script import write_script
         from candata.record.logs import read_log
 
-        name = registered(DEVICES, self.device)
+        name = registered_name(DEVICES, self.device)
         script = write_script(self._episode(), name, self.device, rate_hz=None, still_s=0.0)
         try:
             _record(self.device, name, script, tmp_path / "log.mcap")
@@ -122,8 +122,8 @@ class DeviceConformance:
         log = read_log(tmp_path / "log.mcap")
         require(len(log.force_counts), "the recording holds no states")
         sent = self.device.states(script.states)
-        heard, known = (_distinct_rows(rows.joint_position, rows.force_counts) for rows in (log, sent))
-        require(heard <= known, "the log holds states that were not sent")
+        recorded, known = (_distinct_rows(rows.joint_position, rows.force_counts) for rows in (log, sent))
+        require(recorded <= known, "the log holds states that were not sent")
         require((log.taxel_counts is None) == (self.device.taxels == 0), "taxels are in the log where there are none")
 
     def _encoder(self) -> Encoder:
@@ -175,7 +175,7 @@ def _distinct_rows(joints: NDArray, counts: NDArray) -> set[bytes]:
     return {row.tobytes() for row in np.c_[joints, counts.reshape(len(counts), -1)]}
 
 
-def _holds(found: Sequence[bytes], wanted: Sequence[bytes]) -> bool:
+def _is_subsequence(found: Sequence[bytes], wanted: Sequence[bytes]) -> bool:
     """Tell whether all that is wanted is found, in its order; more may be found between."""
     rest = iter(found)
     return all(any(frame == other for other in rest) for frame in wanted)
@@ -188,7 +188,7 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
     from candata.record.recorder import record
     from candata.record.recorder_values import Settings
 
-    played = threading.Event()
+    played, enough = threading.Event(), threading.Event()
     with Line() as line:
 
         def send() -> None:
@@ -199,15 +199,14 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
         sender.start()
         try:
             settings = Settings(duration_s=None, calibrate_s=0.0, reserve_bytes=0)
-            heard: list[int] = []
             report = record(
                 device,
                 line.port,
                 out,
                 name=name,
                 settings=settings,
-                stop=lambda: bool(heard),
-                show=lambda view: heard.append(1) if view.frames["state"] >= ROWS else None,
+                stop=enough.is_set,
+                show=lambda view: enough.set() if view.frames["state"] >= ROWS else None,
             )
         finally:
             played.set()

@@ -20,7 +20,7 @@ from candata.simulate import rollout
 from candata.simulate.jobs import possible_policies
 from candata.simulate.seal import draw_parameter
 from candata.simulate.world import build_worlds
-from candata.testing._claims import refusal, registered, require, require_words
+from candata.testing._claims import refusal_of, registered_name, require, require_words
 from candata.units import TO_SI
 
 Readings = dict[str, NDArray[np.float64]]
@@ -84,12 +84,12 @@ class EffectConformance:
     def test_it_can_act_in_one_of_the_scenes(self) -> None:
         """Else nothing below would say anything."""
         names = ", ".join(scene.name for scene in self._scenes())
-        require(self._possible(), f"it can act in none of {names}: name another in `scenes`")
+        require(self._possible_scenes(), f"it can act in none of {names}: name another in `scenes`")
 
     def test_the_neutral_value_changes_nothing_bit_for_bit(self) -> None:
         """Not named, or named at its identity, an effect is not there."""
-        for scene in self._possible():
-            readings = self._neutral(scene)
+        for scene in self._possible_scenes():
+            readings = self._neutral_readings(scene)
             for channel, values in readings.items():
                 same = all(np.array_equal(row, values[0]) for row in values[1:])
                 require(same, f"scene {scene.name}: the neutral value moves {channel}")
@@ -98,11 +98,11 @@ class EffectConformance:
         """A probe that moves nothing teaches nothing; one that gives NaN ends a diagnosis."""
         if self.effect.fitted:
             return
-        for scene in self._possible():
-            probes, readings = self._probed(scene)
+        for scene in self._possible_scenes():
+            probes, readings = self._probe_readings(scene)
             for row, probe in enumerate(probes, start=1):
                 where = f"scene {scene.name}: {probe.model_dump_json()}"
-                require(_moved(readings, row), f"{where} moves nothing")
+                require(_channels_moved(readings, row), f"{where} moves nothing")
                 require(all(np.isfinite(v[row]).all() for v in readings.values()), f"{where} reads what is not finite")
 
     def test_a_filter_of_readings_moves_only_what_it_says(self) -> None:
@@ -111,17 +111,17 @@ class EffectConformance:
         require(
             bool(moves) == (self.effect.reading is not None), "`moves` names channels where there is a reading hook"
         )
-        for scene in self._possible() if moves and not self.effect.fitted else ():
-            probes, readings = self._probed(scene)
-            moved = set().union(*(_moved(readings, row + 1) for row in range(len(probes))))
+        for scene in self._possible_scenes() if moves and not self.effect.fitted else ():
+            probes, readings = self._probe_readings(scene)
+            moved = set().union(*(_channels_moved(readings, row + 1) for row in range(len(probes))))
             require(moved <= moves, f"scene {scene.name}: it moves {', '.join(sorted(moved - moves))}, not in `moves`")
 
     def test_a_world_repeats_and_does_not_see_its_neighbours(self) -> None:
         """The same world gives the same bits, alone or among others."""
         if self.effect.fitted:
             return
-        for scene in self._possible():
-            probes, readings = self._probed(scene)
+        for scene in self._possible_scenes():
+            probes, readings = self._probe_readings(scene)
             alone = self.play(scene, [(probes[-1],)])
             for channel, values in alone.items():
                 require(
@@ -130,8 +130,8 @@ class EffectConformance:
 
     def test_a_setting_comes_back_through_json(self) -> None:
         """Settings and vectors are two views of one thing, and files hold them."""
-        name = registered(EFFECTS, self.effect)
-        for scene in self._possible() if not self.effect.fitted else ():
+        name = registered_name(EFFECTS, self.effect)
+        for scene in self._possible_scenes() if not self.effect.fitted else ():
             x = np.concatenate([draw_parameter(p, scene, np.random.default_rng(3)) for p in self.effect.parameters])
             given = setting(name, x, scene)
             require(np.array_equal(flatten(given, scene), x), "a setting does not give back its vector")
@@ -140,22 +140,22 @@ class EffectConformance:
 
     def test_bad_parameters_are_refused(self) -> None:
         """Out of bounds, no number, no such parameter: an error that says what was expected."""
-        name = registered(EFFECTS, self.effect)
-        for scene in self._possible():
+        name = registered_name(EFFECTS, self.effect)
+        for scene in self._possible_scenes():
             bad = [EffectSetting(name=name, parameters={"no_such_parameter": 1.0})]
             bad += [given for p in self.effect.parameters for given in _out_of_bounds(name, p, scene)]
             for given in bad:
-                error = refusal(partial(flatten, given, scene), given.model_dump_json())
+                error = refusal_of(partial(flatten, given, scene), given.model_dump_json())
                 require(
                     isinstance(error, UsageError), f"{given.model_dump_json()} is refused as {type(error).__name__}"
                 )
 
     def test_it_is_refused_where_it_cannot_act(self) -> None:
         """And each of its elements can be built where it can."""
-        name = registered(EFFECTS, self.effect)
+        name = registered_name(EFFECTS, self.effect)
         for scene in self._scenes():
             if not self.effect.possible(scene):
-                refusal(partial(build_worlds, scene, [(EffectSetting(name=name),)]), f"scene {scene.name}")
+                refusal_of(partial(build_worlds, scene, [(EffectSetting(name=name),)]), f"scene {scene.name}")
                 continue
             build_worlds(scene, [(EffectSetting(name=name, element=e),) for e in self.effect.elements(scene)])
 
@@ -165,22 +165,22 @@ class EffectConformance:
         return [_scene(name) for name in cls.scenes]
 
     @classmethod
-    def _possible(cls) -> list[Scene]:
+    def _possible_scenes(cls) -> list[Scene]:
         """Return the scenes in which the effect can act."""
         return [scene for scene in cls._scenes() if cls.effect.possible(scene)]
 
     @classmethod
     @cache
-    def _probed(cls, scene: Scene) -> tuple[list[EffectSetting], Readings]:
+    def _probe_readings(cls, scene: Scene) -> tuple[list[EffectSetting], Readings]:
         """Return a setting a probe value and component, and the readings of the nominal world and of these, in rows."""
-        probes = list(_probes(registered(EFFECTS, cls.effect), cls.effect, scene))
+        probes = list(_probes(registered_name(EFFECTS, cls.effect), cls.effect, scene))
         return probes, cls().play(scene, [(), *((probe,) for probe in probes)])
 
     @classmethod
     @cache
-    def _neutral(cls, scene: Scene) -> Readings:
+    def _neutral_readings(cls, scene: Scene) -> Readings:
         """Return the readings of the nominal world, and of those with the effect at its identity."""
-        name = registered(EFFECTS, cls.effect)
+        name = registered_name(EFFECTS, cls.effect)
         x = flatten(EffectSetting(name=name), scene)
         neutral = [EffectSetting(name=name)]
         neutral += [setting(name, x, scene)] if np.isfinite(x).all() else []
@@ -227,7 +227,7 @@ def _probes(name: str, effect: Effect, scene: Scene) -> Iterator[EffectSetting]:
         start += p.size(scene)
 
 
-def _moved(readings: Readings, row: int) -> set[str]:
+def _channels_moved(readings: Readings, row: int) -> set[str]:
     """Return the channels in which a row differs from the first."""
     return {channel for channel, values in readings.items() if not np.array_equal(values[row], values[0])}
 

@@ -16,7 +16,7 @@ from candata.datasets.encode import content_hash
 from candata.errors import CandataError
 from candata.formats import FORMATS, Format, Reading, Writing
 from candata.schema.episode import Episode, EpisodeMeta
-from candata.testing._claims import refusal, registered, require, require_words
+from candata.testing._claims import refusal_of, registered_name, require, require_words
 
 #: Files of a source that are damaged, at most, and how often a bit of each is flipped.
 MOST_DAMAGED, FLIPS = 12, 2
@@ -43,13 +43,13 @@ class FormatConformance:
         """Return a source in `folder`, and its map where one is needed; to be replaced for what is only read."""
         if self.format.write is None:
             _skip("the format writes nothing: give the suite a `source` to read")
-        self._written(made_up_episodes(), folder)
+        self._write(made_up_episodes(), folder)
         return folder, None
 
     def test_it_is_registered_and_in_words(self) -> None:
         """Users come to it by its name, and read what it is."""
         require_words(FORMATS, self.format)
-        name = registered(FORMATS, self.format)
+        name = registered_name(FORMATS, self.format)
         require(self.format.name == name, f"`name` is {self.format.name!r}, and it is registered as {name!r}")
         require(self.format.read or self.format.write, "it neither reads nor writes")
 
@@ -59,7 +59,7 @@ class FormatConformance:
             _skip("the format does not both read and write")
         episodes = made_up_episodes()
         for variant in (None, *self.format.variants):
-            folder = self._written(episodes, tmp_path / (variant or "usual"), variant)
+            folder = self._write(episodes, tmp_path / (variant or "usual"), variant)
             back = self._read(folder, None)
             ids = [episode.meta.id for episode in back]
             require(len(back) == len(episodes), f"{len(episodes)} episodes were written, {len(back)} come back")
@@ -85,7 +85,7 @@ class FormatConformance:
         (tmp_path / "empty").mkdir()
         (tmp_path / "other.txt").write_text("this is not a recording\n")
         for source in (tmp_path / "nothing", tmp_path / "empty", tmp_path / "other.txt"):
-            refusal(partial(self._read, source, mapping), source.name)
+            refusal_of(partial(self._read, source, mapping), source.name)
 
     def test_damage_is_refused_or_harmless(self, tmp_path: Path) -> None:
         """Each file cut, emptied, removed or with bits changed: candata's error, or whole episodes."""
@@ -108,7 +108,7 @@ class FormatConformance:
         folder.mkdir(exist_ok=True, parents=True)
         return self.source(folder / "source")
 
-    def _written(self, episodes: Sequence[Episode], folder: Path, variant: str | None = None) -> Path:
+    def _write(self, episodes: Sequence[Episode], folder: Path, variant: str | None = None) -> Path:
         """Return the folder, with the episodes written into it."""
         if self.format.write is None:
             _skip("the format writes nothing")

@@ -13,7 +13,7 @@ from candata.loaders import Normaliser, Scale
 from candata.models import MODELS, Model, Sizes, integrate
 from candata.schema.channels import CHANNELS
 from candata.schema.record import Record
-from candata.testing._claims import refusal, require, require_words
+from candata.testing._claims import refusal_of, require, require_words
 
 SIZES = Sizes(history=4, horizon=8, joints=3, actuators=2, fingertips=2, points=20)
 #: Fields that make the built-in models tiny; of another model, those it has are set.
@@ -116,14 +116,14 @@ class ModelConformance:
 
     def test_a_wrong_field_is_refused(self) -> None:
         """With an error that names it."""
-        error = refusal(lambda: self.model.parse({"no_such_field": 1}), "a field that does not exist")
+        error = refusal_of(lambda: self.model.parse({"no_such_field": 1}), "a field that does not exist")
         named = isinstance(error, UsageError) and "no_such_field" in str(error)
         require(named, f"the error does not name the field: {error}")
 
     def test_forecasts_have_their_shapes_and_are_finite(self) -> None:
         """`(M, B, H, 6) float32`, contact `(B, H)` between 0 and 1 or None, and no gradient is kept."""
         state = torch.random.get_rng_state()
-        net = self._built()
+        net = self._build()
         found = net.forecast(made_up_batch(5), 3, 4, seeded())
         shape = (3, 5, SIZES.horizon, 6)
         require(found.increments.shape == shape, f"increments are {tuple(found.increments.shape)}, expected {shape}")
@@ -140,13 +140,13 @@ class ModelConformance:
 
     def test_the_seed_decides_the_first_weights(self) -> None:
         """The same seed gives the same bits, another seed others."""
-        first, same, other = (_weights(self._built(seed=seed)) for seed in (0, 0, 1))
+        first, same, other = (_weights(self._build(seed=seed)) for seed in (0, 0, 1))
         require(torch.equal(first, same), "the same seed gives other first weights")
         require(not torch.equal(first, other), "the configuration's `seed` does not change the first weights")
 
     def test_the_generator_decides_the_rest(self) -> None:
         """Losses and forecasts repeat with a generator of the same seed."""
-        net, batch = _moved(self._built()), made_up_batch(4)
+        net, batch = _perturbed(self._build()), made_up_batch(4)
         losses = [net.losses(batch, seeded(1))["loss"].detach() for _ in range(2)]
         require(torch.equal(*losses), "the same generator gives another loss")
         drawn = [net.forecast(batch, 3, 4, seeded(1)).increments for _ in range(2)]
@@ -156,14 +156,14 @@ class ModelConformance:
         """All that a forecast needs lies in the state that a checkpoint keeps."""
         from safetensors.torch import load, save
 
-        net, other = _moved(self._built()), self._built(seed=1)
+        net, other = _perturbed(self._build()), self._build(seed=1)
         other.load_state_dict(load(save({k: v.contiguous().clone() for k, v in net.state_dict().items()})))
         first, second = (module.forecast(made_up_batch(3), 2, 3, seeded()).increments for module in (net, other))
         require(torch.equal(first, second), "a model that was saved and loaded forecasts something else")
 
     def test_pads_are_not_read(self) -> None:
         """Rows that are no part of the episode may hold anything."""
-        net, batch = _moved(self._built()), made_up_batch(4)
+        net, batch = _perturbed(self._build()), made_up_batch(4)
         batch["future_pad"][:, 5:] = True
         before = net.losses(batch, seeded())["loss"].detach()
         batch["future/object_pose"][:, 5:] = torch.nan
@@ -180,7 +180,7 @@ class ModelConformance:
 
     def test_a_forecast_does_not_read_the_future(self) -> None:
         """What was recorded after the present is not there when a forecast is made."""
-        net, batch = _moved(self._built()), made_up_batch(4)
+        net, batch = _perturbed(self._build()), made_up_batch(4)
         first = net.forecast(batch, 1, 2, seeded()).increments
         present = {name: value for name, value in batch.items() if not name.startswith("future/")}
         second = net.forecast(present, 1, 2, seeded()).increments
@@ -188,7 +188,7 @@ class ModelConformance:
 
     def test_it_learns_one_batch(self) -> None:
         """The loss is finite, reaches every weight, and falls to half on a batch that is seen again and again."""
-        net, batch = self._built(), made_up_batch(4)
+        net, batch = self._build(), made_up_batch(4)
         optimiser = torch.optim.AdamW(net.parameters(), lr=self.learning_rate, weight_decay=0.0)
         history, moved = [], set()
         for step in range(self.learning_steps):
@@ -204,7 +204,7 @@ class ModelConformance:
         begin, end = np.mean(history[:10]), np.mean(history[-10:])
         require(end < begin / 2, f"the loss on one batch falls from {begin:.3g} to {end:.3g} only")
 
-    def _built(self, **fields: Any) -> Any:
+    def _build(self, **fields: Any) -> Any:
         """Return a tiny module of the model."""
         return self.model.build(tiny_config(self.model, **{**self.config, **fields}), SIZES, made_up_normaliser())
 
@@ -225,7 +225,7 @@ def _weights(module: torch.nn.Module) -> torch.Tensor:
     return torch.cat([p.detach().flatten() for p in module.parameters()])
 
 
-def _moved(module: Any) -> Any:
+def _perturbed(module: Any) -> Any:
     """Return the module with every weight off its start, so that outputs that start at zero show something."""
     with torch.no_grad():
         for number, parameter in enumerate(module.parameters()):

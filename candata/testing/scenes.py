@@ -12,7 +12,7 @@ from candata.scenes import Scene, load_scene
 from candata.scenes.contract import SCENES, BuiltinScene
 from candata.scenes.roles import roles
 from candata.simulate import at_rest, rollout
-from candata.testing._claims import registered, require, require_words
+from candata.testing._claims import registered_name, require, require_words
 
 
 class SceneConformance:
@@ -69,4 +69,4 @@ class SceneConformance:
 
     def _load(self) -> Scene:
         """Return the scene, compiled anew."""
-        return load_scene(registered(SCENES, self.scene))
+        return load_scene(registered_name(SCENES, self.scene))
