@@ -216,8 +216,12 @@ def _load_point(registry: Registry[T], name: str) -> T:
 def _load_every(registry: Registry[T]) -> Mapping[str, T]:
     """Return every plug-in that can be used; warn of the others."""
     problems = _problems(registry)
-    for problem in problems:
-        warnings.warn(PluginWarning(str(problem)), stacklevel=3)
+    if problems:
+        from multiprocessing import parent_process  # only where there is something to say
+
+        # Workers of a pool load all plug-ins too; what started them has said it.
+        for problem in problems if parent_process() is None else ():
+            warnings.warn(PluginWarning(str(problem)), stacklevel=3)
     broken = {problem.name for problem in problems} - set(names(registry.package))
     return {name: registry.load(name) for name in registry.names() if name not in broken}
 
