@@ -94,12 +94,14 @@ class Parameter:
 
         own = self.neutral
         return replace(
-            self, unit=RAILS[self.unit], bounds=longer,
+            self,
+            unit=RAILS[self.unit],
+            bounds=longer,
             probes=lambda scene: tuple(factor * v for v in self.probes(scene)),
             draws=lambda scene: tuple((factor * a, factor * b) for a, b in self.draws(scene)),
             identity=lambda scene: factor * self.identity(scene),
             neutral=(lambda scene: factor * own(scene)) if own else None,
-        )  # fmt: skip
+        )
 
 
 class Forces(NamedTuple):
