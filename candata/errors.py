@@ -126,3 +126,14 @@ class MissingExtraError(SetupError):
     def __init__(self, package: str, extra_name: str):
         """Write the one-line install hint."""
         super().__init__(f"{package} is not installed", fix=f'pip install "candata[{extra_name}]"')
+
+
+class PluginError(SetupError):
+    """A plug-in that another package brings cannot be used; `name` is the plug-in's."""
+
+    def __init__(self, kind: str, name: str, package: str, *, expected: str, found: str, fix: str):
+        """Write the message from the kind of plug-in, its name and the package it comes from."""
+        super().__init__(
+            f"{kind} {name!r} of package {package} cannot be used", expected=expected, found=found, fix=fix
+        )
+        self.name = name

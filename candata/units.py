@@ -28,6 +28,7 @@ TO_SI: dict[str, float] = {
     "mN": 1e-3,
     "N m": 1.0,
     "mN m": 1e-3,
+    "N m/rad": 1.0,
     "N m s/rad": 1.0,
     "N s/m": 1.0,
     "kg": 1.0,

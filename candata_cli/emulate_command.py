@@ -105,7 +105,7 @@ def emulate(
         if path:
             check_output(path, "new", option)
     model, fault_plan = device(device_name), parse_faults(faults)
-    encoder_of(device_name)
+    encoder_of(device_name, model)
     _check(loop, seed, fault_plan, link)
     if episode is not None and dataset is None:
         raise UsageError("--episode names an episode of a dataset", fix="give --dataset")

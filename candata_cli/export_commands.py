@@ -43,14 +43,13 @@ def export(
     from candata.datasets.drafts import draft_beside, place
     from candata.datasets.durable import sync_tree
     from candata.errors import UnknownNameError, UsageError
-    from candata.formats import Writing
-    from candata.plugins import load, names
+    from candata.formats import FORMATS, Writing
 
-    formats = {name: load("candata.formats", "FORMAT", name) for name in names("candata.formats")}
-    writable = [name for name, entry in formats.items() if entry.write]
-    if format_name not in writable:
+    target = FORMATS.load(format_name) if format_name in FORMATS else None
+    if target is None or target.write is None:
+        writable = [name for name, entry in FORMATS.load_all().items() if entry.write is not None]
         raise UnknownNameError("format to export to", format_name, writable)
-    if v21 and "v21" not in formats[format_name].variants:
+    if v21 and "v21" not in target.variants:
         raise UsageError(f"`export {format_name}` takes no --v21", fix="leave it out")
     check_output(out, "new")
     data = console.open_named(dataset, version)
@@ -60,7 +59,7 @@ def export(
     with console.stoppable(lambda: console.written_clause(out)), draft_beside(out) as folder:
         export_folder = folder / "export"
         export_folder.mkdir()
-        formats[format_name].write(_WithProgress(data), export_folder, writing)
+        target.write(_WithProgress(data), export_folder, writing)
         sync_tree(export_folder)
         place(export_folder, out)
     console.out(f"{out}: {len(data)} episodes of {data.name}@{data.digest[:12]}")

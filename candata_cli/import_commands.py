@@ -157,12 +157,11 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
     from candata import __version__
     from candata.datasets.encode import content_hash
     from candata.errors import UnknownNameError, UsageError
-    from candata.formats import Reading
-    from candata.plugins import load, names
+    from candata.formats import FORMATS, Reading
     from candata.schema.manifest import Lineage
 
-    if format_name not in names("candata.formats"):
-        raise UnknownNameError("format", format_name, [*names("candata.formats"), LOG])
+    if format_name not in FORMATS:
+        raise UnknownNameError("format", format_name, [*FORMATS.names(), LOG])
     if options.get("source", "real") not in ("sim", "real"):
         raise UsageError("--source is neither sim nor real", found=options["source"])
     if len(sources) > 1:
@@ -172,8 +171,9 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
             fix="import them one after the other, with --append",
         )
     (source,) = sources
-    reader = load("candata.formats", "FORMAT", format_name)
-    if reader.read is None:
+    reader = FORMATS.load(format_name)
+    read = reader.read
+    if read is None:
         raise UsageError(f"{format_name} can be exported, not imported")
     if options["mapping"] is not None and not reader.takes_map:
         raise UsageError(f"`import {format_name}` takes no --map", fix="leave it out")
@@ -183,7 +183,7 @@ def _import_format(format_name: str, sources: list[Path], out: Path, append: boo
     operation, hashes = f"import {format_name}", []
 
     def episodes() -> Iterator[Episode]:
-        for episode in reader.read(source, reading):
+        for episode in read(source, reading):
             hashes.append(content_hash(episode))
             yield episode
 
@@ -277,11 +277,11 @@ def fetch(
 ) -> None:
     """Fetch a public data set into a dataset, its hashes and licence checked."""
     from candata import __version__
-    from candata.plugins import load
+    from candata.fetch import SOURCES
     from candata.schema.manifest import Lineage
     from candata.user_folders import user_cache
 
-    source, downloads = load("candata.fetch", "SOURCE", name.replace("-", "_")), cache or user_cache()
+    source, downloads = SOURCES.load(name.replace("-", "_")), cache or user_cache()
     _refuse_standing(out, append)
     if folder is None:
         check_output(downloads, "folder", "--cache")

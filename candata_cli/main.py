@@ -14,6 +14,7 @@ import shlex
 import signal
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
     _draw_in_children()
     interrupts: list[int] = []
     try:
-        with _noting_interrupts(interrupts):
+        with _noting_interrupts(interrupts), _plain_plugin_warnings():
             app = build()
             _leave_unread(app, words)
             app(args=words, prog_name="candata")
@@ -121,6 +122,26 @@ def _noting_interrupts(interrupts: list[int]) -> Iterator[None]:
     finally:
         if signal.getsignal(signal.SIGINT) is note:
             signal.signal(signal.SIGINT, handler)
+
+
+@contextmanager
+def _plain_plugin_warnings() -> Iterator[None]:
+    """Print what is wrong with another package's plug-in as its text alone; other warnings as ever."""
+    usual_format = warnings.formatwarning
+
+    def plain(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        # By its name: importing its class would cost every command.
+        if category.__name__ == "PluginWarning":
+            return f"{message}\n"
+        return usual_format(message, category, filename, lineno, line)
+
+    warnings.formatwarning = plain
+    try:
+        yield
+    finally:
+        warnings.formatwarning = usual_format
 
 
 def _report_stop(stop: StoppedRun, words: Sequence[str]) -> int:

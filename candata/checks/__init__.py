@@ -4,38 +4,39 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from candata import plugins
 from candata.checks._finding import LEVELS, Finding, Group, Level, Rule, grouped
 from candata.checks._view import View
 from candata.errors import DataError
+from candata.plugins import Registry
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset, RawPart
     from candata.scenes import Scene
 
-__all__ = ["LEVELS", "Finding", "Group", "Level", "Rule", "View", "check", "grouped", "meanings", "rule_names"]
+__all__ = ["LEVELS", "RULES", "Finding", "Group", "Level", "Rule", "View", "check", "grouped", "meanings", "rule_names"]
 
 #: The file of this folder that is no rule: it makes what rules must find.
 NOT_PLUGINS = ("defects",)
+RULES = Registry("checks", "candata.checks", "RULE", Rule, "meaning")
 #: Episodes that are kept whole for rules that play the scene. Chosen: an exchange in a tenth of them shows in two of 48
 #: with a chance of 0.96, and 48 episodes of a hand take some 10 MB.
 DRAWN = 48
 
 
 def rule_names() -> tuple[str, ...]:
-    """Return the names of all rules, sorted."""
-    return plugins.names(__name__)
+    """Return the names of all rules that can be applied, sorted."""
+    return tuple(RULES.load_all())
 
 
 def meanings() -> dict[str, str]:
     """Return what each rule says, by name."""
-    return {name: plugins.load(__name__, "RULE", name).meaning for name in rule_names()}
+    return {name: rule.meaning for name, rule in RULES.load_all().items()}
 
 
 def check(
@@ -69,8 +70,10 @@ def check(
     ------
     UnknownNameError
         When there is no such rule.
+    PluginError
+        When a rule that is asked for comes from another package and cannot be used.
     """
-    chosen = {name: plugins.load(__name__, "RULE", name) for name in (rule_names() if rules is None else rules)}
+    chosen = RULES.load_all() if rules is None else {name: RULES.load(name) for name in rules}
     gathered: dict[str, list[Any]] = defaultdict(list)
     looked: set[str] = set()
     found: list[Finding] = []
@@ -134,7 +137,7 @@ def _of_part(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None)
                 yield View(part.with_dense(raw) if deep else raw, scene, deep)
 
 
-def _look(view: View, rules: dict[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
+def _look(view: View, rules: Mapping[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
     """Yield what the rules find in one episode, and keep what they gather."""
     for name, rule in rules.items():
         reason = _obstacle(view, rule)

@@ -1,11 +1,13 @@
 """Effects: one file each; the folder is the registry."""
 
-from candata.effects._contract import Bounds, Effect, Forces, Hook, Parameter
+from candata.effects._contract import Advice, Bounds, Effect, Forces, Hook, Parameter, Trait
 from candata.effects._file import read_effects, scene_of
 from candata.effects._lookup import (
+    EFFECTS,
     active,
     effect,
     effect_names,
+    effects_with,
     flatten,
     members_of,
     parameters_on,
@@ -16,14 +18,18 @@ from candata.effects._lookup import (
 )
 
 __all__ = [
+    "EFFECTS",
+    "Advice",
     "Bounds",
     "Effect",
     "Forces",
     "Hook",
     "Parameter",
+    "Trait",
     "active",
     "effect",
     "effect_names",
+    "effects_with",
     "flatten",
     "members_of",
     "parameters_on",

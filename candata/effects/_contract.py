@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,6 +16,13 @@ Array = NDArray[np.float64]
 Elements = Sequence[str | None]
 Readings = dict[str, Array]
 
+
+#: What other rooms ask of an effect. `simulator`: it changes how the simulation computes, not the world. `solver`: the
+#: bench hides it as a mismatch of the solver. `one_for_all`: its one number for all joints is never just a little
+#: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them (`gap/rest_scale.py` reads them off
+#: tosses). `contact_spring`: it is one of the two numbers of the spring and damper of contacts, stiffness
+#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref").
+Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring"]
 
 #: Units of joints that turn, to those of joints that slide.
 RAILS = {"rad": "m", "N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
@@ -140,6 +147,24 @@ class Hook:
 
 
 @dataclass(frozen=True)
+class Advice:
+    """What to change in a simulator for an effect, in words.
+
+    Attributes
+    ----------
+    change : str
+        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{tip}` and
+        `{surface}` are what it acts on.
+    mjcf : str
+        How MJCF says it, `{raw}` the SI number; empty where MJCF has no attribute for it. Source of the attributes:
+        MuJoCo manual, XML reference.
+    """
+
+    change: str
+    mjcf: str = ""
+
+
+@dataclass(frozen=True)
 class Effect:
     """A small physical change of the simulated world.
 
@@ -176,6 +201,10 @@ class Effect:
     pace : callable, optional
         `(scene, x (d,)) -> float` true time that passes during one recorded control step, in control steps; the
         edit scales the physics step by the same.
+    advice : Advice, optional
+        What a report tells people to change; by default `about` and the value.
+    traits : frozenset of str
+        See `Trait`.
     """
 
     about: str
@@ -194,6 +223,8 @@ class Effect:
     pace: Callable[[Scene, Array], float] | None = None
     fitted: bool = False
     early: bool = False
+    advice: Advice | None = None
+    traits: frozenset[Trait] = frozenset()
 
 
 def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:

@@ -6,18 +6,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Effect, Parameter
+from candata.effects._contract import Array, Effect, Parameter, Trait
 from candata.errors import UnknownNameError, UsageError
-from candata.plugins import load, names
+from candata.plugins import Registry
 from candata.scenes.assemble import Scene
 from candata.schema.effect import EffectSetting, Value
 
-PACKAGE = "candata.effects"
+EFFECTS = Registry("effects", "candata.effects", "EFFECT", Effect, "about")
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects that are searched and drawn: the files of the folder but the fitted ones."""
-    return tuple(name for name in names(PACKAGE) if not effect(name).fitted)
+    """Return the names of all effects that are searched and drawn: every one but those that are only fitted."""
+    return tuple(name for name, kind in EFFECTS.load_all().items() if not kind.fitted)
+
+
+def effects_with(trait: Trait) -> tuple[str, ...]:
+    """Return the names of all effects that have a trait, sorted."""
+    return tuple(name for name, kind in EFFECTS.load_all().items() if trait in kind.traits)
 
 
 def effect(name: str) -> Effect:
@@ -27,9 +32,10 @@ def effect(name: str) -> Effect:
     ------
     UnknownNameError
         When there is none; lists those there are.
+    PluginError
+        When it comes from another package and cannot be used.
     """
-    found: Effect = load(PACKAGE, "EFFECT", name)
-    return found
+    return EFFECTS.load(name)
 
 
 def parameters_on(name: str, scene: Scene, element: str | None = None) -> tuple[Parameter, ...]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -61,6 +62,7 @@ def _apply(line: _Line, u: Array) -> tuple[_Line, Array]:
 
 EFFECT = Effect(
     about="commands reach the servos late",
+    advice=Advice("Delay the commands of {servo} by {x}"),
     parameters=(
         Parameter(
             "delay_s",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact
-from candata.effects._contract import Array, Effect, Parameter, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -26,6 +26,10 @@ def _own(scene: Scene) -> float:
 
 EFFECT = Effect(
     about="friction of the second sliding direction is replaced by a ratio of the first",
+    advice=Advice(
+        "Make friction in the second sliding direction {x} times that in the first",
+        "the second number of friction of the <pair>s",
+    ),
     parameters=(
         Parameter(
             "ratio",

@@ -6,6 +6,7 @@ import mujoco
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Parameter,
@@ -24,6 +25,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="reflected rotor inertia is added to the joints",
+    advice=Advice("Add rotor inertia of {x} to {joint}", "add {raw} to armature of the <joint>"),
     parameters=(
         Parameter(
             "armature_kgm2",

@@ -8,6 +8,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -60,6 +61,7 @@ def _apply(gears: _Gears, u: Array) -> tuple[_Gears, Array]:
 
 EFFECT = Effect(
     about="gears have play, a dead zone of the command",
+    advice=Advice("Give the gears of {joint} a play of {x}"),
     parameters=(
         Parameter(
             "gap_rad",

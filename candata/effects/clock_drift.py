@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 from candata.units import TO_SI
 
@@ -21,6 +21,8 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="the clock of the readings runs fast or slow against that of the commands",
+    advice=Advice("Correct the clock of the readings: it is off by {x}"),
+    traits=frozenset({"tracked_length"}),
     parameters=(
         Parameter(
             "ppm",

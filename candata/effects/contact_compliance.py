@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Bounds, Effect, Parameter, scaled, scaled_spans
+from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter, scaled, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -22,6 +22,11 @@ def _timed(solref: Array, timeconst_s: float) -> Array:
 
 EFFECT = Effect(
     about="time constant of contacts with the object is replaced",
+    advice=Advice(
+        "Set the time constant of contacts at {surface} to {x}",
+        "{raw} as the first number of solref of the <geom>s that touch, the second as it is",
+    ),
+    traits=frozenset({"contact_spring"}),
     parameters=(
         Parameter(
             "timeconst_s",

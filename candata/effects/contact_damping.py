@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -27,6 +27,11 @@ def _own(scene: Scene) -> float:
 
 EFFECT = Effect(
     about="damping ratio of contacts with the object is replaced",
+    advice=Advice(
+        "Set the damping ratio of contacts at {surface} to {x}",
+        "{raw} as the second number of solref of the <geom>s that touch",
+    ),
+    traits=frozenset({"contact_spring"}),
     parameters=(
         Parameter(
             "dampratio",

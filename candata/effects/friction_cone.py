@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, fixed
+from candata.effects._contract import Advice, Array, Effect, Parameter, fixed
 from candata.scenes.assemble import Scene
 
 
@@ -21,6 +21,8 @@ def _other(scene: Scene) -> tuple[float, ...]:
 
 EFFECT = Effect(
     about="friction cone of the contact solver is replaced",
+    advice=Advice("Use the {x} friction cone", '<option cone="{raw}"/>'),
+    traits=frozenset({"simulator", "solver"}),
     parameters=(
         Parameter(
             "cone",

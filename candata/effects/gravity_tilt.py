@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.rotation import exp, rotate
 from candata.scenes.assemble import Scene
 
@@ -30,6 +30,7 @@ def _tilt(name: str) -> Parameter:
 
 EFFECT = Effect(
     about="gravity leans, as when table and base are tilted",
+    advice=Advice("Tilt gravity by {x}: table or base are not level", "turn gravity of <option>"),
     parameters=(_tilt("tilt_x_rad"), _tilt("tilt_y_rad")),
     acts_on="world",
     possible=lambda scene: bool(np.linalg.norm(scene.model.opt.gravity) > 0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -21,6 +21,8 @@ def _own(scene: Scene) -> float:
 
 EFFECT = Effect(
     about="ratio of frictional to normal impedance of the contact solver is replaced",
+    advice=Advice("Set impratio to {x}", '<option impratio="{raw}"/>'),
+    traits=frozenset({"simulator", "solver"}),
     parameters=(
         Parameter(
             "impratio",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects._contract import Array, Effect, Parameter, fixed
+from candata.effects._contract import Advice, Array, Effect, Parameter, fixed
 from candata.scenes.assemble import Scene
 
 #: Words in the order of `mjtIntegrator`.
@@ -30,6 +30,8 @@ def _others(scene: Scene) -> tuple[float, ...]:
 
 EFFECT = Effect(
     about="integrator of the simulation is replaced",
+    advice=Advice("Use the {x} integrator", '<option integrator="{raw}"/>'),
+    traits=frozenset({"simulator", "solver"}),
     parameters=(
         Parameter(
             "integrator",

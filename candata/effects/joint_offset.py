@@ -7,6 +7,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -56,6 +57,7 @@ def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> 
 
 EFFECT = Effect(
     about="encoders read true angle plus a constant, which the servos follow",
+    advice=Advice("Correct the encoders of {joint}: they read {x} too much"),
     parameters=(
         Parameter(
             "offset_rad",

@@ -6,6 +6,7 @@ import mujoco
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Parameter,
@@ -24,6 +25,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="centre of mass of the object is moved",
+    advice=Advice("Move the object's centre of mass by {x}, in its own frame", "add {raw} to pos of its <inertial>"),
     parameters=(
         Parameter(
             "offset_m",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -16,6 +16,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="inertia of the object is scaled, its mass stays",
+    advice=Advice("Multiply the object's inertia by {x}, its mass unchanged", "multiply diaginertia of its <inertial>"),
     parameters=(
         Parameter(
             "inertia_scale",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -17,6 +17,10 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="mass and inertia of the object are scaled",
+    advice=Advice(
+        "Multiply the object's mass and inertia by {x}",
+        "multiply mass or density of its <geom>s, or mass and diaginertia of its <inertial>",
+    ),
     parameters=(
         Parameter(
             "mass_scale",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene, subtree
 
 
@@ -52,6 +52,8 @@ def _possible(scene: Scene) -> bool:
 
 EFFECT = Effect(
     about="geometry of the object is scaled, mass and inertia stay",
+    advice=Advice("Multiply the object's lengths by {x}, its mass unchanged", "multiply size and pos of its <geom>s"),
+    traits=frozenset({"tracked_length"}),
     parameters=(
         Parameter(
             "scale",

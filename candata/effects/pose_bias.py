@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Advice,
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    fixed,
+    spans,
+    values,
+)
 from candata.scenes.assemble import Scene
 
 
@@ -31,6 +43,8 @@ def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> 
 
 EFFECT = Effect(
     about="a constant is added to the object's reported position, world frame",
+    advice=Advice("Correct the object tracker: its positions are off by {x} along world x, y, z"),
+    traits=frozenset({"tracked_length"}),
     parameters=(
         Parameter(
             "bias_m",

@@ -8,6 +8,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -75,6 +76,7 @@ def _on_time(scene: Scene, x: Array, element: str | None, readings: Readings) ->
 
 EFFECT = Effect(
     about="the object's pose is reported late",
+    advice=Advice("Correct the time stamps of the object tracker: its poses come {x} late"),
     parameters=(
         Parameter(
             "latency_s",

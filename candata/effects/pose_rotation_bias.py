@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Advice,
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    fixed,
+    spans,
+    values,
+)
 from candata.rotation import exp, multiply
 from candata.scenes.assemble import Scene
 
@@ -33,6 +45,7 @@ def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> 
 
 EFFECT = Effect(
     about="the object's reported rotation is turned by a constant, world frame",
+    advice=Advice("Correct the object tracker: its rotations are turned by {x} about world x, y, z"),
     parameters=(
         Parameter(
             "bias_rad",

@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Advice,
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    fixed,
+    spans,
+    values,
+)
 from candata.scenes.assemble import Scene
 
 
@@ -33,6 +45,8 @@ def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> 
 
 EFFECT = Effect(
     about="the object's reported position is scaled about the world's origin",
+    advice=Advice("Correct the scale of the object tracker: its positions are {x} times the true ones"),
+    traits=frozenset({"tracked_length"}),
     parameters=(
         Parameter(
             "scale",

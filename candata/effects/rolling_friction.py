@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Bounds, Effect, Parameter, scaled, scaled_spans
+from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter, scaled, scaled_spans
 from candata.scenes.assemble import Scene
 
 #: Rolling friction of a contact whose model has none [m]: MuJoCo's smallest coefficient (`mjMINMU`).
@@ -31,6 +31,9 @@ def _own(scene: Scene) -> float:
 
 EFFECT = Effect(
     about="rolling friction of contacts with the object is replaced",
+    advice=Advice(
+        "Set the rolling friction of {surface} to {x}", "{raw} as the third number of friction of the <geom>s, condim 6"
+    ),
     parameters=(
         Parameter(
             "rolling_m",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -21,6 +21,7 @@ def _has_damping(scene: Scene) -> bool:
 
 EFFECT = Effect(
     about="velocity gain of the servos is scaled",
+    advice=Advice("Multiply the velocity gain of {servo} by {x}", "multiply kv of the <position> actuator by {raw}"),
     parameters=(
         Parameter(
             "kv_scale",

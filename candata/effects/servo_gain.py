@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -18,6 +18,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="position gain of the servos is scaled",
+    advice=Advice("Multiply the position gain of {servo} by {x}", "multiply kp of the <position> actuator by {raw}"),
     parameters=(
         Parameter(
             "kp_scale",

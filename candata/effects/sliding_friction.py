@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -19,6 +19,11 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 EFFECT = Effect(
     about="sliding friction of object, fingertips and support is scaled",
+    advice=Advice(
+        "Multiply the sliding friction of {surface} by {x}",
+        "multiply the first number of friction of the <geom>s (a contact takes the larger of its two: change "
+        "all, or give one a higher priority)",
+    ),
     parameters=(
         Parameter(
             "scale",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact
-from candata.effects._contract import Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -33,6 +33,11 @@ def _grows(scene: Scene) -> bool:
 
 EFFECT = Effect(
     about="depth over which contacts reach their full stiffness is replaced, of other geoms in proportion",
+    advice=Advice(
+        "Let contacts with the object reach full stiffness over {x}",
+        "{raw} as the third number of solimp of the object's <geom>s, and in proportion of those that touch it",
+    ),
+    traits=frozenset({"simulator"}),
     parameters=(
         Parameter(
             "width_m",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects._contract import Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
 from candata.rotation import conjugate, rotate
 from candata.scenes.assemble import Scene
 
@@ -29,6 +29,8 @@ def _possible(scene: Scene) -> bool:
 
 EFFECT = Effect(
     about="support is raised or lowered",
+    advice=Advice("Move the support by {x} along world z", "add {raw} to z in pos of its <geom>"),
+    traits=frozenset({"tracked_length"}),
     parameters=(
         Parameter(
             "height_m",

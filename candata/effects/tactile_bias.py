@@ -6,6 +6,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -35,6 +36,7 @@ def _apply(bias: Array, readings: dict[str, Array]) -> tuple[Array, dict[str, Ar
 
 EFFECT = Effect(
     about="a constant is added to fingertip forces",
+    advice=Advice("Correct the zero of {tip}: forces are off by {x}"),
     parameters=(
         Parameter(
             "bias_N",

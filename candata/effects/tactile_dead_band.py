@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Advice,
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    fixed,
+    spans,
+    values,
+)
 from candata.scenes.assemble import Scene
 
 
@@ -25,6 +37,7 @@ def _apply(bands: Array, readings: Readings) -> tuple[Array, Readings]:
 
 EFFECT = Effect(
     about="components of fingertip forces below a band read zero",
+    advice=Advice("Allow for the dead band of {tip}: forces below {x} read zero"),
     parameters=(
         Parameter(
             "band_N",

@@ -6,6 +6,7 @@ import numpy as np
 
 from candata.effects import _select
 from candata.effects._contract import (
+    Advice,
     Array,
     Effect,
     Elements,
@@ -34,6 +35,7 @@ def _apply(gains: Array, readings: dict[str, Array]) -> tuple[Array, dict[str, A
 
 EFFECT = Effect(
     about="fingertip forces are scaled",
+    advice=Advice("Correct the calibration of {tip}: forces read {x} times the true ones"),
     parameters=(
         Parameter(
             "gain",

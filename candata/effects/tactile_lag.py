@@ -7,7 +7,19 @@ from typing import NamedTuple
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Array, Effect, Elements, Hook, Parameter, Readings, always, fixed, spans, values
+from candata.effects._contract import (
+    Advice,
+    Array,
+    Effect,
+    Elements,
+    Hook,
+    Parameter,
+    Readings,
+    always,
+    fixed,
+    spans,
+    values,
+)
 from candata.scenes.assemble import Scene
 
 
@@ -37,6 +49,7 @@ def _apply(slow: _Slow, readings: Readings) -> tuple[_Slow, Readings]:
 
 EFFECT = Effect(
     about="fingertip forces follow with a first-order lag",
+    advice=Advice("Allow for the lag of {tip}: forces follow with a time constant of {x}"),
     parameters=(
         Parameter(
             "timeconst_s",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects._contract import Array, Bounds, Effect, Parameter
+from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter
 from candata.scenes.assemble import Scene
 
 #: Largest number of physics steps in one of the scene's, and of the scene's steps in one.
@@ -43,6 +43,8 @@ def _draws(scene: Scene) -> tuple[tuple[float, float], ...]:
 
 EFFECT = Effect(
     about="physics step of the simulation is replaced by the nearest that divides the control step",
+    advice=Advice("Use a physics step of {x}", '<option timestep="{raw}"/>'),
+    traits=frozenset({"simulator", "solver"}),
     parameters=(
         Parameter(
             "time_step_s",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Array, Bounds, Effect, Parameter, scaled, scaled_spans
+from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter, scaled, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -24,6 +24,8 @@ def _bounds(scene: Scene) -> Bounds:
 
 EFFECT = Effect(
     about="torque limit of the servos is replaced",
+    advice=Advice("Limit the torque of {servo} to {x}", 'forcerange="-{raw} {raw}" of the actuator'),
+    traits=frozenset({"one_for_all"}),
     parameters=(
         Parameter(
             "limit_Nm",

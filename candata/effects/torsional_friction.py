@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Array, Effect, Parameter, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, fixed, spans, values
 from candata.scenes.assemble import Scene
 
 #: Torsional friction of a contact whose model has none [m]: MuJoCo's smallest coefficient (`mjMINMU`).
@@ -46,6 +46,10 @@ def _possible(scene: Scene) -> bool:
 
 EFFECT = Effect(
     about="torsional friction of the fingertips is replaced",
+    advice=Advice(
+        "Set the torsional friction of {tip} to {x}",
+        "{raw} as the second number of friction of the <geom>, condim 4 or more, and a higher priority",
+    ),
     parameters=(
         Parameter(
             "torsional_m",

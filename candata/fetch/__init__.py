@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from candata.plugins import Registry
 from candata.schema.episode import Episode
 
 
@@ -54,3 +55,6 @@ class PublicDataset:
     licence: str
     from_folder: Callable[[Path], FetchedEpisodes]
     download: Callable[[Path, Callable[[str], None]], FetchedEpisodes]
+
+
+SOURCES = Registry("sources", "candata.fetch", "SOURCE", PublicDataset, "summary")

@@ -9,6 +9,7 @@ from typing import Literal
 
 from numpy.typing import NDArray
 
+from candata.plugins import Registry
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 
@@ -104,3 +105,6 @@ class Format:
     takes_map: bool = False
     write: Callable[[Iterable[Episode], Path, Writing], None] | None = None
     variants: tuple[str, ...] = ()
+
+
+FORMATS = Registry("formats", "candata.formats", "FORMAT", Format, "summary")

@@ -8,6 +8,7 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import effects_with
 from candata.gap.candidates import Candidate, probes
 from candata.gap.compare import BLUNT, RIVALS, UNSURE, is_tied
 from candata.gap.pace import TOGETHER
@@ -26,9 +27,6 @@ Index = NDArray[np.int64]
 #: Sets of each size that are simulated, of those to whose signatures the recording adds up. Chosen: twice the rank of
 #: true ones whose effects each take a share of the gap.
 ADDED = 4
-#: The two numbers of one spring and damper, stiffness 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo
-#: manual, "solref"): far from neutral, what each does alone does not add up to what both do.
-COUPLED = ("contact_compliance", "contact_damping")
 #: Steps of the logarithms of both, from the best pair of their probes on. Chosen: probes lie a factor of two apart.
 NEARER = (0.35, 0.18, 0.09)
 #: How many effects are tried in pairs, and where a pair's fit is begun: at these shares of what each is alone, which
@@ -111,8 +109,10 @@ def _coupled(problem: Problem, rough: Responses) -> list[Members]:
     one value to the next. (Contacts 2.4 times as slow, a third as damped, left 1.3 of 3.4 floors, 1.4 where this ends
     and 1.8 where slopes do; alone, no compliance explains anything.)
     """
-    both = [c for name in COUPLED for c in [c for c, _ in rough if c.label == name][:1]]
-    if len(both) < len(COUPLED):
+    # Far from neutral, what each does alone does not add up to what both do.
+    coupled = effects_with("contact_spring")
+    both = [c for name in coupled for c in [c for c, _ in rough if c.label == name][:1]]
+    if len(both) < len(coupled):
         return []
     values = [[(c, u) for u in probes(c, problem.replayer.scene)] for c in both]
     (_, found), *_ = by_loss(problem, list(product(*values)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.effects import effects_with
 from candata.gap.recordings import Recordings
 from candata.gap.residuals import REST_SPEED_MPS
 from candata.gap.starts import STILL_ROWS, Starts, is_toss
@@ -32,8 +33,6 @@ SETTLE_S = 0.4
 TOPPLED_RAD = 0.1
 #: What no resampling shows: a camera's clock off by 0.1 % reads gravity off by 0.2 %.
 SYSTEMATIC = 0.002
-#: Effects that change lengths or heights as the tracker reports them.
-LENGTHS = ("pose_scale", "object_size", "support_height", "pose_bias", "clock_drift")
 #: Resamples of the tosses, and the ends of a 90 % interval.
 RESAMPLES, ENDS = 1000, (0.05, 0.95)
 
@@ -105,7 +104,7 @@ def ruled_out(found: LengthScale) -> frozenset[str]:
     """Return the effects on lengths that free fall and rest together exclude; none where one of them was not seen."""
     if not found.causes or found.flight is None or found.rest is None:
         return frozenset()
-    return frozenset(LENGTHS) - frozenset(found.causes)
+    return frozenset(effects_with("tracked_length")) - frozenset(found.causes)
 
 
 def _causes(flight: Scale | None, rest: Scale | None) -> tuple[str, ...]:

@@ -1,21 +1,32 @@
 """Models: one file each; the folder is the registry. Needs the extra `train`."""
 
+import importlib
 from typing import Any
 
 from candata.errors import MissingExtraError
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
-from candata.plugins import load, names
+from candata.plugins import EXTRAS, Registry
 
-PACKAGE = "candata.models"
-#: Functions on poses; they need torch, so they are imported on first use.
-_POSES = ("increments", "integrate", "targets")
+MODELS = Registry("models", "candata.models", "MODEL", Model, "summary")
+#: What a model's file is written with, to its module; most need torch, so they are imported on first use.
+_HOMES = {
+    "HistoryConfig": "candata.models._config",
+    "Reader": "candata.models._inputs",
+    "increments": "candata.models._poses",
+    "integrate": "candata.models._poses",
+    "known_steps": "candata.models._inputs",
+    "masked_mean": "candata.models._inputs",
+    "parser": "candata.models._config",
+    "seeded": "candata.models._seed",
+    "targets": "candata.models._poses",
+}
 
-__all__ = ["Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_POSES]
+__all__ = ["MODELS", "Batch", "Forecast", "Losses", "Model", "Sizes", "model", "model_names", *_HOMES]
 
 
 def model_names() -> tuple[str, ...]:
-    """Return the names of all models: the files of the folder."""
-    return names(PACKAGE)
+    """Return the names of all models: the files of the folder, and those of other packages."""
+    return MODELS.names()
 
 
 def model(name: str) -> Model:
@@ -27,25 +38,19 @@ def model(name: str) -> Model:
         When there is none; lists those there are.
     MissingExtraError
         When torch is not installed.
+    PluginError
+        When it comes from another package and cannot be used.
     """
-    try:
-        registered_model: Model = load(PACKAGE, "MODEL", name)
-    except ModuleNotFoundError as error:
-        raise _missing_extra(error) from None
-    return registered_model
+    return MODELS.load(name)
 
 
 def __getattr__(name: str) -> Any:
-    """Return a function on poses, imported on first use."""
-    if name not in _POSES:
+    """Return what models are written with, imported on first use."""
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        from candata.models import _poses
+        return getattr(importlib.import_module(_HOMES[name]), name)
     except ModuleNotFoundError as error:
-        raise _missing_extra(error) from None
-    return getattr(_poses, name)
-
-
-def _missing_extra(error: ModuleNotFoundError) -> Exception:
-    """Return what to raise: the install hint when it is torch that is missing."""
-    return MissingExtraError("torch", "train") if error.name == "torch" else error
+        if error.name not in EXTRAS:
+            raise
+        raise MissingExtraError(error.name, EXTRAS[error.name]) from None

@@ -1,12 +1,13 @@
 """Policies: one file each; the folder is the registry."""
 
-from candata.plugins import load, names
+from candata.plugins import Registry
 from candata.policies._contract import Motion, Plan, Policy, Variant
 from candata.policies._motion_file import MotionFile, command_limits, motion_plan, read_motions, write_motions
 
-PACKAGE = "candata.policies"
+POLICIES = Registry("policies", "candata.policies", "POLICY", Policy, "about")
 
 __all__ = [
+    "POLICIES",
     "Motion",
     "MotionFile",
     "Plan",
@@ -22,8 +23,8 @@ __all__ = [
 
 
 def policy_names() -> tuple[str, ...]:
-    """Return the names of all policies: the files of the folder."""
-    return names(PACKAGE)
+    """Return the names of all policies: the files of the folder, and those of other packages."""
+    return POLICIES.names()
 
 
 def policy(name: str) -> Policy:
@@ -33,6 +34,7 @@ def policy(name: str) -> Policy:
     ------
     UnknownNameError
         When there is none; lists those there are.
+    PluginError
+        When it comes from another package and cannot be used.
     """
-    registered_policy: Policy = load(PACKAGE, "POLICY", name)
-    return registered_policy
+    return POLICIES.load(name)

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, UsageError, Where
-from candata.plugins import load
-from candata.record.devices import PACKAGE, Device
-from candata.record.devices._wire import Encoder, wire_time_ns
+from candata.record.devices import Device, Encoder
+from candata.record.devices._wire import wire_time_ns
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Episode, EpisodeMeta
 
@@ -83,10 +82,12 @@ class Script:
 
 
 def tip_pattern(taxels: int) -> NDArray[np.float64]:
-    """Return `(taxels,) float64`: the share of a fingertip's force that each taxel feels; they sum to 1.
+    """Return `(taxels,) float64`: the share of a fingertip's force that each taxel feels; they sum to 1, if any.
 
     Taxel i lies at row i // 10, column i % 10; its share is a Gaussian of 1.5 taxels about the middle of the rows.
     """
+    if not taxels:
+        return np.zeros(0)
     row, column = np.divmod(np.arange(taxels), ROW_OF_TAXELS)
     square = (row - row.max() / 2) ** 2 + (column - column.max() / 2) ** 2
     share = np.exp(-square / (2 * SPREAD**2))
@@ -108,7 +109,7 @@ def to_counts(force: NDArray, device: Device, newton_per_count: float) -> tuple[
     # To a millionth first: the noise of float32 must not decide halves, nor make a half below zero a clipped count.
     counts = np.rint(np.round(force / newton_per_count, 6))
     clipped_counts = np.clip(counts, device.count_low, device.count_high)
-    clip_count = (clipped_counts != counts).reshape(len(force), -1).sum(axis=1)
+    clip_count = (clipped_counts != counts).sum(axis=tuple(range(1, force.ndim)))
     return clipped_counts.astype(np.int16), clip_count.astype(np.int64)
 
 
@@ -143,7 +144,7 @@ def write_script(
     DataError
         When the episode lacks a channel or has gaps in one.
     """
-    encoder = encoder_of(device_name)
+    encoder = encoder_of(device_name, device)
     rate = episode.meta.rate_hz if rate_hz is None else rate_hz
     scale = device.newton_per_count if newton_per_count is None else newton_per_count
     joints = _places("joints", device.joint_names, episode.meta.joint_names, episode)
@@ -156,7 +157,8 @@ def write_script(
         _complete_channel(episode, "joint_position"),
         _next_actions(_complete_channel(episode, "action"), episode.meta),
     )
-    force = _complete_channel(episode, "fingertip_force")[row][:, tips].astype(np.float64)
+    recorded_force = _complete_channel(episode, "fingertip_force")[:, tips] if tips else np.zeros((len(episode), 0, 3))
+    force = recorded_force[row].astype(np.float64)
     force[:rest_rows] = 0
     force_counts, force_clipped = to_counts(force, device, scale)
     shares = tip_pattern(device.taxels)[:, None]
@@ -190,21 +192,17 @@ def write_script(
     )
 
 
-def encoder_of(name: str) -> Encoder:
-    """Return what writes the frames of the device called `name`.
+def encoder_of(name: str, device: Device) -> Encoder:
+    """Return what writes the frames of a device, which is registered as `name`.
 
     Raises
     ------
-    UnknownNameError
-        When there is no such device.
     UsageError
-        When its file exports no `ENCODER`.
+        When it has none.
     """
-    try:
-        encoder: Encoder = load(PACKAGE, "ENCODER", name)
-    except AttributeError:
-        raise UsageError(f"{name} cannot be emulated", expected="a device whose file exports ENCODER") from None
-    return encoder
+    if device.encoder is None:
+        raise UsageError(f"{name} cannot be emulated", expected="a device with an encoder")
+    return device.encoder
 
 
 def ceiling_hz(encoder: Encoder, device: Device) -> float:

@@ -245,14 +245,14 @@ class _Session:
             self._tally.frame(frame)
         commands = [frame for frame in frames if frame.kind == "command"]
         if commands:
-            positions = self._device.decode_commands([frame.data for frame in commands])
+            positions = self._device.commands([frame.data for frame in commands])
             self._writer.commands([frame.stamp_ns for frame in commands], positions)
         states = [frame for frame in frames if frame.kind == "state"]
         if states:
             self._states([frame.stamp_ns for frame in states], [frame.data for frame in states])
 
     def _states(self, stamps_ns: list[int], data: list[bytes]) -> None:
-        states = self._device.decode_states(data)
+        states = self._device.states(data)
         self._writer.states(stamps_ns, states)
         self._tally.states(states)
         bias = self._calibration.force_bias_counts if self._calibration else 0.0

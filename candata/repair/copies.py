@@ -11,9 +11,9 @@ from typing import Literal
 import mujoco
 import yaml
 
-from candata.plugins import load
 from candata.scenes import Scene
-from candata.scenes.assemble import LIBRARY, assemble
+from candata.scenes.assemble import assemble
+from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compiled, model_path, read_model
 from candata.schema.scene import SceneFile
 
@@ -93,8 +93,7 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
         When the scene's file is gone or cannot be read.
     """
     if not is_file(scene):
-        spec: mujoco.MjSpec = load(LIBRARY, "SCENE", scene.name).build()
-        return spec
+        return SCENES.load(scene.name).build()
     return read_model(_source(scene))
 
 

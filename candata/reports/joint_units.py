@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 
-from candata.plugins import names
 from candata.scenes import load_scene
-from candata.scenes.assemble import LIBRARY
+from candata.scenes.contract import SCENES
 from candata.scenes.roles import roles
 
 #: Unit of a joint's position when nothing says whether it turns or slides.
@@ -19,7 +18,7 @@ _EFFORT = {"rad": "N m", "m": "N"}
 @cache
 def joint_units(scene: str | None) -> Mapping[str, str]:
     """Return joint or actuator name to `rad` or `m`; empty for a scene that is not built in."""
-    if scene not in names(LIBRARY):
+    if scene is None or scene not in SCENES:
         return {}
     joints = roles(load_scene(scene)).joints
     return {joint.name: joint.unit for joint in joints} | {j.actuator: j.unit for j in joints if j.actuator}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from candata import plugins
+from candata.effects import EFFECTS
 from candata.errors import UnknownNameError
 from candata.schema.effect import Value
 from candata.schema.report import Estimate, IntervalEnd, KnownEnds
@@ -65,7 +65,7 @@ def unit_of(effect: str, parameter: str, estimate: Estimate | None = None) -> st
     if estimate is not None and estimate.unit:
         return estimate.unit
     try:
-        parameters = plugins.load("candata.effects", "EFFECT", effect).parameters
+        parameters = EFFECTS.load(effect).parameters
     except UnknownNameError:
         parameters = ()
     for candidate in parameters:

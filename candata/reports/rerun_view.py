@@ -16,12 +16,11 @@ from candata.datasets.elements import fingertip_labels, joint_labels
 from candata.datasets.summary import touches
 from candata.datasets.writing import replacing
 from candata.errors import MissingExtraError, SetupError
-from candata.plugins import names
 from candata.reports.posed import PosedRows, ScenePoser, poser, shown_geoms
 from candata.reports.rerun_shapes import shape, xyzw
 from candata.reports.traces import command_joints, masked
 from candata.scenes import Scene, load_scene
-from candata.scenes.assemble import LIBRARY
+from candata.scenes.contract import SCENES
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
@@ -80,7 +79,7 @@ def _rerun() -> Any:
 
 def _poser(episode: Episode, scene: str | None) -> ScenePoser | None:
     """Return what poses the scene by the episode; None where no scene is given and its own is not built in."""
-    name = scene or (episode.meta.scene if episode.meta.scene in names(LIBRARY) else None)
+    name = scene or (episode.meta.scene if episode.meta.scene and episode.meta.scene in SCENES else None)
     return None if name is None else poser(load_scene(name), episode)
 
 

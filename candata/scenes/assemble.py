@@ -13,16 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
-from candata.plugins import load, names
 from candata.scenes import sensors, transmission
-from candata.scenes.contract import BuiltinScene
+from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compiled, model_path, read_model
 from candata.scenes.named_files import kind_of
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
-LIBRARY = "candata.scenes.library"
 #: Endings of files that are models.
 _MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
 #: Physics step of a model that names none [s] (MuJoCo XML reference, option/timestep).
@@ -222,11 +220,11 @@ def load_scene(name: str | Path) -> Scene:
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
         return _from_file(path)
-    if str(name) not in names(LIBRARY):
+    if str(name) not in SCENES:
         if path.suffix.lower() in _MODELS or path.exists():
             raise _no_scene(path)
-        raise UnknownNameError("scene", str(name), names(LIBRARY), Where(path="give a .yaml path for your own"))
-    builtin: BuiltinScene = load(LIBRARY, "SCENE", str(name))
+        raise UnknownNameError("scene", str(name), SCENES.names(), Where(path="give a .yaml path for your own"))
+    builtin = SCENES.load(str(name))
     return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
 
 
@@ -251,7 +249,7 @@ def _from_file(path: Path) -> Scene:
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     file = SceneFile.parse(read_yaml(path), path)
-    if file.model == "builtin" or (file.model in names(LIBRARY) and not (path.parent / file.model).exists()):
+    if file.model == "builtin" or (file.model in SCENES and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)
     if not source.is_file():

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import mujoco
 
+from candata.plugins import Registry
 from candata.schema.scene import SceneFile
 
 
@@ -53,3 +54,7 @@ class BuiltinScene:
     build: Callable[[], mujoco.MjSpec]
     policies: tuple[str, ...]
     about: str
+
+
+HANDS = Registry("hands", "candata.scenes.hands", "HAND", Hand, "name")
+SCENES = Registry("scenes", "candata.scenes.library", "SCENE", BuiltinScene, "about")

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import mujoco
 
-from candata.plugins import load, names
 from candata.scenes import chains
-from candata.scenes.assemble import LIBRARY, Scene
+from candata.scenes.assemble import Scene
+from candata.scenes.contract import SCENES, BuiltinScene
 from candata.scenes.drives import drive_of, pulled_by
 from candata.schema.record import ResultRecord
-from candata.schema.scene import Noise, SceneFile
+from candata.schema.scene import Noise
 
 _UNITS = {mujoco.mjtJoint.mjJNT_HINGE: "rad", mujoco.mjtJoint.mjJNT_SLIDE: "m"}
 
@@ -81,14 +81,13 @@ class SceneEntry(ResultRecord):
 
 
 def builtin_scenes() -> tuple[SceneEntry, ...]:
-    """Return the scenes of the library, by name; none is compiled."""
-    return tuple(_entry(name) for name in names(LIBRARY))
+    """Return the scenes that can be named, by name; none is compiled."""
+    return tuple(_entry(name, scene) for name, scene in SCENES.load_all().items())
 
 
-def _entry(name: str) -> SceneEntry:
+def _entry(name: str, scene: BuiltinScene) -> SceneEntry:
     """Return the line of one built-in scene."""
-    scene = load(LIBRARY, "SCENE", name)
-    file: SceneFile = scene.file
+    file = scene.file
     return SceneEntry(
         name=name,
         about=scene.about,

@@ -32,6 +32,7 @@ LAYERS = (
     ("checks",),
     ("repair",),
     ("reports",),
+    ("testing",),
 )
 LEVEL = {room: level for level, rooms in enumerate(LAYERS) for room in rooms}
 

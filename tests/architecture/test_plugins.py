@@ -9,20 +9,14 @@ import pytest
 
 from candata import plugins
 from candata.errors import UnknownNameError
+from candata.fetch import SOURCES
+from candata.scenes.contract import HANDS
 
 ROOT = Path(__file__).resolve().parents[2]
 
+REGISTRIES = [*map(plugins.registry, plugins.REGISTRIES), HANDS, SOURCES]
 #: Folder to the constant its files export.
-CONSTANTS = {
-    "candata.effects": "EFFECT",
-    "candata.formats": "FORMAT",
-    "candata.policies": "POLICY",
-    "candata.checks": "RULE",
-    "candata.models": "MODEL",
-    "candata.scenes.library": "SCENE",
-    "candata.scenes.hands": "HAND",
-    "candata.record.devices": "DEVICE",
-}
+CONSTANTS = {registry.package: registry.constant for registry in REGISTRIES}
 FILES = [(package, constant, name) for package, constant in CONSTANTS.items() for name in plugins.names(package)]
 
 
@@ -46,3 +40,10 @@ def test_an_unknown_name_lists_the_known(package, constant):
     with pytest.raises(UnknownNameError) as caught:
         plugins.load(package, constant, "no_such_name")
     assert all(name in str(caught.value) for name in plugins.names(package))
+
+
+@pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.kind)
+def test_what_a_file_exports_is_what_its_contract_says(registry):
+    for plugin in registry.load_all().values():
+        assert isinstance(plugin, registry.contract)
+        assert getattr(plugin, registry.summary)

@@ -9,9 +9,8 @@ from candata.checks import check, defects, rule_names
 from candata.datasets import open_dataset
 from candata.effects import effect, effect_names
 from candata.errors import DataError, UnknownNameError
-from candata.plugins import load
 from candata.scenes import assemble
-from candata.scenes.assemble import LIBRARY
+from candata.scenes.contract import SCENES
 from candata.schema.effect import EffectSetting
 from tests.checks.conftest import simulated
 from tests.checks.test_silent_mistakes import SAID
@@ -210,7 +209,7 @@ def test_the_hand_at_other_rates_raises_no_alarm_and_shows_the_ten(judged, rate_
 
 
 def at_rate(name, rate_hz):
-    builtin = load(LIBRARY, "SCENE", name)
+    builtin = SCENES.load(name)
     file = builtin.file.model_copy(update={"rate_hz": rate_hz})
     return assemble.assemble(name, file, builtin.build(), builtin.policies)
 

@@ -123,3 +123,22 @@ def sparse(path: Path, size_bytes: int) -> Path:
     with path.open("ab") as file:
         file.truncate(size_bytes)
     return path
+
+
+def table_source(self, folder: Path) -> tuple[Path, None]:
+    """A table of one episode with its map, as a conformance suite asks for it."""
+    folder.mkdir()
+    rows = 20
+    columns = {"t": np.arange(rows) * 0.0125, "q": np.sin(np.arange(rows)), "a": np.cos(np.arange(rows))}
+    pq.write_table(pa.table(columns), folder / "episode.parquet")
+    channels = {"joint_position": ["q"], "action": ["a"]}
+    fields = {"file": "episode.parquet", "source": "real", "time_s": "t", "rate_hz": 80, "channels": channels}
+    return write_map(folder / "map.yaml", **fields), None
+
+
+def foundationpose_source(self, folder: Path) -> tuple[Path, Path]:
+    """Poses of a thing that stands still, as a conformance suite asks for them."""
+    (folder / "ob_in_cam").mkdir(parents=True)
+    for k in range(6):
+        np.savetxt(folder / "ob_in_cam" / f"{k:07d}.txt", np.eye(4))
+    return folder, write_map(folder.parent / "frames.yaml", rate_hz=30)

@@ -7,10 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from candata.effects import effect, effect_names, flatten
+from candata.effects import effect, effect_names, effects_with, flatten
 from candata.gap.blind.draws import (
     COUNTS,
-    SOLVER,
     background,
     draw_labels,
     draw_setting,
@@ -108,7 +107,7 @@ def test_a_background_is_about_five_percent_off_everywhere_but_in_its_main_effec
 
 def test_half_of_the_solver_cases_have_the_wrong_mass_on_top(labels):
     found = of(labels, "solver")
-    assert {one.effects[0].name for one in found} <= set(SOLVER)
+    assert {one.effects[0].name for one in found} <= set(effects_with("solver"))
     heavy = [one for one in found if len(one.effects) > 1]
     assert len(heavy) == len(found) // 2
     assert all(one.effects[1].parameters == {"mass_scale": 1.5} for one in heavy)

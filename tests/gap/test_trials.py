@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from candata.effects import effects_with
 from candata.gap import added, sets, trials, worth
 from candata.gap.candidates import candidate, probes
 from candata.gap.diagnosis import _problem
@@ -182,7 +183,7 @@ def test_the_two_numbers_of_one_spring_and_damper_are_found_together(planted):
     jobs = [Job(f"e{i}", i, ("squeeze", "push")[i % 2], 3, effects) for i in range(6)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.2, noise=scene.file.noise))
     problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
-    both = [(candidate(name, scene), None) for name in added.COUPLED]
+    both = [(candidate(name, scene), None) for name in effects_with("contact_spring")]
     (found,) = added._coupled(problem, both)
     assert {c.name: float(np.exp(u[0])) for c, u in found} == pytest.approx(truth, rel=0.15)
     assert added._coupled(problem, both[:1]) == []

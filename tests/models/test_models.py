@@ -1,4 +1,4 @@
-"""Every model keeps the contract: shapes, pads, determinism; and each can learn."""
+"""What the built-in models promise beyond the contract that test_conformance.py holds them to."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def gradients(net: torch.nn.Module, loss: torch.Tensor) -> dict[str, float]:
     return {name: float(p.grad.abs().max()) for name, p in net.named_parameters() if p.grad is not None}
 
 
-def test_the_folder_is_the_registry():
-    assert list(model_names()) == NAMES
+def test_a_near_name_is_proposed():
+    assert set(model_names()) >= set(NAMES)
     with pytest.raises(UnknownNameError, match="did you mean 'mlp'"):
         model("mpl")
 
@@ -43,13 +43,6 @@ def test_every_preset_says_what_it_reads(name):
     asked = found.parse({"fingertip_contact": True})
     assert "fingertip_contact" in found.reads(asked)
     assert "fingertip_contact" not in found.reads(found.presets["paper"])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_configuration_comes_back_from_plain_values(name):
-    found = model(name)
-    for preset in found.presets.values():
-        assert found.parse(preset.model_dump(mode="json")) == preset
 
 
 @pytest.mark.parametrize(
@@ -79,30 +72,9 @@ def test_parameter_counts(preset, millions, normaliser):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_seed_decides_the_first_weights(name, tiny):
-    state = torch.random.get_rng_state()
-    one, same, other = tiny(name), tiny(name), tiny(name, seed=1)
-    assert torch.equal(torch.random.get_rng_state(), state)
-    weights = [torch.cat([p.detach().flatten() for p in net.parameters()]) for net in (one, same, other)]
-    assert torch.equal(weights[0], weights[1])
-    assert not torch.equal(weights[0], weights[2])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_forecasts_have_their_shapes_and_leave_the_global_generator(name, tiny, batch, generator):
-    state = torch.random.get_rng_state()
-    net = tiny(name)
-    found = net.forecast(batch(5), 3, 4, generator(0))
-    net.losses(batch(5), generator(0))
-    assert found.increments.shape == (3, 5, 8, 6)
-    assert found.increments.dtype == torch.float32
-    assert not found.increments.requires_grad
-    if name == "contact_diffusion":
-        assert found.contact.shape == (5, 8)
-        assert bool(((found.contact > 0) & (found.contact < 1)).all())
-    else:
-        assert found.contact is None
-    assert torch.equal(torch.random.get_rng_state(), state)
+def test_only_the_contact_model_forecasts_contact(name, tiny, batch, generator):
+    found = tiny(name).forecast(batch(5), 3, 4, generator(0))
+    assert (found.contact is not None) == (name == "contact_diffusion")
 
 
 @pytest.mark.parametrize(
@@ -202,17 +174,13 @@ def test_lambda_weighs_the_diffusion_loss(tiny, batch, generator):
     torch.testing.assert_close(found["loss"], found["contact"] + 3 * found["diffusion"])
 
 
-@pytest.mark.parametrize(
-    ("name", "fields"),
-    [("mlp", {}), ("diffusion_unet", {}), ("contact_diffusion", {}), ("diffusion_unet", {"target": "epsilon"})],
-)
-def test_each_model_overfits_one_small_batch(name, fields, tiny, batch, generator):
-    net, windows = tiny(name, **({} if name == "mlp" else {"widths": [16]}), **fields), batch(4)
+def test_a_network_of_the_noise_overfits_one_small_batch(tiny, batch, generator):
+    net, windows = tiny("diffusion_unet", widths=[16], target="epsilon"), batch(4)
     optimiser = torch.optim.AdamW(net.parameters(), lr=1e-2, weight_decay=0.0)
     history = []
-    for step in range(80):
-        # Fresh noise for the clean value; fresh noise as the target would be no batch that could be learnt by heart.
-        losses = net.losses(windows, generator(0 if fields else step))
+    for _ in range(80):
+        # The same noise each time: fresh noise as the target would be no batch that could be learnt by heart.
+        losses = net.losses(windows, generator(0))
         optimiser.zero_grad()
         losses["loss"].backward()
         optimiser.step()
@@ -232,7 +200,7 @@ import sys
 sys.modules["torch"] = None
 from candata.errors import MissingExtraError
 import candata.models
-assert candata.models.model_names() == ("contact_diffusion", "diffusion_unet", "mlp")
+assert "mlp" in candata.models.model_names()
 for use in (lambda: candata.models.model("mlp"), lambda: candata.models.integrate):
     try:
         use()

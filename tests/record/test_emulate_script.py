@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from candata import plugins
 from candata.errors import DataError, UsageError
-from candata.record.devices import device, xhand
-from candata.record.emulate_script import ceiling_hz, encoder_of, tip_pattern, to_counts, write_script
+from candata.record.devices import device
+from candata.record.emulate_script import ceiling_hz, tip_pattern, to_counts, write_script
 from candata.schema.episode import Episode, EpisodeMeta
 
 XHAND = device("xhand")
@@ -131,7 +132,7 @@ def test_actions_that_lead_to_their_row_are_sent_a_row_before():
 
 
 def test_request_and_reply_fill_the_wire_at_119_hz():
-    assert ceiling_hz(encoder_of("xhand"), XHAND) == pytest.approx(119.3, abs=0.1)  # the published 8.38 ms
+    assert ceiling_hz(XHAND.encoder, XHAND) == pytest.approx(119.3, abs=0.1)  # the published 8.38 ms
 
 
 @pytest.mark.parametrize(
@@ -169,9 +170,17 @@ def test_gaps_are_refused():
         write(make(arrays={"joint_position_valid": flags}))
 
 
-def test_a_device_that_writes_no_frames_is_refused(monkeypatch):
-    monkeypatch.delattr(xhand, "ENCODER")
-    plugins.load.cache_clear()
+def test_a_device_that_writes_no_frames_is_refused():
     with pytest.raises(UsageError, match="xhand cannot be emulated"):
-        encoder_of("xhand")
-    plugins.load.cache_clear()
+        write_script(make(), "xhand", replace(XHAND, encoder=None))
+
+
+def test_a_device_without_taxels_is_emulated():
+    def state_frames(position, force, taxels):
+        return XHAND.encoder.state_frames(position, force, np.zeros((len(position), 5, 120, 3), int))
+
+    bare = replace(XHAND, taxels=0, encoder=replace(XHAND.encoder, state_frames=state_frames))
+    script = write_script(make(), "bare", bare)
+    assert script.taxel_counts.shape == (len(script), 5, 0, 3)
+    assert not script.taxels_clipped.any()
+    np.testing.assert_array_equal(script.force_counts, write_script(make(), "xhand", XHAND).force_counts)

@@ -7,6 +7,7 @@ import re
 import signal
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,6 +94,16 @@ def test_what_was_sent_stands_in_the_log(hand, tmp_path, rng):
     assert abs(time.time_ns() - log.state_time_ns[-1]) < 60e9
     assert watcher.views[-1].phase == "recording"
     assert any("no low latency mode" in note for note in watcher.notes)
+
+
+def test_a_decoder_that_disagrees_with_its_taxels_is_said_and_the_log_can_be_read(hand, tmp_path):
+    report, _ = run(hand().port, tmp_path / "log.mcap", device=replace(DEVICE, taxels=60), duration_s=0.5)
+    words = str(report.failure)
+    assert "the device's decoder disagrees with what the device declares" in words
+    assert "expected: taxel_counts (1, 5, 60, 3)" in words
+    assert "found: (1, 5, 120, 3)" in words
+    assert len(read_log(tmp_path / "log.mcap").state_time_ns) == 0
+    assert wire_bytes(tmp_path / "log.mcap")
 
 
 def test_every_byte_of_the_wire_stands_in_the_log(hand, tmp_path):

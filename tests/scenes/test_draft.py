@@ -6,9 +6,8 @@ import mujoco
 import pytest
 
 from candata.errors import SceneError, UsageError
-from candata.plugins import load, names
 from candata.scenes import load_scene
-from candata.scenes.assemble import LIBRARY
+from candata.scenes.contract import SCENES
 from candata.scenes.draft import write_draft
 from candata.schema.scene import SceneFile
 from candata.schema.yaml_text import parse_yaml
@@ -29,9 +28,9 @@ def drafted(folder, text: str, name: str = "hand.xml") -> SceneFile:
     return again.file
 
 
-@pytest.mark.parametrize("name", names(LIBRARY))
+@pytest.mark.parametrize("name", SCENES.names())
 def test_the_roles_of_a_built_in_scene_are_found_in_its_model(tmp_path, name):
-    builtin = load(LIBRARY, "SCENE", name)
+    builtin = SCENES.load(name)
     spec: mujoco.MjSpec = builtin.build()
     spec.compile()
     found, own = drafted(tmp_path, spec.to_xml()), builtin.file

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import Parameter, active, effect, effect_names, parameters_on, setting
+from candata.effects import Parameter, active, effect, effect_names, effects_with, parameters_on, setting
 from candata.gap.blind.outside import draw_outside, possible_outside
 from candata.scenes import Scene
 from candata.schema.bench import Kind, Label
@@ -20,12 +20,8 @@ COUNTS: dict[Kind, int] = {
     "one": 120, "quarter": 40, "null": 100, "pair": 40, "triple": 40, "outside": 40, "background": 40, "solver": 40,
     "local": 40,
 }  # fmt: skip
-#: Settings of the simulator that a stand-in real world may have other.
-SOLVER = ("friction_cone", "impratio", "integrator", "solimp_width", "time_step")
 #: Relative error of everything in a background, 1 sd; of what the model lacks, as a share of a clear fault.
 BACKGROUND = 0.05
-#: Left out of a background: one torque limit for all joints is more than a little wrong where the model has several.
-UNFIT = ("torque_limit",)
 #: An object half as heavy again, on top of a solver mismatch.
 HEAVY = 1.5
 
@@ -135,7 +131,10 @@ def background(scene: Scene, rng: np.random.Generator, spare: str) -> tuple[Effe
     found = []
     for name in continuous(scene, ()):
         kind = effect(name)
-        if kind.edit is None or kind.reading or kind.acts_on == "world" or name in (*SOLVER, *UNFIT, spare):
+        if kind.edit is None or kind.reading or kind.acts_on == "world" or name == spare:
+            continue
+        # One limit for all joints is more than a little wrong where the model has several.
+        if kind.traits & {"simulator", "one_for_all"}:
             continue
         x = np.concatenate([_off(p, scene, rng) for p in kind.parameters])
         found.append(setting(name, x, scene))
@@ -194,7 +193,7 @@ def _solver(scene: Scene, name: str, i: int, rng: np.random.Generator, pool: Seq
 
 def _solvers(scene: Scene, only: Sequence[str]) -> tuple[str, ...]:
     """Return the solver settings that a real world may have other: cone, integrator, time step, impratio."""
-    return tuple(n for n in possible_effects(scene, only) if n in SOLVER and n != "solimp_width")
+    return tuple(name for name in possible_effects(scene, only) if name in effects_with("solver"))
 
 
 _POOLS: dict[Kind, Callable[[Scene, Sequence[str]], tuple[str, ...]]] = {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.blind.draws import SOLVER
+from candata.effects import effects_with
 from candata.schema.bench import CaseResult, Kind, Label, Shares
 from candata.schema.report import Estimate, NamedEffect
 
@@ -107,7 +107,7 @@ class Outcome:
         report = self.result.report
         if report is None:
             return False
-        solver = {t for t in self.truth if t in SOLVER}
+        solver = set(self.truth) & set(effects_with("simulator"))
         return report.unknown is not None or bool(solver & {*self.named, *report.ambiguous_class})
 
 

@@ -1,16 +1,29 @@
 """Devices: one file each; the folder is the registry."""
 
-from candata.plugins import load, names
-from candata.record.devices._contract import Commands, Device, Frame, Framer, States
+from candata.plugins import Registry
+from candata.record.devices._contract import Commands, Device, Encoder, Frame, Framer, States
+from candata.record.devices._wire import HeadFramer, Layout
 
-PACKAGE = "candata.record.devices"
+DEVICES = Registry("devices", "candata.record.devices", "DEVICE", Device, "summary")
 
-__all__ = ["Commands", "Device", "Frame", "Framer", "States", "device", "device_names"]
+__all__ = [
+    "DEVICES",
+    "Commands",
+    "Device",
+    "Encoder",
+    "Frame",
+    "Framer",
+    "HeadFramer",
+    "Layout",
+    "States",
+    "device",
+    "device_names",
+]
 
 
 def device_names() -> tuple[str, ...]:
-    """Return the names of all devices: the files of the folder."""
-    return names(PACKAGE)
+    """Return the names of all devices: the files of the folder, and those of other packages."""
+    return DEVICES.names()
 
 
 def device(name: str) -> Device:
@@ -20,6 +33,7 @@ def device(name: str) -> Device:
     ------
     UnknownNameError
         When there is none; lists those there are.
+    PluginError
+        When it comes from another package and cannot be used.
     """
-    registered_device: Device = load(PACKAGE, "DEVICE", name)
-    return registered_device
+    return DEVICES.load(name)

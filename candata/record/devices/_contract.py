@@ -9,6 +9,13 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.errors import DataError
+
+
+def _unchanged(frame: bytes) -> bytes:
+    """Return the frame."""
+    return frame
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -82,6 +89,25 @@ class Commands:
 
 
 @dataclass(frozen=True)
+class Encoder:
+    """How a device's frames are written, for what stands in for it.
+
+    Attributes
+    ----------
+    command_frames : callable
+        `((n, J) float [rad]) -> n command frames`.
+    state_frames : callable
+        `((n, J) float [rad], (n, F, 3) int, (n, F, taxels, 3) int) -> n state frames`.
+    with_heads : callable, optional
+        `(frame) -> frame` that says the same, with heads of frames where nothing is read; by default the frame itself.
+    """
+
+    command_frames: Callable[[NDArray], list[bytes]]
+    state_frames: Callable[[NDArray, NDArray, NDArray], list[bytes]]
+    with_heads: Callable[[bytes], bytes] = _unchanged
+
+
+@dataclass(frozen=True)
 class Device:
     """A serial device with joints and fingertips.
 
@@ -96,7 +122,7 @@ class Device:
     joint_names, fingertip_names : tuple of str
         In the order of the decoded columns; the names of the built-in scene of this hand.
     taxels : int
-        Taxels a fingertip.
+        Taxels a fingertip; 0 where it has none.
     newton_per_count : float
         Default scale of the forces; a setting where sources differ.
     count_low, count_high : (3,) int
@@ -105,6 +131,8 @@ class Device:
         `() -> Framer`, a fresh one.
     decode_states, decode_commands : callable
         `(frames) -> States`, `(frames) -> Commands`: whole frames of that kind, many at once.
+    encoder : Encoder, optional
+        Writes its frames; a device that has one can be emulated.
     """
 
     summary: str
@@ -119,3 +147,49 @@ class Device:
     framer: Callable[[], Framer]
     decode_states: Callable[[Sequence[bytes]], States]
     decode_commands: Callable[[Sequence[bytes]], Commands]
+    encoder: Encoder | None = None
+
+    def states(self, frames: Sequence[bytes]) -> States:
+        """Return what state frames say, of the shapes that the device declares.
+
+        Raises
+        ------
+        DataError
+            When a frame is no state frame, or the decoder gives arrays of other shapes.
+        """
+        states, n = self.decode_states(frames), len(frames)
+        joints, fingertips = len(self.joint_names), len(self.fingertip_names)
+        declared = {
+            "joint_position": (n, joints),
+            "motor_current": (n, joints),
+            "motor_temperature": (n, joints),
+            "force_counts": (n, fingertips, 3),
+            "taxel_counts": (n, fingertips, self.taxels, 3),
+        }
+        _require_shapes(states, declared)
+        return states
+
+    def commands(self, frames: Sequence[bytes]) -> Commands:
+        """Return what command frames say, of the shape that the device declares.
+
+        Raises
+        ------
+        DataError
+            When a frame is no command frame, or the decoder gives an array of another shape.
+        """
+        commands = self.decode_commands(frames)
+        _require_shapes(commands, {"joint_target": (len(frames), len(self.joint_names))})
+        return commands
+
+
+def _require_shapes(decoded: States | Commands, declared: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse arrays of other shapes than the device declares: no log that holds them could be read."""
+    for name, shape in declared.items():
+        found = np.shape(getattr(decoded, name))
+        if found != shape:
+            raise DataError(
+                "the device's decoder disagrees with what the device declares",
+                expected=f"{name} {shape}, by its names and taxels",
+                found=str(found),
+                fix="mend the device's file; the bytes of the wire are in the log",
+            )

@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from numpy.typing import NDArray
-
 from candata.record.devices._contract import Frame
 
 #: Bits on the wire for a byte: start, eight data, stop (8N1).
@@ -44,27 +42,6 @@ class Layout:
     checksum_ok: Callable[[bytes], bool]
     kind: Callable[[bytes], Literal["command", "state", "other"]]
     baud: int
-
-
-@dataclass(frozen=True)
-class Encoder:
-    """How a device's frames are written, for what stands in for it.
-
-    A device's file that exports one as `ENCODER` can be emulated.
-
-    Attributes
-    ----------
-    command_frames : callable
-        `((n, J) float [rad]) -> n command frames`.
-    state_frames : callable
-        `((n, J) float [rad], (n, F, 3) int, (n, F, taxels, 3) int) -> n state frames`.
-    with_heads : callable
-        `(frame) -> frame` that says the same, with heads of frames where nothing is read.
-    """
-
-    command_frames: Callable[[NDArray], list[bytes]]
-    state_frames: Callable[[NDArray, NDArray, NDArray], list[bytes]]
-    with_heads: Callable[[bytes], bytes]
 
 
 def wire_time_ns(count: int, baud: int) -> int:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError
 from candata.record.devices import _xhand_frames as wire
-from candata.record.devices._contract import Commands, Device, States
-from candata.record.devices._wire import Encoder, HeadFramer
+from candata.record.devices._contract import Commands, Device, Encoder, States
+from candata.record.devices._wire import HeadFramer
 
 #: In the order of the ids on the wire, which is that of the scene's hand.
 JOINT_NAMES = (
@@ -108,6 +108,5 @@ DEVICE = Device(
     framer=framer,
     decode_states=decode_states,
     decode_commands=decode_commands,
+    encoder=Encoder(wire.command_frames, wire.state_frames, wire.with_heads),
 )
-
-ENCODER = Encoder(wire.command_frames, wire.state_frames, wire.with_heads)

@@ -5,8 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.plugins import load
-from candata.scenes.contract import BuiltinScene
+from candata.scenes.contract import HANDS, BuiltinScene
 from candata.schema.scene import Noise, SceneFile
 
 RATE_HZ = 80.0
@@ -32,7 +31,7 @@ FINGER_OPEN, FINGER_GRASP = (0.05, 0.3), (0.5, 1.0)
 
 def build() -> mujoco.MjSpec:
     """Return the scene: table, wrist on rails, hand with its palm towards +y, a can."""
-    hand = load("candata.scenes.hands", "HAND", "xhand")
+    hand = HANDS.load("xhand")
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep = 1 / RATE_HZ / SUBSTEPS
@@ -152,7 +151,7 @@ def _add_posture(spec: mujoco.MjSpec, name: str, hinges: tuple[float, ...]) -> N
 
 def _file() -> SceneFile:
     """Return the roles."""
-    hand = load("candata.scenes.hands", "HAND", "xhand")
+    hand = HANDS.load("xhand")
     joints = (*WRIST, *hand.joints)
     return SceneFile(
         model="builtin",

@@ -1,0 +1,1 @@
+"""One candata plug-in of each kind."""
