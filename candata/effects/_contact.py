@@ -42,9 +42,9 @@ def _is_element(scene: Scene) -> bool:
     tips = scene.file.fingertips
     if scene.object_id is None or len(tips) < 2 or FINGERTIPS in (*tips, *_support(scene)):
         return False
-    own = [g for tip in tips for g in _own(scene, tip)]
+    tip_geoms = [g for tip in tips for g in _named_geoms(scene, tip)]
     ends = np.stack([scene.model.pair_geom1, scene.model.pair_geom2], axis=1)[pairs(scene, None)]
-    return bool(np.setdiff1d([*_select.contact_geoms(scene), *ends.ravel()], [*own, *scene.object_geoms]).size)
+    return bool(np.setdiff1d([*_select.contact_geoms(scene), *ends.ravel()], [*tip_geoms, *scene.object_geoms]).size)
 
 
 def geoms(scene: Scene, element: str | None) -> Ids:
@@ -55,12 +55,12 @@ def geoms(scene: Scene, element: str | None) -> Ids:
     UnknownNameError
         When `element` is none of `names`.
     """
-    touching = np.array(_select.contact_geoms(scene), int)
+    contact_ids = np.array(_select.contact_geoms(scene), int)
     if element is None:
-        return touching
+        return contact_ids
     if element not in names(scene):
         raise UnknownNameError("fingertip or support", element, names(scene))
-    return touching[np.isin(touching, _owned(scene, element))]
+    return contact_ids[np.isin(contact_ids, _element_geoms(scene, element))]
 
 
 def fingertip_geoms(scene: Scene, element: str | None) -> Ids:
@@ -69,28 +69,31 @@ def fingertip_geoms(scene: Scene, element: str | None) -> Ids:
     return np.concatenate([np.zeros(0, int), *(geoms(scene, tip) for tip in tips)])
 
 
-def _owned(scene: Scene, element: str) -> list[int]:
+def _element_geoms(scene: Scene, element: str) -> list[int]:
     """Return ids of the geoms of an element of `names`."""
-    return [g for name in members(scene, element) for g in _own(scene, name)]
+    return [g for name in members(scene, element) for g in _named_geoms(scene, name)]
 
 
-def _own(scene: Scene, element: str) -> list[int]:
+def _named_geoms(scene: Scene, element: str) -> list[int]:
     """Return ids of the geoms that bear a name, or that a body of this name carries (a body wins)."""
     model = scene.model
     body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element)
     if body < 0 or element == scene.file.support:
         return [model.geom(element).id]
-    carried = subtree(model, body)
-    return [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in carried]
+    bodies = subtree(model, body)
+    return [g for g in range(model.ngeom) if int(model.geom_bodyid[g]) in bodies]
 
 
 def pairs(scene: Scene, element: str | None) -> Ids:
     """Return ids of the explicit contact pairs of the object; of those with fingertips or the support alone."""
-    model, own = scene.model, subtree(scene.model, scene.object_id or 0) if scene.object_id is not None else set()
+    model, object_bodies = (
+        scene.model,
+        subtree(scene.model, scene.object_id or 0) if scene.object_id is not None else set(),
+    )
     ends = np.stack([model.pair_geom1, model.pair_geom2], axis=1)
-    with_object = np.isin(model.geom_bodyid[ends], list(own)).any(1)
+    with_object = np.isin(model.geom_bodyid[ends], list(object_bodies)).any(1)
     if element is not None:
-        with_object &= np.isin(ends, _owned(scene, element)).any(1)
+        with_object &= np.isin(ends, _element_geoms(scene, element)).any(1)
     return np.flatnonzero(with_object)
 
 
@@ -100,31 +103,35 @@ def lead(model: mujoco.MjModel, scene: Scene, ids: Ids) -> None:
     A contact takes the larger friction of its two geoms and mixes their softness, unless one has the higher
     priority (MuJoCo manual, "Contact parameters"): only so can one fingertip be more slippery than the object.
     """
-    own = scene.object_geoms
+    object_geoms = scene.object_geoms
     for g in ids:
-        partners = [o for o in own if _select.collide(scene, int(g), int(o))]
-        if not partners or g in own:
+        partners = [o for o in object_geoms if _select.collide(scene, int(g), int(o))]
+        if not partners or g in object_geoms:
             continue
         top = model.geom_priority[partners].max()
         if model.geom_priority[g] > top:
             continue
-        other = partners[int(np.argmax(model.geom_priority[partners]))]
-        equal = bool(model.geom_priority[g] == top)
-        share = model.geom_solmix[g] / max(model.geom_solmix[g] + model.geom_solmix[other], mujoco.mjMINVAL)
-        share = share if equal else 0.0
-        larger = np.maximum(model.geom_friction[g], model.geom_friction[partners].max(0))
-        model.geom_friction[g] = larger if equal else model.geom_friction[other]
+        partner = partners[int(np.argmax(model.geom_priority[partners]))]
+        has_equal_priority = bool(model.geom_priority[g] == top)
+        share = model.geom_solmix[g] / max(model.geom_solmix[g] + model.geom_solmix[partner], mujoco.mjMINVAL)
+        share = share if has_equal_priority else 0.0
+        friction = np.maximum(model.geom_friction[g], model.geom_friction[partners].max(0))
+        model.geom_friction[g] = friction if has_equal_priority else model.geom_friction[partner]
         model.geom_condim[g] = (
-            max(model.geom_condim[g], model.geom_condim[partners].max()) if equal else (model.geom_condim[other])
+            max(model.geom_condim[g], model.geom_condim[partners].max())
+            if has_equal_priority
+            else (model.geom_condim[partner])
         )
-        direct = equal and min(model.geom_solref[g, 0], model.geom_solref[other, 0]) <= 0
-        mixed = share * model.geom_solref[g] + (1 - share) * model.geom_solref[other]
-        model.geom_solref[g] = np.minimum(model.geom_solref[g], model.geom_solref[other]) if direct else mixed
-        model.geom_solimp[g] = share * model.geom_solimp[g] + (1 - share) * model.geom_solimp[other]
+        is_direct = has_equal_priority and min(model.geom_solref[g, 0], model.geom_solref[partner, 0]) <= 0
+        mixed_solref = share * model.geom_solref[g] + (1 - share) * model.geom_solref[partner]
+        model.geom_solref[g] = (
+            np.minimum(model.geom_solref[g], model.geom_solref[partner]) if is_direct else mixed_solref
+        )
+        model.geom_solimp[g] = share * model.geom_solimp[g] + (1 - share) * model.geom_solimp[partner]
         model.geom_priority[g] = top + 1
 
 
-def chosen(model: mujoco.MjModel, scene: Scene, element: str | None) -> Ids:
+def edited_geoms(model: mujoco.MjModel, scene: Scene, element: str | None) -> Ids:
     """Return the geoms to edit: all that meet the object, or those of one element, which then lead."""
     ids = geoms(scene, element)
     if element is not None:
@@ -134,17 +141,17 @@ def chosen(model: mujoco.MjModel, scene: Scene, element: str | None) -> Ids:
 
 def resist(model: mujoco.MjModel, ids: Ids, condim: int) -> None:
     """Raise the contact dimension of geoms; directions that were free before start without friction."""
-    three, four = model.geom_condim[ids] < 4, model.geom_condim[ids] < 6
+    without_torsion, without_rolling = model.geom_condim[ids] < 4, model.geom_condim[ids] < 6
     if condim >= 4:
-        model.geom_friction[ids[three], 1] = 0.0
+        model.geom_friction[ids[without_torsion], 1] = 0.0
     if condim >= 6:
-        model.geom_friction[ids[four], 2] = 0.0
+        model.geom_friction[ids[without_rolling], 2] = 0.0
     model.geom_condim[ids] = np.maximum(model.geom_condim[ids], condim)
 
 
 def change_solref(model: mujoco.MjModel, scene: Scene, element: str | None, change: Callable[[Array], Array]) -> None:
     """Replace solref `(m, 2)` of the contacts with the object by what `change` makes of it."""
-    ids, explicit = chosen(model, scene, element), pairs(scene, element)
+    ids, explicit = edited_geoms(model, scene, element), pairs(scene, element)
     model.geom_solref[ids] = change(model.geom_solref[ids])
     model.pair_solref[explicit] = change(model.pair_solref[explicit])
 

@@ -88,19 +88,19 @@ class Parameter:
     def on_rails(self, factor: float) -> Parameter:
         """Return the parameter on joints that slide, its values `factor` times as large."""
 
-        def longer(scene: Scene) -> Bounds:
+        def rail_bounds(scene: Scene) -> Bounds:
             low, high = self.bounds(scene)
             return Bounds(factor * low, factor * high)
 
-        own = self.neutral
+        neutral = self.neutral
         return replace(
             self,
             unit=RAILS[self.unit],
-            bounds=longer,
+            bounds=rail_bounds,
             probes=lambda scene: tuple(factor * v for v in self.probes(scene)),
             draws=lambda scene: tuple((factor * a, factor * b) for a, b in self.draws(scene)),
             identity=lambda scene: factor * self.identity(scene),
-            neutral=(lambda scene: factor * own(scene)) if own else None,
+            neutral=(lambda scene: factor * neutral(scene)) if neutral else None,
         )
 
 
@@ -227,7 +227,7 @@ class Effect:
     traits: frozenset[Trait] = frozenset()
 
 
-def fixed(low: float, high: float) -> Callable[[Scene], Bounds]:
+def constant_bounds(low: float, high: float) -> Callable[[Scene], Bounds]:
     """Return bounds that are the same in every scene."""
     return lambda scene: Bounds(low, high)
 
@@ -237,7 +237,7 @@ def spans(*intervals: tuple[float, float]) -> Callable[[Scene], Sequence[tuple[f
     return lambda scene: intervals
 
 
-def scaled(reference: Callable[[Scene], float], *factors: float) -> Callable[[Scene], tuple[float, ...]]:
+def scaled_probes(reference: Callable[[Scene], float], *factors: float) -> Callable[[Scene], tuple[float, ...]]:
     """Return probes that are multiples of a quantity of the scene."""
     return lambda scene: tuple(f * reference(scene) for f in factors)
 

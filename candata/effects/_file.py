@@ -37,5 +37,5 @@ def scene_of(file: EffectsFile, path: Path) -> str:
             where=Where(path=str(path)),
             fix="see candata scene list",
         )
-    beside = path.parent / file.scene
-    return str(beside) if beside.is_file() else file.scene
+    neighbour = path.parent / file.scene
+    return str(neighbour) if neighbour.is_file() else file.scene

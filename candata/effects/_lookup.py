@@ -54,8 +54,8 @@ def parameters_on(name: str, scene: Scene, element: str | None = None) -> tuple[
 
 def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
     """Return indices into `scene.file.joints` of the joints on which an effect of joints or drives acts as a whole."""
-    measured = any(p.rails for p in effect(name).parameters)
-    return _select.fingers(scene) if measured else _select.usual(scene)
+    has_rail_values = any(p.rails for p in effect(name).parameters)
+    return _select.fingers(scene) if has_rail_values else _select.shared_joints(scene)
 
 
 def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
@@ -68,10 +68,10 @@ def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
 def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:
     """Return the units of an effect's parameters that are others than their names say, on joints that slide."""
     pairs = zip(effect(name).parameters, parameters_on(name, scene, element), strict=True)
-    return {p.name: there.unit for p, there in pairs if there.unit != p.unit}
+    return {p.name: rail_parameter.unit for p, rail_parameter in pairs if rail_parameter.unit != p.unit}
 
 
-def flatten(given: EffectSetting, scene: Scene) -> Array:
+def flatten(setting: EffectSetting, scene: Scene) -> Array:
     """Return the parameters of a setting as one vector `(d,)`, identities where not given.
 
     A vector with numbers for each element may be given whole, or as the named element's own numbers.
@@ -81,59 +81,59 @@ def flatten(given: EffectSetting, scene: Scene) -> Array:
     UsageError
         When a parameter is unknown, has the wrong size, or lies outside its bounds.
     """
-    kind = effect(given.name)
-    known = {p.name for p in kind.parameters}
-    for name in given.parameters:
-        if name not in known:
-            raise UnknownNameError(f"parameter of {given.name}:", name, known)
-    parts = [_numbers(given, p, scene) for p in parameters_on(given.name, scene, given.element)]
+    kind = effect(setting.name)
+    parameter_names = {p.name for p in kind.parameters}
+    for name in setting.parameters:
+        if name not in parameter_names:
+            raise UnknownNameError(f"parameter of {setting.name}:", name, parameter_names)
+    parts = [_numbers(setting, p, scene) for p in parameters_on(setting.name, scene, setting.element)]
     return np.concatenate(parts)
 
 
-def _numbers(given: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
+def _numbers(setting: EffectSetting, parameter: Parameter, scene: Scene) -> Array:
     """Return one parameter as a vector."""
     size = parameter.size(scene)
-    if parameter.name not in given.parameters:
+    if parameter.name not in setting.parameters:
         return np.full(size, parameter.identity(scene))
-    value = given.parameters[parameter.name]
+    value = setting.parameters[parameter.name]
     if isinstance(value, str):
         if value not in parameter.choices:
-            raise UnknownNameError(f"{parameter.name} of {given.name}:", value, parameter.choices)
+            raise UnknownNameError(f"{parameter.name} of {setting.name}:", value, parameter.choices)
         return np.array([float(parameter.choices.index(value))])
-    array = _whole(np.atleast_1d(np.asarray(value, float)), parameter, scene, given.element)
+    array = _for_all_elements(np.atleast_1d(np.asarray(value, float)), parameter, scene, setting.element)
     low, high = parameter.bounds(scene)
     # A bound that went through a logarithm and back may lie a rounding error outside.
-    rounded = np.clip(array, low, high)
-    array = np.where(np.isclose(array, rounded, rtol=1e-9, atol=0), rounded, array)
+    clipped_array = np.clip(array, low, high)
+    array = np.where(np.isclose(array, clipped_array, rtol=1e-9, atol=0), clipped_array, array)
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
-        count = _owned(parameter, scene, given.element).sum()
+        count = _acts_on_element(parameter, scene, setting.element).sum()
         raise UsageError(
-            f"{given.name}: {parameter.name} is not possible in scene {scene.name}",
+            f"{setting.name}: {parameter.name} is not possible in scene {scene.name}",
             expected=f"{count} number(s) in [{low:g}, {high:g}] {parameter.unit}",
             found=str(value),
         )
     return array
 
 
-def _whole(array: Array, parameter: Parameter, scene: Scene, element: str | None) -> Array:
+def _for_all_elements(array: Array, parameter: Parameter, scene: Scene, element: str | None) -> Array:
     """Return a vector for all elements: the numbers of one, the identity elsewhere."""
-    mine = _owned(parameter, scene, element)
-    if mine.all() or len(array) != mine.sum():
+    acts = _acts_on_element(parameter, scene, element)
+    if acts.all() or len(array) != acts.sum():
         return array
-    whole = np.full(len(mine), float(parameter.identity(scene)))
-    whole[mine] = array
-    return whole
+    numbers = np.full(len(acts), float(parameter.identity(scene)))
+    numbers[acts] = array
+    return numbers
 
 
-def _owned(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
+def _acts_on_element(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
     """Return `(size,)` whether each number acts on `element`, or where none is named."""
     if parameter.owners is None or (element is None and parameter.whole is None):
         return np.ones(parameter.size(scene), bool)
     if element is None:
-        own = parameter.whole(scene) if parameter.whole else ()
+        joint_names = parameter.whole(scene) if parameter.whole else ()
     else:
-        own = scene.file.groups.get(element, (element,))
-    return np.array([owner in own for owner in parameter.owners(scene)], bool)
+        joint_names = scene.file.groups.get(element, (element,))
+    return np.array([owner in joint_names for owner in parameter.owners(scene)], bool)
 
 
 def turn(name: str) -> tuple[bool, str]:
@@ -143,7 +143,7 @@ def turn(name: str) -> tuple[bool, str]:
 
 def active(name: str, scene: Scene, element: str | None = None) -> NDArray[np.bool_]:
     """Return `(d,)` which numbers of the vector act: all, or those that belong to `element`."""
-    return np.concatenate([_owned(p, scene, element) for p in effect(name).parameters])
+    return np.concatenate([_acts_on_element(p, scene, element) for p in effect(name).parameters])
 
 
 def setting(name: str, x: Array, scene: Scene, element: str | None = None) -> EffectSetting:
@@ -155,7 +155,7 @@ def setting(name: str, x: Array, scene: Scene, element: str | None = None) -> Ef
     start = 0
     for p in effect(name).parameters:
         size = p.size(scene)
-        part = x[start : start + size][_owned(p, scene, element)]
+        part = x[start : start + size][_acts_on_element(p, scene, element)]
         start += size
         if p.choices:
             parameters[p.name] = p.choices[int(part[0])]

@@ -56,7 +56,7 @@ OBJECT_TERMS: tuple[tuple[str, ...], ...] = (
 AXES = 6
 
 
-class Past(NamedTuple):
+class TermMemory(NamedTuple):
     """What the terms remember of n simulations.
 
     Attributes
@@ -91,32 +91,32 @@ def sizes(scene: Scene) -> tuple[int, int]:
     return len(scene.joint_ids) * len(JOINT_TERMS), AXES * len(OBJECT_TERMS) * has_object
 
 
-def terms(scene: Scene, past: Past | None, x: Forces, waves: Array) -> tuple[Past, Terms]:
+def terms(scene: Scene, earlier: TermMemory | None, x: Forces, waves: Array) -> tuple[TermMemory, Terms]:
     """Return the values of all terms at the beginning of a control step, and what they remember.
 
     Parameters
     ----------
     scene : Scene
-    past : Past or None
+    earlier : Past or None
         None at the first step.
     x : Forces
         Motion, effort and contact of n simulations.
     waves : (n, J) float64
         Wave number of the periodic terms [rad per rad or m].
     """
-    now = x.qpos[:, scene.joint_qpos]
+    positions = x.qpos[:, scene.joint_qpos]
     effort = x.effort[:, scene.joint_dof]
-    if past is None:
-        past = Past(0, now, x.qpos.copy(), np.zeros_like(now), np.zeros_like(now))
-    bristle = np.clip(past.bristle + (now - past.joints) / _width(scene), -1.0, 1.0)
+    if earlier is None:
+        earlier = TermMemory(0, positions, x.qpos.copy(), np.zeros_like(positions), np.zeros_like(positions))
+    bristle = np.clip(earlier.bristle + (positions - earlier.joints) / _width(scene), -1.0, 1.0)
     fade = 1 / (MEMORY_S * scene.file.rate_hz)
-    memory = past.memory + fade * (np.abs(effort) - past.memory)
-    time = np.full_like(now, past.row / scene.file.rate_hz)
-    tips = np.sqrt((x.tip_force**2).sum(-1)) @ _carried(scene).T
+    memory = earlier.memory + fade * (np.abs(effort) - earlier.memory)
+    time = np.full_like(positions, earlier.row / scene.file.rate_hz)
+    tips = np.sqrt((x.tip_force**2).sum(-1)) @ _tip_carriers(scene).T
     joint = np.stack(
         [
-            np.ones_like(now),
-            now,
+            np.ones_like(positions),
+            positions,
             x.qvel[:, scene.joint_dof],
             bristle,
             effort,
@@ -125,35 +125,37 @@ def terms(scene: Scene, past: Past | None, x: Forces, waves: Array) -> tuple[Pas
             memory * effort,
             time,
             time * effort,
-            np.sin(waves * now),
-            np.cos(waves * now),
+            np.sin(waves * positions),
+            np.cos(waves * positions),
         ],
         axis=-1,
     )
-    return Past(past.row + 1, now, past.start, bristle, memory), Terms(joint, _object_terms(scene, past, x))
+    return TermMemory(earlier.row + 1, positions, earlier.start, bristle, memory), Terms(
+        joint, _object_terms(scene, earlier, x)
+    )
 
 
-def _object_terms(scene: Scene, past: Past, x: Forces) -> Array:
+def _object_terms(scene: Scene, earlier: TermMemory, x: Forces) -> Array:
     """Return `(n, K, 6)` the object's terms; empty without one."""
     n = len(x.qpos)
     if scene.object_id is None:
         return np.zeros((n, 0, AXES))
     at, dof = scene.object_qpos, scene.object_dof
-    shift, velocity = x.qpos[:, at : at + 3] - past.start[:, at : at + 3], x.qvel[:, dof : dof + AXES]
+    shift, velocity = x.qpos[:, at : at + 3] - earlier.start[:, at : at + 3], x.qvel[:, dof : dof + AXES]
     height = np.maximum(shift[:, 2], 0.0)
-    near = [np.exp(-height / fades) * (scene.file.support is not None) for fades in NEAR_M]
-    flags = (np.ones(n), off_support(scene, past, x), *near, x.touch, np.sqrt((x.tip_force**2).sum((1, 2))))
-    even = [np.repeat(np.asarray(f, float)[:, None], AXES, axis=1) for f in flags]
+    nearness = [np.exp(-height / fades) * (scene.file.support is not None) for fades in NEAR_M]
+    flags = (np.ones(n), off_support(scene, earlier, x), *nearness, x.touch, np.sqrt((x.tip_force**2).sum((1, 2))))
+    constant_terms = [np.repeat(np.asarray(f, float)[:, None], AXES, axis=1) for f in flags]
     place = np.concatenate([shift, np.zeros((n, 3))], axis=1)
     sign = np.tanh(velocity / np.repeat([SLOW_MPS, SLOW_RADPS], 3))
-    time = np.full((n, AXES), past.row / scene.file.rate_hz)
-    return np.stack([*even, place, velocity, sign, time], axis=1)
+    time = np.full((n, AXES), earlier.row / scene.file.rate_hz)
+    return np.stack([*constant_terms, place, velocity, sign, time], axis=1)
 
 
-def off_support(scene: Scene, past: Past, x: Forces) -> NDArray[np.bool_]:
+def off_support(scene: Scene, earlier: TermMemory, x: Forces) -> NDArray[np.bool_]:
     """Return `(n,)` whether the object stands higher than where it began; always where there is no support."""
     at = scene.object_qpos + 2
-    return (x.qpos[:, at] - past.start[:, at] > OFF_M) | (scene.file.support is None)
+    return (x.qpos[:, at] - earlier.start[:, at] > OFF_M) | (scene.file.support is None)
 
 
 def _width(scene: Scene) -> Array:
@@ -162,10 +164,10 @@ def _width(scene: Scene) -> Array:
     return np.where(slides, BRISTLE_M, BRISTLE_RAD)
 
 
-def _carried(scene: Scene) -> Array:
+def _tip_carriers(scene: Scene) -> Array:
     """Return `(J, F)` 1 where a joint carries a fingertip, else 0."""
     model = scene.model
-    below = [subtree(model, int(model.jnt_bodyid[j])) for j in scene.joint_ids]
+    subtrees = [subtree(model, int(model.jnt_bodyid[j])) for j in scene.joint_ids]
     count = len(scene.force_sensors)
     tips = scene.fingertip_bodies[:count]
-    return np.array([[float(int(b) in body) for b in tips] for body in below]).reshape(len(below), count)
+    return np.array([[float(int(b) in body) for b in tips] for body in subtrees]).reshape(len(subtrees), count)

@@ -19,7 +19,7 @@ TURN, TRAVEL_M = 1.5, 0.05
 
 def has_drives(scene: Scene) -> bool:
     """Tell whether the scene has joints with an actuator, slides too."""
-    return len(_driven(scene)) > 0
+    return len(_driven_joints(scene)) > 0
 
 
 def has_object(scene: Scene) -> bool:
@@ -39,20 +39,20 @@ def fingers(scene: Scene) -> Ids:
     """
     if len(scene.driven_hinges):
         return scene.driven_hinges
-    return jaws(scene) if len(jaws(scene)) else _driven(scene)
+    return jaws(scene) if len(jaws(scene)) else _driven_joints(scene)
 
 
 @lru_cache(maxsize=64)
 def jaws(scene: Scene) -> Ids:
     """Return indices of driven slides that move some of the fingertips and not all: jaws on rails, no wrist."""
-    found = []
-    for i in _driven(scene):
+    indices = []
+    for i in _driven_joints(scene):
         joint = scene.joint_ids[i]
-        moved = subtree(scene.model, int(scene.model.jnt_bodyid[joint]))
-        own = np.isin(scene.fingertip_bodies, list(moved))
-        if _slides(scene, i) and own.any() and not own.all():
-            found.append(i)
-    return np.array(found, int)
+        bodies = subtree(scene.model, int(scene.model.jnt_bodyid[joint]))
+        is_carried = np.isin(scene.fingertip_bodies, list(bodies))
+        if _slides(scene, i) and is_carried.any() and not is_carried.all():
+            indices.append(i)
+    return np.array(indices, int)
 
 
 def _slides(scene: Scene, index: int) -> bool:
@@ -65,15 +65,15 @@ def finger_joints(scene: Scene) -> Ids:
     return _with_jaws(scene, fingers(scene))
 
 
-def _with_jaws(scene: Scene, chosen: Ids) -> Ids:
+def _with_jaws(scene: Scene, indices: Ids) -> Ids:
     """Return the joints chosen and the jaws on rails, in the order of `joint_position`."""
-    return np.union1d(chosen, jaws(scene)).astype(int)
+    return np.union1d(indices, jaws(scene)).astype(int)
 
 
 def on_rails(scene: Scene, element: str | None) -> bool:
     """Tell whether the joints of `element`, or those of all fingers, slide: effects are in m and N there."""
-    chosen = _resisting(scene, element)
-    return len(chosen) > 0 and all(_slides(scene, i) for i in chosen)
+    indices = _moving_indices(scene, element)
+    return len(indices) > 0 and all(_slides(scene, i) for i in indices)
 
 
 def joints(scene: Scene, element: str | None) -> Ids:
@@ -84,49 +84,62 @@ def joints(scene: Scene, element: str | None) -> Ids:
     UnknownNameError
         When `element` is no driven hinge or jaw and no group of either.
     """
-    return _picked(scene, fingers(scene), finger_joints(scene), element)
+    return _select_joints(scene, fingers(scene), finger_joints(scene), element)
 
 
-def _picked(scene: Scene, usual: Ids, possible: Ids, element: str | None, mixed: bool = False) -> Ids:
+def _select_joints(
+    scene: Scene, everywhere: Ids, selectable: Ids, element: str | None, allow_mixed: bool = False
+) -> Ids:
     """Return the usual joints, or those of the possible joint or group named."""
     if element is None:
-        return usual
-    known = {scene.file.joints[i]: np.array([i]) for i in possible} | _groups(scene, possible, mixed)
-    if element not in known:
-        raise UnknownNameError("joint or group", element, known)
-    return known[element]
+        return everywhere
+    choices = {scene.file.joints[i]: np.array([i]) for i in selectable} | _groups(scene, selectable, allow_mixed)
+    if element not in choices:
+        raise UnknownNameError("joint or group", element, choices)
+    return choices[element]
 
 
-def _groups(scene: Scene, possible: Ids, mixed: bool) -> dict[str, Ids]:
-    """Return the indices of each group that holds possible joints only, and of one kind if not `mixed`."""
-    found = {name: np.array([scene.file.joints.index(j) for j in own], int) for name, own in scene.file.groups.items()}
-    alike = {name: mixed or len({_slides(scene, i) for i in ids}) == 1 for name, ids in found.items()}
-    return {name: ids for name, ids in found.items() if len(ids) and alike[name] and np.isin(ids, possible).all()}
+def _groups(scene: Scene, selectable: Ids, allow_mixed: bool) -> dict[str, Ids]:
+    """Return the indices of each group that holds possible joints only, and of one kind if not `allow_mixed`."""
+    groups = {
+        name: np.array([scene.file.joints.index(j) for j in members], int)
+        for name, members in scene.file.groups.items()
+    }
+    of_one_kind = {name: allow_mixed or len({_slides(scene, i) for i in ids}) == 1 for name, ids in groups.items()}
+    return {
+        name: ids for name, ids in groups.items() if len(ids) and of_one_kind[name] and np.isin(ids, selectable).all()
+    }
 
 
-def _places(scene: Scene, usual: Ids, beside: Ids, possible: Ids, mixed: bool = False) -> tuple[str, ...]:
-    """Return the names of the usual joints, of slides `beside` them, and of groups that are not one of these or all.
+def _places(
+    scene: Scene, everywhere: Ids, extra_slides: Ids, selectable: Ids, allow_mixed: bool = False
+) -> tuple[str, ...]:
+    """Return the names of the joints of `everywhere`, of extra slides, and of groups that are neither one nor all.
 
-    Beside slides a lone usual joint is left out: the effect touches it anyway, so it is the same cause twice. So is a
-    slide that is in a group.
+    A lone joint is left out beside slides: the effect touches it anyway, so it would be the same cause twice. A slide
+    that is in a group is left out for the same reason.
     """
 
     def is_one(ids: Ids) -> bool:
         """Tell whether one motor, named by its first joint, is all that pulls a group."""
-        return len(ids) > 1 and len(np.intersect1d(ids, np.union1d(usual, beside))) == 1
+        return len(ids) > 1 and len(np.intersect1d(ids, np.union1d(everywhere, extra_slides))) == 1
 
     groups = {
         n: ids
-        for n, ids in _groups(scene, possible, mixed).items()
-        if (np.setdiff1d(ids, usual).size or 1 < len(ids) < len(usual)) and not is_one(ids)
+        for n, ids in _groups(scene, selectable, allow_mixed).items()
+        if (np.setdiff1d(ids, everywhere).size or 1 < len(ids) < len(everywhere)) and not is_one(ids)
     }
-    grouped = np.concatenate([np.zeros(0, int), *groups.values()])
-    rails = np.setdiff1d(beside, np.union1d(usual, grouped)).astype(int)
-    lone = len(usual) == 1 and (len(groups) or len(rails))
-    return (*(() if lone else (scene.file.joints[i] for i in usual)), *(scene.file.joints[i] for i in rails), *groups)
+    group_members = np.concatenate([np.zeros(0, int), *groups.values()])
+    rails = np.setdiff1d(extra_slides, np.union1d(everywhere, group_members)).astype(int)
+    lone = len(everywhere) == 1 and (len(groups) or len(rails))
+    return (
+        *(() if lone else (scene.file.joints[i] for i in everywhere)),
+        *(scene.file.joints[i] for i in rails),
+        *groups,
+    )
 
 
-def moving(scene: Scene) -> Ids:
+def moving_joints(scene: Scene) -> Ids:
     """Return indices of the joints that resist motion: `fingers`, or all hinges where nothing drives (a toss)."""
     if len(scene.actuator_ids):
         return fingers(scene)
@@ -136,12 +149,12 @@ def moving(scene: Scene) -> Ids:
 
 def has_moving(scene: Scene) -> bool:
     """Tell whether the scene has joints that resist motion."""
-    return len(moving(scene)) > 0
+    return len(moving_joints(scene)) > 0
 
 
 def moving_places(scene: Scene) -> tuple[str, ...]:
     """Return the names of the joints that resist motion, in the order of `joint_position`, and of groups of them."""
-    return _places(scene, moving(scene), jaws(scene), _with_jaws(scene, moving(scene)))
+    return _places(scene, moving_joints(scene), jaws(scene), _with_jaws(scene, moving_joints(scene)))
 
 
 def joint_places(scene: Scene) -> tuple[str, ...]:
@@ -154,7 +167,7 @@ def motor_places(scene: Scene) -> tuple[str, ...]:
 
     Of several joints on one tendon the first stands for their motor.
     """
-    return _places(scene, _leading(scene, fingers(scene)), _leading(scene, jaws(scene)), finger_joints(scene))
+    return _places(scene, _first_joints(scene, fingers(scene)), _first_joints(scene, jaws(scene)), finger_joints(scene))
 
 
 def servo_places(scene: Scene) -> tuple[str, ...]:
@@ -162,26 +175,32 @@ def servo_places(scene: Scene) -> tuple[str, ...]:
 
     Where no hinge is driven, as of jaws that slide, the slides stand for the hinges.
     """
-    slides = np.array([i for i in _driven(scene) if _slides(scene, i)], int)
-    return _places(scene, _leading(scene, usual(scene)), _leading(scene, slides), _driven(scene), mixed=True)
+    slides = np.array([i for i in _driven_joints(scene) if _slides(scene, i)], int)
+    return _places(
+        scene,
+        _first_joints(scene, shared_joints(scene)),
+        _first_joints(scene, slides),
+        _driven_joints(scene),
+        allow_mixed=True,
+    )
 
 
-def _leading(scene: Scene, chosen: Ids) -> Ids:
+def _first_joints(scene: Scene, indices: Ids) -> Ids:
     """Return those of the joints chosen that are the first of an actuator."""
-    order = {int(scene.joint_ids[i]): int(i) for i in chosen}
-    firsts = {min((order[j] for j in own if j in order), default=-1) for own in scene.levers.values()}
+    order = {int(scene.joint_ids[i]): int(i) for i in indices}
+    firsts = {min((order[j] for j in levers if j in order), default=-1) for levers in scene.levers.values()}
     return np.array(sorted(firsts - {-1}), int)
 
 
-def usual(scene: Scene) -> Ids:
+def shared_joints(scene: Scene) -> Ids:
     """Return indices of the driven hinges and jaws, whose shares and times mean the same; of all where no hinge is."""
-    return _with_jaws(scene, scene.driven_hinges) if len(scene.driven_hinges) else _driven(scene)
+    return _with_jaws(scene, scene.driven_hinges) if len(scene.driven_hinges) else _driven_joints(scene)
 
 
-def _driven(scene: Scene) -> Ids:
+def _driven_joints(scene: Scene) -> Ids:
     """Return indices into `scene.file.joints` of the driven joints, slides too."""
-    pulled = {joint for own in scene.levers.values() for joint in own}
-    return np.flatnonzero(np.isin(scene.joint_ids, list(pulled)))
+    joint_ids = {joint for levers in scene.levers.values() for joint in levers}
+    return np.flatnonzero(np.isin(scene.joint_ids, list(joint_ids)))
 
 
 def fingertip_names(scene: Scene) -> tuple[str, ...]:
@@ -191,12 +210,12 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints that resist motion, or of the one or the group named."""
-    return scene.joint_dof[_resisting(scene, element)]
+    return scene.joint_dof[_moving_indices(scene, element)]
 
 
-def _resisting(scene: Scene, element: str | None) -> Ids:
+def _moving_indices(scene: Scene, element: str | None) -> Ids:
     """Return indices of the joints that resist motion, or of the one or the group named."""
-    return _picked(scene, moving(scene), _with_jaws(scene, moving(scene)), element)
+    return _select_joints(scene, moving_joints(scene), _with_jaws(scene, moving_joints(scene)), element)
 
 
 def actuators(scene: Scene, element: str | None) -> Ids:
@@ -206,12 +225,12 @@ def actuators(scene: Scene, element: str | None) -> Ids:
 
 def servos(scene: Scene, element: str | None) -> Ids:
     """Return actuator ids as `actuators` does; a group may hold slides too, for what has the same unit there."""
-    return _drives(scene, _picked(scene, usual(scene), _driven(scene), element, mixed=True))
+    return _drives(scene, _select_joints(scene, shared_joints(scene), _driven_joints(scene), element, allow_mixed=True))
 
 
-def _drives(scene: Scene, chosen: Ids) -> Ids:
+def _drives(scene: Scene, indices: Ids) -> Ids:
     """Return the ids of the actuators that pull joints."""
-    ids = set(scene.joint_ids[chosen].tolist())
+    ids = set(scene.joint_ids[indices].tolist())
     return np.array([a for a in scene.actuator_ids.tolist() if ids.intersection(scene.levers.get(a, ()))], int)
 
 
@@ -234,18 +253,20 @@ def fingertips(scene: Scene, element: str | None) -> Ids:
 @lru_cache(maxsize=64)
 def contact_geoms(scene: Scene) -> tuple[int, ...]:
     """Return ids of every geom that can touch the object, and the object's own."""
-    model, own = scene.model, set(scene.object_geoms.tolist())
+    model, object_geoms = scene.model, set(scene.object_geoms.tolist())
     bodies = subtree(model, scene.object_id) if scene.object_id is not None else set()
     partners = [
-        g for g in range(model.ngeom) if model.geom_bodyid[g] not in bodies and any(collide(scene, g, o) for o in own)
+        g
+        for g in range(model.ngeom)
+        if model.geom_bodyid[g] not in bodies and any(collide(scene, g, o) for o in object_geoms)
     ]
-    return tuple(sorted(own | set(partners)))
+    return tuple(sorted(object_geoms | set(partners)))
 
 
-def collide(scene: Scene, first: int, second: int) -> bool:
+def collide(scene: Scene, geom: int, other_geom: int) -> bool:
     """Tell whether the bit masks let two geoms meet."""
     kind, affinity = scene.model.geom_contype, scene.model.geom_conaffinity
-    return bool((kind[first] & affinity[second]) | (kind[second] & affinity[first]))
+    return bool((kind[geom] & affinity[other_geom]) | (kind[other_geom] & affinity[geom]))
 
 
 def drive_torque(scene: Scene, element: str | None = None) -> float:
@@ -266,9 +287,9 @@ def _drive_limits(scene: Scene, element: str | None) -> NDArray[np.float64]:
     ids = actuators(scene, element)
     if not len(ids):
         return np.ones(1)
-    limited = scene.model.actuator_forcelimited[ids].astype(bool)
-    usual = 0.3 * drive_reach(scene, element) * scene.stiffness(ids)
-    return np.where(limited, scene.model.actuator_forcerange[ids, 1], usual)
+    has_limit = scene.model.actuator_forcelimited[ids].astype(bool)
+    assumed_limit = 0.3 * drive_reach(scene, element) * scene.stiffness(ids)
+    return np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)
 
 
 def drive_damping(scene: Scene, element: str | None = None) -> float:
@@ -281,9 +302,9 @@ def drive_damping(scene: Scene, element: str | None = None) -> float:
         return 1.0
     model, firsts = scene.model, [next(iter(scene.levers[a].items())) for a in ids.tolist()]
     dof, lever = model.jnt_dofadr[[joint for joint, _ in firsts]], np.array([v for _, v in firsts])
-    own = model.dof_damping[dof] - lever**2 * model.actuator_biasprm[ids, 2]
+    damping = model.dof_damping[dof] - lever**2 * model.actuator_biasprm[ids, 2]
     critical = 0.2 * np.sqrt(lever**2 * np.maximum(scene.stiffness(ids), 0) * model.dof_M0[dof])
-    return float(np.median(np.maximum(own, critical)))
+    return float(np.median(np.maximum(damping, critical)))
 
 
 def drive_inertia(scene: Scene, element: str | None = None) -> float:
@@ -301,8 +322,8 @@ def drive_reach(scene: Scene, element: str | None = None) -> float:
     if not on_rails(scene, element):
         return 1.0
     ids = scene.joint_ids[joints(scene, element)]
-    limited = scene.model.jnt_limited[ids].astype(bool)
-    travel = np.where(limited, np.ptp(scene.model.jnt_range[ids], axis=1), TRAVEL_M)
+    has_limit = scene.model.jnt_limited[ids].astype(bool)
+    travel = np.where(has_limit, np.ptp(scene.model.jnt_range[ids], axis=1), TRAVEL_M)
     return float(np.median(travel) / TURN)
 
 
@@ -327,6 +348,6 @@ def contact_timeconst(scene: Scene) -> float:
     if not len(scene.object_geoms):
         return 0.02
     solref = scene.model.geom_solref[scene.object_geoms]
-    given = np.maximum(solref[:, 0], 2 * scene.model.opt.timestep)
-    time = np.where(solref[:, 0] > 0, given, 2 / np.maximum(-solref[:, 1], 1e-9))
+    positive_form = np.maximum(solref[:, 0], 2 * scene.model.opt.timestep)
+    time = np.where(solref[:, 0] > 0, positive_form, 2 / np.maximum(-solref[:, 1], 1e-9))
     return float(np.median(time))

@@ -15,7 +15,7 @@ from candata.effects._contract import (
     Hook,
     Parameter,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -27,7 +27,7 @@ MAX_DELAY_S = 0.15
 class _Line(NamedTuple):
     """Past commands `(n, H, A)` one a physics step, delays in steps `(n, A)`."""
 
-    past: Array | None
+    commands: Array | None
     steps: Array
     history: int
 
@@ -50,14 +50,14 @@ def _apply(line: _Line, u: Array) -> tuple[_Line, Array]:
     result is continuous in the delay.
     """
     n, count, width = u.shape
-    past = np.repeat(u[:, :1], line.history, axis=1) if line.past is None else line.past
-    track = np.concatenate([past, u], axis=1)
-    whole = np.floor(line.steps).astype(int)
-    share = (line.steps - whole)[:, None]
-    at = line.history + np.arange(count)[None, :, None] - whole[:, None, :]
+    earlier_commands = np.repeat(u[:, :1], line.history, axis=1) if line.commands is None else line.commands
+    track = np.concatenate([earlier_commands, u], axis=1)
+    whole_steps = np.floor(line.steps).astype(int)
+    share = (line.steps - whole_steps)[:, None]
+    at = line.history + np.arange(count)[None, :, None] - whole_steps[:, None, :]
     rows, columns = np.arange(n)[:, None, None], np.arange(width)[None, None, :]
-    late = (1 - share) * track[rows, at, columns] + share * track[rows, at - 1, columns]
-    return line._replace(past=track[:, -line.history :]), late
+    delayed_commands = (1 - share) * track[rows, at, columns] + share * track[rows, at - 1, columns]
+    return line._replace(commands=track[:, -line.history :]), delayed_commands
 
 
 EFFECT = Effect(
@@ -67,7 +67,7 @@ EFFECT = Effect(
         Parameter(
             "delay_s",
             "s",
-            fixed(0.0, MAX_DELAY_S),
+            constant_bounds(0.0, MAX_DELAY_S),
             values(0.006, 0.015, 0.03, 0.06),
             spans((0.008, 0.045)),
             "serial buses and drive firmware: 5 to 50 ms",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact
-from candata.effects._contract import Advice, Array, Effect, Parameter, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -16,7 +16,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.pair_friction[ids, 1] = x[0] * model.pair_friction[ids, 0]
 
 
-def _own(scene: Scene) -> float:
+def _nominal_ratio(scene: Scene) -> float:
     """Return the median ratio of the second sliding direction to the first; 1 where there are no pairs."""
     friction = scene.model.pair_friction[_contact.pairs(scene, None)]
     if not len(friction):
@@ -34,11 +34,11 @@ EFFECT = Effect(
         Parameter(
             "ratio",
             "1",
-            fixed(0.05, 20.0),
+            constant_bounds(0.05, 20.0),
             values(0.5, 2.0),
             spans((0.3, 0.65), (1.6, 3.0)),
             "brushed or grained surfaces differ by up to a factor of three with direction",
-            neutral=_own,
+            neutral=_nominal_ratio,
         ),
     ),
     acts_on="object",

@@ -11,8 +11,8 @@ from candata.effects._contract import (
     Effect,
     Parameter,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "armature_kgm2",
             "kg m^2",
             scaled_bounds(_select.drive_inertia, 0.0, 60.0),
-            scaled(_select.drive_inertia, 0.7, 2.0, 5.0, 12.0),
+            scaled_probes(_select.drive_inertia, 0.7, 2.0, 5.0, 12.0),
             scaled_spans(_select.drive_inertia, (3.0, 12.0)),
             "rotor inertia times gear ratio squared, often left out of models",
             always(0.0),

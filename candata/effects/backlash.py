@@ -15,8 +15,8 @@ from candata.effects._contract import (
     Hook,
     Parameter,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -26,17 +26,17 @@ class _Gears(NamedTuple):
     """What the output side stands at `(n, A)` after the last step, half gaps `(n, A)`."""
 
     output: Array | None
-    half: Array
+    half_gap: Array
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> _Gears:
     """Return gears in the middle of their gap, in units of the command; what drives no hinge has none."""
-    half = np.zeros((len(x), len(scene.actuator_ids)))
+    half_gap = np.zeros((len(x), len(scene.actuator_ids)))
     ids = scene.actuator_ids.tolist()
     for row, element in enumerate(elements):
         for a in _select.actuators(scene, element).tolist():
-            half[row, ids.index(a)] = x[row, 0] / 2 * _command_per_rad(scene, a)
-    return _Gears(None, half)
+            half_gap[row, ids.index(a)] = x[row, 0] / 2 * _command_per_rad(scene, a)
+    return _Gears(None, half_gap)
 
 
 def _command_per_rad(scene: Scene, actuator: int) -> float:
@@ -54,7 +54,7 @@ def _apply(gears: _Gears, u: Array) -> tuple[_Gears, Array]:
     output = u[:, 0] if gears.output is None else gears.output
     out = np.empty_like(u)
     for step in range(u.shape[1]):
-        output = np.clip(output, u[:, step] - gears.half, u[:, step] + gears.half)
+        output = np.clip(output, u[:, step] - gears.half_gap, u[:, step] + gears.half_gap)
         out[:, step] = output
     return gears._replace(output=output), out
 
@@ -67,7 +67,7 @@ EFFECT = Effect(
             "gap_rad",
             "rad",
             scaled_bounds(_select.drive_reach, 0.0, 0.3),
-            scaled(_select.drive_reach, 0.01, 0.03, 0.08, 0.16),
+            scaled_probes(_select.drive_reach, 0.01, 0.03, 0.08, 0.16),
             scaled_spans(_select.drive_reach, (0.03, 0.12)),
             "small gear trains and tendons: 0.5 to 5 degrees at the joint",
             always(0.0),

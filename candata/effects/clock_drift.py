@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 from candata.units import TO_SI
 
@@ -27,7 +27,7 @@ EFFECT = Effect(
         Parameter(
             "ppm",
             "ppm",
-            fixed(-50000.0, 50000.0),
+            constant_bounds(-50000.0, 50000.0),
             values(-12000.0, 12000.0),
             spans((-25000.0, -8000.0), (8000.0, 25000.0)),
             "crystals: 10 to 100 ppm, which seconds cannot show; loops stamped at a nominal rate they do not keep: "

@@ -6,21 +6,21 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled_bounds, scaled_probes, scaled_spans
 from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Replace the damping ratio of solref, on both sides of a contact, or on one that leads."""
-    _contact.change_solref(model, scene, element, lambda solref: _damped(solref, x[0]))
+    _contact.change_solref(model, scene, element, lambda solref: _with_dampratio(solref, x[0]))
 
 
-def _damped(solref: Array, ratio: float) -> Array:
+def _with_dampratio(solref: Array, ratio: float) -> Array:
     """Return solref `(m, 2)` with another damping ratio and its own time constant."""
     return np.stack([_contact.time_form(solref)[:, 0], np.full(len(solref), ratio)], axis=1)
 
 
-def _own(scene: Scene) -> float:
+def _nominal_dampratio(scene: Scene) -> float:
     """Return the median damping ratio of the object's geoms."""
     return float(np.median(_contact.time_form(scene.model.geom_solref[scene.object_geoms])[:, 1]))
 
@@ -36,11 +36,11 @@ EFFECT = Effect(
         Parameter(
             "dampratio",
             "1",
-            scaled_bounds(_own, 0.1, 8.0),
-            scaled(_own, 0.25, 0.5, 2.2),
-            scaled_spans(_own, (0.2, 0.5), (1.8, 3.0)),
+            scaled_bounds(_nominal_dampratio, 0.1, 8.0),
+            scaled_probes(_nominal_dampratio, 0.25, 0.5, 2.2),
+            scaled_spans(_nominal_dampratio, (0.2, 0.5), (1.8, 3.0)),
             "critical (1) is a default, not a measurement: wood and plastic bounce, foam does not",
-            neutral=_own,
+            neutral=_nominal_dampratio,
         ),
     ),
     acts_on="object",

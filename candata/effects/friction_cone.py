@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, fixed
+from candata.effects._contract import Advice, Array, Effect, Parameter, constant_bounds
 from candata.scenes.assemble import Scene
 
 
@@ -14,7 +14,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.opt.cone = int(x[0])
 
 
-def _other(scene: Scene) -> tuple[float, ...]:
+def _other_cones(scene: Scene) -> tuple[float, ...]:
     """Return the cone that the scene does not have."""
     return (1.0 - float(scene.model.opt.cone),)
 
@@ -27,9 +27,9 @@ EFFECT = Effect(
         Parameter(
             "cone",
             "1",
-            fixed(0, 1),
-            _other,
-            lambda scene: tuple((v, v) for v in _other(scene)),
+            constant_bounds(0, 1),
+            _other_cones,
+            lambda scene: tuple((v, v) for v in _other_cones(scene)),
             "MuJoCo manual, option/cone: pyramidal is the default, elliptic is the isotropic law",
             neutral=lambda scene: float(scene.model.opt.cone),
             choices=("pyramidal", "elliptic"),

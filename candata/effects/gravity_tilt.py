@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.rotation import exp, rotate
 from candata.scenes.assemble import Scene
 
@@ -20,7 +20,7 @@ def _tilt(name: str) -> Parameter:
     return Parameter(
         name,
         "rad",
-        fixed(-0.3, 0.3),
+        constant_bounds(-0.3, 0.3),
         values(-0.06, 0.06),
         spans((-0.12, -0.05), (0.05, 0.12)),
         "a table or a base plate levelled by eye is off by one to a few degrees",

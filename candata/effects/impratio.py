@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled_bounds, scaled_probes, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -14,7 +14,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.opt.impratio = x[0]
 
 
-def _own(scene: Scene) -> float:
+def _nominal_impratio(scene: Scene) -> float:
     """Return the scene's ratio."""
     return float(scene.model.opt.impratio)
 
@@ -27,11 +27,11 @@ EFFECT = Effect(
         Parameter(
             "impratio",
             "1",
-            scaled_bounds(_own, 0.01, 200.0),
-            scaled(_own, 0.1, 0.5, 2.0, 10.0),
-            scaled_spans(_own, (0.06, 0.15), (8.0, 15.0)),
+            scaled_bounds(_nominal_impratio, 0.01, 200.0),
+            scaled_probes(_nominal_impratio, 0.1, 0.5, 2.0, 10.0),
+            scaled_spans(_nominal_impratio, (0.06, 0.15), (8.0, 15.0)),
             "MuJoCo manual, option/impratio: 1 is the default, models of hands use 10 to 100 against slip",
-            neutral=_own,
+            neutral=_nominal_impratio,
         ),
     ),
     acts_on="object",

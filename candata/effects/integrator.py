@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects._contract import Advice, Array, Effect, Parameter, fixed
+from candata.effects._contract import Advice, Array, Effect, Parameter, constant_bounds
 from candata.scenes.assemble import Scene
 
 #: Words in the order of `mjtIntegrator`.
 CHOICES = ("euler", "rk4", "implicit", "implicitfast", "discrete")
 #: The methods in use; `implicit` differs from `implicitfast` in Coriolis terms alone.
-USUAL = ("euler", "rk4", "implicitfast")
+USUAL_INTEGRATORS = ("euler", "rk4", "implicitfast")
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
@@ -18,14 +18,16 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.opt.integrator = int(x[0])
 
 
-def _own(scene: Scene) -> float:
+def _nominal_integrator(scene: Scene) -> float:
     """Return the scene's integrator."""
     return float(scene.model.opt.integrator)
 
 
-def _others(scene: Scene) -> tuple[float, ...]:
+def _other_integrators(scene: Scene) -> tuple[float, ...]:
     """Return the usual integrators that the scene does not have."""
-    return tuple(float(CHOICES.index(word)) for word in USUAL if CHOICES.index(word) != _own(scene))
+    return tuple(
+        float(CHOICES.index(word)) for word in USUAL_INTEGRATORS if CHOICES.index(word) != _nominal_integrator(scene)
+    )
 
 
 EFFECT = Effect(
@@ -36,11 +38,11 @@ EFFECT = Effect(
         Parameter(
             "integrator",
             "1",
-            fixed(0, len(CHOICES) - 1),
-            _others,
-            lambda scene: tuple((v, v) for v in _others(scene)),
+            constant_bounds(0, len(CHOICES) - 1),
+            _other_integrators,
+            lambda scene: tuple((v, v) for v in _other_integrators(scene)),
             "MuJoCo manual, option/integrator: Euler is the default, implicitfast is advised",
-            neutral=_own,
+            neutral=_nominal_integrator,
             choices=CHOICES,
         ),
     ),

@@ -11,8 +11,8 @@ from candata.effects._contract import (
     Effect,
     Parameter,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "damping_Nms_rad",
             "N m s/rad",
             scaled_bounds(_select.drive_damping, 0.0, 15.0),
-            scaled(_select.drive_damping, 0.25, 0.7, 1.6, 3.5),
+            scaled_probes(_select.drive_damping, 0.25, 0.7, 1.6, 3.5),
             scaled_spans(_select.drive_damping, (0.8, 3.0)),
             "grease and back-EMF, up to a few times the modelled damping",
             always(0.0),

@@ -11,8 +11,8 @@ from candata.effects._contract import (
     Effect,
     Parameter,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "frictionloss_Nm",
             "N m",
             scaled_bounds(_select.drive_torque, 0.0, 0.6),
-            scaled(_select.drive_torque, 0.01, 0.03, 0.08, 0.18),
+            scaled_probes(_select.drive_torque, 0.01, 0.03, 0.08, 0.18),
             scaled_spans(_select.drive_torque, (0.04, 0.15)),
             "geared servos lose 2 to 20 % of their torque to dry friction",
             always(0.0),

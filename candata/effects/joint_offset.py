@@ -15,8 +15,8 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -24,8 +24,8 @@ from candata.scenes.assemble import Scene
 
 def _of_joints(scene: Scene, x: Array, element: str | None) -> Array:
     """Return the offsets `(J,)` [rad, or m]: zero where no finger is driven, or another joint is named."""
-    out, chosen = np.zeros(len(scene.file.joints)), _select.joints(scene, element)
-    out[chosen] = x[np.isin(_select.finger_joints(scene), chosen)]
+    out, indices = np.zeros(len(scene.file.joints)), _select.joints(scene, element)
+    out[indices] = x[np.isin(_select.finger_joints(scene), indices)]
     return out
 
 
@@ -33,8 +33,8 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     """Let the servo's law kp (u - length) see the readings: of each joint it pulls, lever times offset more."""
     offsets = dict(zip(scene.joint_ids.tolist(), _of_joints(scene, x, element), strict=True))
     for a in _select.actuators(scene, element):
-        longer = sum(lever * offsets[joint] for joint, lever in scene.levers[int(a)].items() if joint in offsets)
-        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * longer
+        length_change = sum(lever * offsets[joint] for joint, lever in scene.levers[int(a)].items() if joint in offsets)
+        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * length_change
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:
@@ -48,7 +48,7 @@ def _apply(offsets: Array, readings: Readings) -> tuple[Array, Readings]:
     return offsets, {**readings, "joint_position": readings["joint_position"] + offsets}
 
 
-def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
+def _true_readings(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
     """Return the readings with the offsets taken off."""
     if "joint_position" not in readings:
         return readings
@@ -63,7 +63,7 @@ EFFECT = Effect(
             "offset_rad",
             "rad",
             scaled_bounds(_select.drive_reach, -0.3, 0.3),
-            scaled(_select.drive_reach, 0.03),
+            scaled_probes(_select.drive_reach, 0.03),
             scaled_spans(_select.drive_reach, (-0.09, -0.03), (0.03, 0.09)),
             "a joint zeroed by eye or against a soft stop is off by 1 to 5 degrees",
             always(0.0),
@@ -79,5 +79,5 @@ EFFECT = Effect(
     edit=_edit,
     reading=Hook(_start, _apply),
     moves=("joint_position", "object_pose", "fingertip_force"),
-    unread=_unread,
+    unread=_true_readings,
 )

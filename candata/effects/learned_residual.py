@@ -7,7 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from candata.effects import _residual_terms as dictionary
-from candata.effects._contract import Array, Effect, Elements, Forces, Hook, Parameter, always, fixed, spans, values
+from candata.effects._contract import (
+    Array,
+    Effect,
+    Elements,
+    Forces,
+    Hook,
+    Parameter,
+    always,
+    constant_bounds,
+    spans,
+    values,
+)
 from candata.errors import UnknownNameError
 from candata.scenes.assemble import Scene
 
@@ -22,7 +33,7 @@ class _Residual(NamedTuple):
     joint: Array
     object: Array
     waves: Array
-    past: dictionary.Past | None
+    memory: dictionary.TermMemory | None
 
 
 def element_names(scene: Scene) -> tuple[str, ...]:
@@ -40,32 +51,32 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Residual:
     """Return the coefficients; of a named element only, where one is named."""
     count, joints = dictionary.sizes(scene)[0], len(scene.joint_ids)
     total = sum(dictionary.sizes(scene))
-    kept = np.stack([_mine(scene, element) for element in elements])
-    joint = np.where(kept[:, :count], x[:, :count], 0.0).reshape(len(x), joints, len(dictionary.JOINT_TERMS))
-    rest = np.where(kept[:, count:], x[:, count:total], 0.0).reshape(
+    acting = np.stack([_acts_on_element(scene, element) for element in elements])
+    joint = np.where(acting[:, :count], x[:, :count], 0.0).reshape(len(x), joints, len(dictionary.JOINT_TERMS))
+    object_coefficients = np.where(acting[:, count:], x[:, count:total], 0.0).reshape(
         len(x), (total - count) // dictionary.AXES, dictionary.AXES
     )
-    return _Residual(scene, joint, rest, x[:, total:], None)
+    return _Residual(scene, joint, object_coefficients, x[:, total:], None)
 
 
-def _mine(scene: Scene, element: str | None) -> Array:
+def _acts_on_element(scene: Scene, element: str | None) -> Array:
     """Return which coefficients act on `element`."""
-    known = element_names(scene)
-    if element is not None and element not in known:
-        raise UnknownNameError("element", element, known)
+    names = element_names(scene)
+    if element is not None and element not in names:
+        raise UnknownNameError("element", element, names)
     return np.array([element in (None, owner) for owner in _owners(scene)], bool)
 
 
 def _apply(residual: _Residual, x: Forces) -> tuple[_Residual, Forces]:
     """Return the forces with the residual added."""
     scene = residual.scene
-    past, now = dictionary.terms(scene, residual.past, x, residual.waves)
-    added = x.added.copy()
-    added[:, scene.joint_dof] += (residual.joint * now.joint).sum(2)
+    memory, terms = dictionary.terms(scene, residual.memory, x, residual.waves)
+    forces = x.added.copy()
+    forces[:, scene.joint_dof] += (residual.joint * terms.joint).sum(2)
     if scene.object_id is not None:
         dof = scene.object_dof
-        added[:, dof : dof + dictionary.AXES] += (residual.object * now.object).sum(1)
-    return residual._replace(past=past), x._replace(added=added)
+        forces[:, dof : dof + dictionary.AXES] += (residual.object * terms.object).sum(1)
+    return residual._replace(memory=memory), x._replace(added=forces)
 
 
 EFFECT = Effect(
@@ -74,7 +85,7 @@ EFFECT = Effect(
         Parameter(
             "coefficients",
             "1",
-            fixed(-1e4, 1e4),
+            constant_bounds(-1e4, 1e4),
             values(1.0),
             spans((0.0, 0.0)),
             "fitted by a diagnosis: N or N m for each unit of each term of the dictionary",
@@ -85,7 +96,7 @@ EFFECT = Effect(
         Parameter(
             "wave_number",
             "1",
-            fixed(0.0, 1e4),
+            constant_bounds(0.0, 1e4),
             values(),
             spans((1.0, 1.0)),
             "fitted by a diagnosis: rad of the periodic terms for each rad or m of the joint",

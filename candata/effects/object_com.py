@@ -11,8 +11,8 @@ from candata.effects._contract import (
     Effect,
     Parameter,
     always,
-    scaled,
     scaled_bounds,
+    scaled_probes,
     scaled_spans,
 )
 from candata.scenes.assemble import Scene
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "offset_m",
             "m",
             scaled_bounds(_select.object_size, -0.9, 0.9),
-            scaled(_select.object_size, -0.4, 0.4),
+            scaled_probes(_select.object_size, -0.4, 0.4),
             scaled_spans(_select.object_size, (-0.6, -0.25), (0.25, 0.6)),
             "contents and batteries sit off centre, at most within the object",
             always(0.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -21,7 +21,7 @@ EFFECT = Effect(
         Parameter(
             "inertia_scale",
             "1",
-            fixed(0.15, 6.0),
+            constant_bounds(0.15, 6.0),
             values(0.4, 0.7, 1.5, 2.5),
             spans((0.25, 0.55), (1.8, 3.5)),
             "a hollow body has 5/3 of a solid one's inertia, a weight in the middle a fraction of it",

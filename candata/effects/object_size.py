@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene, subtree
 
 
@@ -41,13 +41,13 @@ def _meshes(model: mujoco.MjModel, geoms: _select.Ids) -> set[int]:
     return set(model.geom_dataid[geoms[is_mesh]].tolist())
 
 
-def _possible(scene: Scene) -> bool:
+def _can_act(scene: Scene) -> bool:
     """Tell whether the object's geometry is its own: no mesh is shared with another body."""
     if scene.object_id is None:
         return False
-    own = np.isin(scene.model.geom_bodyid, list(subtree(scene.model, scene.object_id)))
+    object_bodies = np.isin(scene.model.geom_bodyid, list(subtree(scene.model, scene.object_id)))
     ids = np.arange(scene.model.ngeom)
-    return not _meshes(scene.model, ids[own]) & _meshes(scene.model, ids[~own])
+    return not _meshes(scene.model, ids[object_bodies]) & _meshes(scene.model, ids[~object_bodies])
 
 
 EFFECT = Effect(
@@ -58,7 +58,7 @@ EFFECT = Effect(
         Parameter(
             "scale",
             "1",
-            fixed(0.8, 1.25),
+            constant_bounds(0.8, 1.25),
             values(0.95, 0.98, 1.02, 1.05),
             spans((0.93, 0.97), (1.03, 1.07)),
             "callipers are right to a millimetre; scanned and catalogue models are off by some per cent",
@@ -66,7 +66,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="object",
-    possible=_possible,
+    possible=_can_act,
     edit=_edit,
     set_const=True,
 )

@@ -14,7 +14,7 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -28,17 +28,21 @@ def _start(scene: Scene, x: Array, elements: Elements) -> Array:
 
 def _apply(bias: Array, readings: Readings) -> tuple[Array, Readings]:
     """Return the readings with the bias added to the position."""
-    return bias, {**readings, "object_pose": _moved(readings["object_pose"], bias)}
+    return bias, {**readings, "object_pose": _shifted_readings(readings["object_pose"], bias)}
 
 
-def _moved(pose: Array, shift: Array) -> Array:
+def _shifted_readings(pose: Array, shift: Array) -> Array:
     """Return poses `(..., 7)` moved by `shift (..., 3)`."""
     return np.concatenate([pose[..., :3] + shift, pose[..., 3:]], axis=-1)
 
 
-def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
+def _true_readings(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
     """Return the readings with the bias taken off."""
-    return {**readings, "object_pose": _moved(readings["object_pose"], -x)} if "object_pose" in readings else readings
+    return (
+        {**readings, "object_pose": _shifted_readings(readings["object_pose"], -x)}
+        if "object_pose" in readings
+        else readings
+    )
 
 
 EFFECT = Effect(
@@ -49,7 +53,7 @@ EFFECT = Effect(
         Parameter(
             "bias_m",
             "m",
-            fixed(-0.1, 0.1),
+            constant_bounds(-0.1, 0.1),
             values(-0.008, 0.008),
             spans((-0.015, -0.004), (0.004, 0.015)),
             "hand-eye calibration of a camera: some millimetres",
@@ -61,5 +65,5 @@ EFFECT = Effect(
     possible=_select.has_object,
     reading=Hook(_start, _apply),
     moves=("object_pose",),
-    unread=_unread,
+    unread=_true_readings,
 )

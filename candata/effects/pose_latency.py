@@ -16,7 +16,7 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -29,7 +29,7 @@ MAX_LATENCY_S = 0.25
 class _Line(NamedTuple):
     """Past poses `(n, H, 7)` one a control step, latencies in control steps `(n,)`."""
 
-    past: Array | None
+    poses: Array | None
     steps: Array
     history: int
 
@@ -43,22 +43,22 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Line:
 def _apply(line: _Line, readings: dict[str, Array]) -> tuple[_Line, dict[str, Array]]:
     """Return the readings with the pose of `latency` ago, interpolated between control steps."""
     pose = readings["object_pose"]
-    past = np.repeat(pose[:, None], line.history, axis=1) if line.past is None else line.past
-    track = np.concatenate([past, pose[:, None]], axis=1)
-    whole = np.floor(line.steps).astype(int)
-    share = (line.steps - whole)[:, None]
+    earlier_poses = np.repeat(pose[:, None], line.history, axis=1) if line.poses is None else line.poses
+    track = np.concatenate([earlier_poses, pose[:, None]], axis=1)
+    whole_rows = np.floor(line.steps).astype(int)
+    share = (line.steps - whole_rows)[:, None]
     rows = np.arange(len(pose))
-    new, old = track[rows, line.history - whole], track[rows, line.history - whole - 1]
+    later_pose, earlier_pose = track[rows, line.history - whole_rows], track[rows, line.history - whole_rows - 1]
     # A world without latency keeps its bits whoever is simulated beside it.
-    late = np.where((line.steps == 0)[:, None], pose, _between(new, old, share))
-    return line._replace(past=track[:, 1:]), {**readings, "object_pose": late}
+    delayed_pose = np.where((line.steps == 0)[:, None], pose, _interpolate(later_pose, earlier_pose, share))
+    return line._replace(poses=track[:, 1:]), {**readings, "object_pose": delayed_pose}
 
 
-def _between(one: Array, other: Array, share: Array | float) -> Array:
+def _interpolate(earlier: Array, later: Array, share: Array | float) -> Array:
     """Return poses `(..., 7)` at a share of the way from one to the other."""
-    sign = np.where((one[..., 3:] * other[..., 3:]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
-    position = (1 - share) * one[..., :3] + share * other[..., :3]
-    turn = normalise((1 - share) * one[..., 3:] + share * sign * other[..., 3:])
+    sign = np.where((earlier[..., 3:] * later[..., 3:]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+    position = (1 - share) * earlier[..., :3] + share * later[..., :3]
+    turn = normalise((1 - share) * earlier[..., 3:] + share * sign * later[..., 3:])
     return np.concatenate([position, turn], axis=-1)
 
 
@@ -67,11 +67,13 @@ def _on_time(scene: Scene, x: Array, element: str | None, readings: Readings) ->
     steps = float(x[0]) * scene.file.rate_hz
     if "object_pose" not in readings or steps == 0:
         return readings
-    pose, whole = readings["object_pose"], int(steps)
-    ahead, rows = np.full_like(pose, np.nan), pose.shape[1] - whole - 1
+    pose, whole_rows = readings["object_pose"], int(steps)
+    timely_poses, rows = np.full_like(pose, np.nan), pose.shape[1] - whole_rows - 1
     if rows > 0:
-        ahead[:, :rows] = _between(pose[:, whole : whole + rows], pose[:, whole + 1 :], steps - whole)
-    return {**readings, "object_pose": ahead}
+        timely_poses[:, :rows] = _interpolate(
+            pose[:, whole_rows : whole_rows + rows], pose[:, whole_rows + 1 :], steps - whole_rows
+        )
+    return {**readings, "object_pose": timely_poses}
 
 
 EFFECT = Effect(
@@ -81,7 +83,7 @@ EFFECT = Effect(
         Parameter(
             "latency_s",
             "s",
-            fixed(0.0, MAX_LATENCY_S),
+            constant_bounds(0.0, MAX_LATENCY_S),
             values(0.012, 0.03, 0.06, 0.12),
             spans((0.03, 0.1)),
             "camera exposure, pose estimation and network: 20 to 100 ms",

@@ -14,7 +14,7 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -29,18 +29,22 @@ def _start(scene: Scene, x: Array, elements: Elements) -> Array:
 
 def _apply(bias: Array, readings: Readings) -> tuple[Array, Readings]:
     """Return the readings with the rotation turned by the bias."""
-    return bias, {**readings, "object_pose": _turned(readings["object_pose"], bias)}
+    return bias, {**readings, "object_pose": _turned_readings(readings["object_pose"], bias)}
 
 
-def _turned(pose: Array, turn: Array) -> Array:
+def _turned_readings(pose: Array, turn: Array) -> Array:
     """Return poses `(..., 7)` turned about their own place by `turn (..., 3)`, as they are where it is zero."""
-    turned = np.concatenate([pose[..., :3], multiply(exp(turn), pose[..., 3:])], axis=-1)
-    return np.where((turn == 0).all(-1, keepdims=True), pose, turned)
+    turned_pose = np.concatenate([pose[..., :3], multiply(exp(turn), pose[..., 3:])], axis=-1)
+    return np.where((turn == 0).all(-1, keepdims=True), pose, turned_pose)
 
 
-def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
+def _true_readings(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
     """Return the readings with the bias taken off."""
-    return {**readings, "object_pose": _turned(readings["object_pose"], -x)} if "object_pose" in readings else readings
+    return (
+        {**readings, "object_pose": _turned_readings(readings["object_pose"], -x)}
+        if "object_pose" in readings
+        else readings
+    )
 
 
 EFFECT = Effect(
@@ -50,7 +54,7 @@ EFFECT = Effect(
         Parameter(
             "bias_rad",
             "rad",
-            fixed(-0.5, 0.5),
+            constant_bounds(-0.5, 0.5),
             values(-0.06, 0.06),
             spans((-0.12, -0.05), (0.05, 0.12)),
             "camera extrinsics and a model's frame drawn by eye: one to some degrees",
@@ -62,5 +66,5 @@ EFFECT = Effect(
     possible=_select.has_object,
     reading=Hook(_start, _apply),
     moves=("object_pose",),
-    unread=_unread,
+    unread=_true_readings,
 )

@@ -14,7 +14,7 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -28,19 +28,19 @@ def _start(scene: Scene, x: Array, elements: Elements) -> Array:
 
 def _apply(scale: Array, readings: Readings) -> tuple[Array, Readings]:
     """Return the readings with positions scaled about the world's origin."""
-    return scale, {**readings, "object_pose": _stretched(readings["object_pose"], scale)}
+    return scale, {**readings, "object_pose": _scaled_readings(readings["object_pose"], scale)}
 
 
-def _stretched(pose: Array, scale: Array) -> Array:
+def _scaled_readings(pose: Array, scale: Array) -> Array:
     """Return poses `(..., 7)` with positions times `scale (..., 1)`."""
     return np.concatenate([pose[..., :3] * scale, pose[..., 3:]], axis=-1)
 
 
-def _unread(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
+def _true_readings(scene: Scene, x: Array, element: str | None, readings: Readings) -> Readings:
     """Return the readings with the scale taken off."""
     if "object_pose" not in readings:
         return readings
-    return {**readings, "object_pose": _stretched(readings["object_pose"], 1 / x)}
+    return {**readings, "object_pose": _scaled_readings(readings["object_pose"], 1 / x)}
 
 
 EFFECT = Effect(
@@ -51,7 +51,7 @@ EFFECT = Effect(
         Parameter(
             "scale",
             "1",
-            fixed(0.8, 1.25),
+            constant_bounds(0.8, 1.25),
             values(0.96, 1.04),
             spans((0.94, 0.98), (1.02, 1.06)),
             "camera intrinsics and printed markers measured by hand: per cents; 2.2 % in the cube tosses",
@@ -62,5 +62,5 @@ EFFECT = Effect(
     possible=_select.has_object,
     reading=Hook(_start, _apply),
     moves=("object_pose",),
-    unread=_unread,
+    unread=_true_readings,
 )

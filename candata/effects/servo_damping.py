@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -26,7 +26,7 @@ EFFECT = Effect(
         Parameter(
             "kv_scale",
             "1",
-            fixed(0.05, 8.0),
+            constant_bounds(0.05, 8.0),
             values(0.2, 0.5, 2.0, 4.0),
             spans((0.2, 0.6), (1.6, 3.0)),
             "makers state stiffness more often than damping; public models of one hand differ severalfold",

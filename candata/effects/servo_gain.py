@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -23,7 +23,7 @@ EFFECT = Effect(
         Parameter(
             "kp_scale",
             "1",
-            fixed(0.15, 4.0),
+            constant_bounds(0.15, 4.0),
             values(0.5, 0.75, 1.35, 2.0),
             spans((0.5, 0.8), (1.3, 2.0)),
             "drives of small hands vary by tens of per cent with supply voltage and temperature",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
@@ -13,7 +13,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     """Scale every geom that can touch the object, as a pair takes the larger of its two values; or one that leads."""
     if x[0] == 1:
         return
-    model.geom_friction[_contact.chosen(model, scene, element), 0] *= x[0]
+    model.geom_friction[_contact.edited_geoms(model, scene, element), 0] *= x[0]
     model.pair_friction[_contact.pairs(scene, element), :2] *= x[0]
 
 
@@ -28,7 +28,7 @@ EFFECT = Effect(
         Parameter(
             "scale",
             "1",
-            fixed(0.1, 5.0),
+            constant_bounds(0.1, 5.0),
             values(0.45, 0.7, 1.4, 2.2),
             spans((0.35, 0.7), (1.4, 2.2)),
             "tables of friction coefficients spread by a factor of two",

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact
-from candata.effects._contract import Advice, Array, Effect, Parameter, scaled, scaled_bounds, scaled_spans
+from candata.effects._contract import Advice, Array, Effect, Parameter, scaled_bounds, scaled_probes, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -15,12 +15,12 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
     Softer fingertips stay softer than the object, and at the object's own width nothing changes.
     """
-    share = x[0] / _own(scene)
+    share = x[0] / _nominal_width(scene)
     model.geom_solimp[_contact.geoms(scene, None), 2] *= share
     model.pair_solimp[_contact.pairs(scene, None), 2] *= share
 
 
-def _own(scene: Scene) -> float:
+def _nominal_width(scene: Scene) -> float:
     """Return the median width of the object's geoms [m]."""
     return float(np.median(scene.model.geom_solimp[scene.object_geoms, 2]))
 
@@ -42,11 +42,11 @@ EFFECT = Effect(
         Parameter(
             "width_m",
             "m",
-            scaled_bounds(_own, 0.02, 50.0),
-            scaled(_own, 0.15, 0.5, 2.0, 8.0),
-            scaled_spans(_own, (0.05, 0.15), (5.0, 20.0)),
+            scaled_bounds(_nominal_width, 0.02, 50.0),
+            scaled_probes(_nominal_width, 0.15, 0.5, 2.0, 8.0),
+            scaled_spans(_nominal_width, (0.05, 0.15), (5.0, 20.0)),
             "MuJoCo manual, solimp: 1 mm is a default; models in use have 0.1 to 20 mm",
-            neutral=_own,
+            neutral=_nominal_width,
         ),
     ),
     acts_on="object",

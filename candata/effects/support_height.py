@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects._contract import Advice, Array, Effect, Parameter, always, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.rotation import conjugate, rotate
 from candata.scenes.assemble import Scene
 
@@ -19,7 +19,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     model.geom_pos[geom] += rotate(conjugate(turn), np.array([0.0, 0.0, x[0]]))
 
 
-def _possible(scene: Scene) -> bool:
+def _can_act(scene: Scene) -> bool:
     """Tell whether the scene has an object and a support that stands still."""
     if scene.object_id is None or scene.file.support is None:
         return False
@@ -35,7 +35,7 @@ EFFECT = Effect(
         Parameter(
             "height_m",
             "m",
-            fixed(-0.05, 0.05),
+            constant_bounds(-0.05, 0.05),
             values(-0.008, 0.008),
             spans((-0.015, -0.004), (0.004, 0.015)),
             "a robot's base is placed on its table to some millimetres",
@@ -43,7 +43,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="world",
-    possible=_possible,
+    possible=_can_act,
     edit=_edit,
     set_const=True,
 )

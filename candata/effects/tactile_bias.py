@@ -13,7 +13,7 @@ from candata.effects._contract import (
     Hook,
     Parameter,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -41,7 +41,7 @@ EFFECT = Effect(
         Parameter(
             "bias_N",
             "N",
-            fixed(-5.0, 5.0),
+            constant_bounds(-5.0, 5.0),
             values(-0.2, 0.2),
             spans((-0.4, 0.4)),
             "tare drift of tactile sensors: tenths of a newton to newtons",

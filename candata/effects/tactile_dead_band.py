@@ -14,7 +14,7 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -42,7 +42,7 @@ EFFECT = Effect(
         Parameter(
             "band_N",
             "N",
-            fixed(0.0, 3.0),
+            constant_bounds(0.0, 3.0),
             values(0.1, 0.3, 0.8),
             spans((0.2, 0.8)),
             "covers and thresholds of tactile sensors swallow tenths of a newton",

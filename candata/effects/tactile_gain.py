@@ -13,7 +13,7 @@ from candata.effects._contract import (
     Hook,
     Parameter,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
@@ -40,7 +40,7 @@ EFFECT = Effect(
         Parameter(
             "gain",
             "1",
-            fixed(0.1, 6.0),
+            constant_bounds(0.1, 6.0),
             values(0.5, 1.5),
             spans((0.5, 0.8), (1.25, 2.0)),
             "public users of one hand disagree by a factor of two on newtons a count",

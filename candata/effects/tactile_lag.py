@@ -16,35 +16,35 @@ from candata.effects._contract import (
     Parameter,
     Readings,
     always,
-    fixed,
+    constant_bounds,
     spans,
     values,
 )
 from candata.scenes.assemble import Scene
 
 
-class _Slow(NamedTuple):
+class _LagState(NamedTuple):
     """The last reading `(n, F, 3)`, and the share of the way to the force that a row goes `(n, F, 1)`."""
 
-    last: Array | None
+    force: Array | None
     share: Array
 
 
-def _start(scene: Scene, x: Array, elements: Elements) -> _Slow:
+def _start(scene: Scene, x: Array, elements: Elements) -> _LagState:
     """Return sensors at rest: a first-order lag sampled at the control rate goes 1 - exp(-dt / tau) a row."""
     share = np.ones((len(x), len(scene.file.fingertips), 1))
     for row, element in enumerate(elements):
         if x[row, 0] > 0:
             share[row, _select.fingertips(scene, element)] = -np.expm1(-1 / (scene.file.rate_hz * x[row, 0]))
-    return _Slow(None, share)
+    return _LagState(None, share)
 
 
-def _apply(slow: _Slow, readings: Readings) -> tuple[_Slow, Readings]:
+def _apply(state: _LagState, readings: Readings) -> tuple[_LagState, Readings]:
     """Return the readings with lagging forces."""
     force = readings["fingertip_force"]
-    last = force if slow.last is None else slow.last
-    now = np.where(slow.share == 1, force, last + slow.share * (force - last))
-    return slow._replace(last=now), {**readings, "fingertip_force": now}
+    last_force = force if state.force is None else state.force
+    lagged_force = np.where(state.share == 1, force, last_force + state.share * (force - last_force))
+    return state._replace(force=lagged_force), {**readings, "fingertip_force": lagged_force}
 
 
 EFFECT = Effect(
@@ -54,7 +54,7 @@ EFFECT = Effect(
         Parameter(
             "timeconst_s",
             "s",
-            fixed(0.0, 0.5),
+            constant_bounds(0.0, 0.5),
             values(0.01, 0.03, 0.08, 0.2),
             spans((0.025, 0.12)),
             "elastomer covers and filters in the sensor: 10 to 200 ms",

@@ -13,10 +13,10 @@ FINER, COARSER = 8, 2.5
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Replace the physics step by the nearest one that divides the control step."""
-    model.opt.timestep *= _divided(scene, x[0]) / scene.model.opt.timestep
+    model.opt.timestep *= _dividing_step(scene, x[0]) / scene.model.opt.timestep
 
 
-def _divided(scene: Scene, step_s: float) -> float:
+def _dividing_step(scene: Scene, step_s: float) -> float:
     """Return the physics step nearest to `step_s` of which a whole number makes a control step [s]."""
     control = scene.substeps * scene.model.opt.timestep
     return float(control / max(1, round(control / step_s)))
@@ -24,16 +24,18 @@ def _divided(scene: Scene, step_s: float) -> float:
 
 def _bounds(scene: Scene) -> Bounds:
     """Return the range, the scene's own step inside."""
-    own = scene.model.opt.timestep
-    return Bounds(own / FINER, min(COARSER, scene.substeps) * own)
+    nominal_step = scene.model.opt.timestep
+    return Bounds(nominal_step / FINER, min(COARSER, scene.substeps) * nominal_step)
 
 
 def _probes(scene: Scene) -> tuple[float, ...]:
     """Return the finer and coarser steps that divide the control step."""
-    own, steps = scene.model.opt.timestep, scene.substeps
+    nominal_step, steps = scene.model.opt.timestep, scene.substeps
     ends = _bounds(scene)
-    found = [_divided(scene, factor * own) for factor in (0.2, 0.25, 0.5, 1.6, 2.5)]
-    return tuple(v for v in dict.fromkeys(found) if v != own and v <= ends.high and (v < own or steps > 1))
+    probes = [_dividing_step(scene, factor * nominal_step) for factor in (0.2, 0.25, 0.5, 1.6, 2.5)]
+    return tuple(
+        v for v in dict.fromkeys(probes) if v != nominal_step and v <= ends.high and (v < nominal_step or steps > 1)
+    )
 
 
 def _draws(scene: Scene) -> tuple[tuple[float, float], ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 
 from candata.effects import _select
-from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter, scaled, scaled_spans
+from candata.effects._contract import Advice, Array, Bounds, Effect, Parameter, scaled_probes, scaled_spans
 from candata.scenes.assemble import Scene
 
 
@@ -18,8 +18,8 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 def _bounds(scene: Scene) -> Bounds:
     """Return limits from a fiftieth of the median motor's to twice that, or to the strongest motor's own."""
-    usual = _select.drive_torque(scene)
-    return Bounds(0.02 * usual, max(2.0 * usual, _select.largest_drive_torque(scene)))
+    usual_limit = _select.drive_torque(scene)
+    return Bounds(0.02 * usual_limit, max(2.0 * usual_limit, _select.largest_drive_torque(scene)))
 
 
 EFFECT = Effect(
@@ -31,7 +31,7 @@ EFFECT = Effect(
             "limit_Nm",
             "N m",
             _bounds,
-            scaled(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
+            scaled_probes(_select.drive_torque, 0.08, 0.14, 0.22, 0.35, 0.55),
             scaled_spans(_select.drive_torque, (0.12, 0.3)),
             "data sheets state stall torque; current limits cut it to a fraction",
             neutral=_select.largest_drive_torque,

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from candata.effects import _contact, _select
-from candata.effects._contract import Advice, Array, Effect, Parameter, fixed, spans, values
+from candata.effects._contract import Advice, Array, Effect, Parameter, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 #: Torsional friction of a contact whose model has none [m]: MuJoCo's smallest coefficient (`mjMINMU`).
@@ -29,7 +29,7 @@ def _pairs(scene: Scene, element: str | None) -> _contact.Ids:
     return np.concatenate([np.zeros(0, int), *(_contact.pairs(scene, tip) for tip in tips)])
 
 
-def _own(scene: Scene) -> float:
+def _nominal_friction(scene: Scene) -> float:
     """Return the median torsional friction of contacts between fingertips and object [m]; the least without any."""
     model, tips = scene.model, _contact.fingertip_geoms(scene, None)
     if not len(tips):
@@ -39,7 +39,7 @@ def _own(scene: Scene) -> float:
     return max(NONE_M, float(np.median(np.where(dim >= 4, twist, NONE_M))))
 
 
-def _possible(scene: Scene) -> bool:
+def _can_act(scene: Scene) -> bool:
     """Tell whether fingertips can touch the object."""
     return _select.has_object(scene) and len(_contact.fingertip_geoms(scene, None)) > 0
 
@@ -54,15 +54,15 @@ EFFECT = Effect(
         Parameter(
             "torsional_m",
             "m",
-            fixed(NONE_M, 0.1),
+            constant_bounds(NONE_M, 0.1),
             values(0.0005, 0.01, 0.02),
             spans((0.012, 0.04)),
             "a soft pad of 5 to 15 mm resists twisting by about 2/3 of its contact radius (Howe & Cutkosky 1996)",
-            neutral=_own,
+            neutral=_nominal_friction,
         ),
     ),
     acts_on="fingertip",
-    possible=_possible,
+    possible=_can_act,
     edit=_edit,
     elements=_select.fingertip_names,
 )

@@ -193,8 +193,18 @@ def test_a_scaled_object_is_the_one_a_scaled_model_compiles_to(tmp_path):
 
     edited = model_of(built(tmp_path / "a", 1.0), setting("object_size", scale=1.2))
     compiled = built(tmp_path / "b", 1.2).model
-    for field in ("geom_size", "geom_pos", "geom_rbound", "geom_aabb", "site_pos", "body_ipos", "body_mass",
-                  "body_inertia", "bvh_aabb", "dof_M0"):  # fmt: skip
+    for field in (
+        "geom_size",
+        "geom_pos",
+        "geom_rbound",
+        "geom_aabb",
+        "site_pos",
+        "body_ipos",
+        "body_mass",
+        "body_inertia",
+        "bvh_aabb",
+        "dof_M0",
+    ):
         np.testing.assert_allclose(getattr(edited, field), getattr(compiled, field), atol=1e-12, err_msg=field)
 
 

@@ -58,8 +58,12 @@ def test_a_joint_effect_edits_its_joint_only(scene, name, element):
 @pytest.mark.parametrize("name", EDITS)
 def test_a_joint_effect_edits_the_joints_of_its_group_only(scene, name):
     model = build_worlds(scene, [(probe(name, scene, "index"),)]).models[0]
-    rows = {f: len(np.flatnonzero((getattr(model, f) != getattr(scene.model, f)).reshape(len(getattr(model, f)), -1)
-                                  .any(1))) for f in BY_DOF + BY_ACTUATOR}  # fmt: skip
+    rows = {
+        f: len(
+            np.flatnonzero((getattr(model, f) != getattr(scene.model, f)).reshape(len(getattr(model, f)), -1).any(1))
+        )
+        for f in BY_DOF + BY_ACTUATOR
+    }
     assert set(rows.values()) == {0, len(scene.file.groups["index"])}
 
 
@@ -260,8 +264,9 @@ def test_all_fingertips_are_scaled_and_the_support_is_not(scene, gripper):
     assert model.geom_priority[table] == scene.model.geom_priority[table]
     model = build_worlds(gripper, [(half,)]).models[0]
     scale = model.pair_friction[:, 0] / gripper.model.pair_friction[:, 0]
-    assert scale.tolist() == [1.0 if model.geom("table").id in ends else 0.5
-                              for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)]  # fmt: skip
+    assert scale.tolist() == [
+        1.0 if model.geom("table").id in ends else 0.5 for ends in zip(model.pair_geom1, model.pair_geom2, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("name", LOCAL)

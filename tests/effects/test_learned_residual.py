@@ -46,8 +46,7 @@ def test_every_term_moves_a_channel_and_neighbours_do_not_see_it(gripper):
     worlds = [(), *((one(gripper, i, 0.01),) for i in range(numbers(gripper)))]
     read = play_grip(gripper, worlds).readings
     still = [i for i in range(numbers(gripper)) if all(np.array_equal(v[i + 1], v[0]) for v in read.values())]
-    place = [sizes(gripper)[0] + OBJECT_TERMS.index(("position",)) * AXES + a
-             for a in (3, 4, 5)]  # fmt: skip
+    place = [sizes(gripper)[0] + OBJECT_TERMS.index(("position",)) * AXES + a for a in (3, 4, 5)]
     assert still == place, "a torque that depends on position has no position to depend on"
     alone = play_grip(gripper, [worlds[5]]).readings
     for channel, value in alone.items():

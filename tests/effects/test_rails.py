@@ -94,8 +94,14 @@ def test_jaws_in_a_group_are_named_by_it(tmp_path):
 
 
 def test_numbers_on_rails_are_in_metres_and_newtons(jaws, turned):
-    units = {"joint_damping": "N s/m", "joint_dry_friction": "N", "armature": "kg", "joint_offset": "m",
-             "torque_limit": "N", "backlash": "m"}  # fmt: skip
+    units = {
+        "joint_damping": "N s/m",
+        "joint_dry_friction": "N",
+        "armature": "kg",
+        "joint_offset": "m",
+        "torque_limit": "N",
+        "backlash": "m",
+    }
     for name, unit in units.items():
         (parameter,) = effect(name).parameters
         assert rail_units(name, jaws) == rail_units(name, turned, "left") == {parameter.name: unit}

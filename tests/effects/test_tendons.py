@@ -68,9 +68,10 @@ def test_what_is_the_motors_is_named_once_and_what_is_the_joints_each(pair):
 
 
 def test_what_pulls_over_sites_drives_no_joint_that_is_known(tmp_path):
-    sites = XML.replace('<tendon><fixed name="both"><joint joint="left" coef=".5"/><joint joint="right" coef=".5"/>'
-                        "</fixed></tendon>",
-                        '<tendon><spatial name="both"><site site="a"/><site site="b"/></spatial></tendon>')  # fmt: skip
+    sites = XML.replace(
+        '<tendon><fixed name="both"><joint joint="left" coef=".5"/><joint joint="right" coef=".5"/></fixed></tendon>',
+        '<tendon><spatial name="both"><site site="a"/><site site="b"/></spatial></tendon>',
+    )
     sites = sites.replace('<joint name="left" axis="0 1 0"/>', '<joint name="left" axis="0 1 0"/><site name="a"/>')
     sites = sites.replace('<joint name="right" axis="0 1 0"/>', '<joint name="right" axis="0 1 0"/><site name="b"/>')
     scene = write_scene(tmp_path, sites, ROLES)
@@ -80,8 +81,10 @@ def test_what_pulls_over_sites_drives_no_joint_that_is_known(tmp_path):
 @pytest.mark.parametrize(("element", "scaled"), [(None, [0.5, 0.5]), ("left", [0.5, 1.0]), ("third", [1.0, 0.5])])
 def test_a_gain_scales_the_motor_whatever_its_commands_unit(pair, element, scaled):
     world = build_worlds(pair, [(planted("servo_gain", pair, 0.5, element),)]).models[0]
-    for now, before in ((world.actuator_gainprm[:, 0], pair.model.actuator_gainprm[:, 0]),
-                        (world.actuator_biasprm[:, 1], pair.model.actuator_biasprm[:, 1])):  # fmt: skip
+    for now, before in (
+        (world.actuator_gainprm[:, 0], pair.model.actuator_gainprm[:, 0]),
+        (world.actuator_biasprm[:, 1], pair.model.actuator_biasprm[:, 1]),
+    ):
         assert np.allclose(now / before, scaled)
 
 
