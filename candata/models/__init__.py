@@ -17,7 +17,7 @@ _HOMES = {
     "known_steps": "candata.models._inputs",
     "masked_mean": "candata.models._inputs",
     "parser": "candata.models._config",
-    "seeded": "candata.models._seed",
+    "with_seed": "candata.models._seed",
     "targets": "candata.models._poses",
 }
 

@@ -13,7 +13,8 @@ import typer
 from candata_cli.main import build
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-NAMES = sorted(path.parent.name for path in FOLDER.glob("*/README.md"))
+#: Examples that diagnose recordings; one that is a package of its own is run in `test_plugin.py`.
+NAMES = sorted(p.parent.name for p in FOLDER.glob("*/README.md") if not (p.parent / "pyproject.toml").exists())
 
 
 @pytest.fixture(scope="module")

@@ -17,8 +17,8 @@ from candata.models import (
     known_steps,
     masked_mean,
     parser,
-    seeded,
     targets,
+    with_seed,
 )
 
 
@@ -58,5 +58,5 @@ MODEL = Model(
     channels=("object_pose",),
     presets={"small": HistoryConfig()},
     parse=parser(HistoryConfig),
-    build=lambda config, sizes, normaliser: seeded(config.seed, lambda: Linear(sizes, normaliser)),
+    build=lambda config, sizes, normaliser: with_seed(config.seed, lambda: Linear(sizes, normaliser)),
 )

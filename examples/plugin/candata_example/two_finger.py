@@ -31,8 +31,8 @@ LAYOUT = Layout(
     head=HEAD,
     prefix=3,
     size=lambda prefix: SIZES.get(prefix[2], 2**16),  # longer than any frame: no frame
-    longest=STATE_FRAME.itemsize,
-    sound=lambda frame: _checksum(frame[:-2]) == frame[-2:],
+    longest_bytes=STATE_FRAME.itemsize,
+    checksum_ok=lambda frame: _checksum(frame[:-2]) == frame[-2:],
     kind=lambda frame: "command" if frame[2] == COMMAND else "state",
     baud=BAUD,
 )
