@@ -151,7 +151,7 @@ class Registry(Generic[T]):
 
     def name_of(self, plugin: T) -> str | None:
         """Return the name under which a plug-in is registered; None where it is not."""
-        return next((name for name, known in self.load_all().items() if known is plugin), None)
+        return next((name for name, registered in self.load_all().items() if registered is plugin), None)
 
     def problems(self) -> tuple[PluginError, ...]:
         """Return why plug-ins of other packages cannot be used; nothing where all can."""
@@ -169,8 +169,8 @@ def registry(kind: str) -> Registry[Any]:
     if kind not in REGISTRIES:
         raise UnknownNameError("kind of plug-in", kind, REGISTRIES)
     module, attribute = REGISTRIES[kind].split(":")
-    found: Registry[Any] = getattr(importlib.import_module(module), attribute)
-    return found
+    matching_registry: Registry[Any] = getattr(importlib.import_module(module), attribute)
+    return matching_registry
 
 
 @cache
@@ -198,17 +198,17 @@ def _load_point(registry: Registry[T], name: str) -> T:
     if len(points) > 1:
         raise _name_taken(registry, points[0], f"package {_package_of(points[1])} brings it too")
     (point,) = points
-    wanted = f"{point.value} of type {registry.contract.__name__}"
+    expected = f"{point.value} of type {registry.contract.__name__}"
     try:
         plugin = point.load()
     except ModuleNotFoundError as error:
         if error.name in EXTRAS:
             raise _missing_module(error) from None
-        raise _not_usable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
+        raise _not_usable(registry, point, expected, f"{type(error).__name__}: {error}") from error
     except Exception as error:
-        raise _not_usable(registry, point, wanted, f"{type(error).__name__}: {error}") from error
+        raise _not_usable(registry, point, expected, f"{type(error).__name__}: {error}") from error
     if not isinstance(plugin, registry.contract):
-        raise _not_usable(registry, point, wanted, f"{type(plugin).__name__}")
+        raise _not_usable(registry, point, expected, f"{type(plugin).__name__}")
     return plugin
 
 
@@ -222,8 +222,8 @@ def _load_every(registry: Registry[T]) -> Mapping[str, T]:
         # Workers of a pool load all plug-ins too; what started them has said it.
         for problem in problems if parent_process() is None else ():
             warnings.warn(PluginWarning(str(problem)), stacklevel=3)
-    broken = {problem.name for problem in problems} - set(names(registry.package))
-    return {name: registry.load(name) for name in registry.names() if name not in broken}
+    broken_names = {problem.name for problem in problems} - set(names(registry.package))
+    return {name: registry.load(name) for name in registry.names() if name not in broken_names}
 
 
 @cache
@@ -248,11 +248,11 @@ def _package_of(point: EntryPoint) -> str:
     return f"{point.dist.name} {point.dist.version}" if point.dist else point.module.partition(".")[0]
 
 
-def _name_taken(registry: Registry[Any], point: EntryPoint, why: str) -> PluginError:
+def _name_taken(registry: Registry[Any], point: EntryPoint, reason: str) -> PluginError:
     """Return the error of a name that is another plug-in's."""
     fix = f"rename it in the entry points of {_package_of(point)}"
     kind = registry.constant.lower()
-    return PluginError(kind, point.name, _package_of(point), expected="a name of its own", found=why, fix=fix)
+    return PluginError(kind, point.name, _package_of(point), expected="a name of its own", found=reason, fix=fix)
 
 
 def _not_usable(

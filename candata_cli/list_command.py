@@ -49,16 +49,16 @@ def list_plugins(kind: Kind = None, json: Json = False) -> None:
         raise typer.Exit(problems[0].exit_code)
 
 
-def _rows(plugins: Registry[Any], broken: set[str]) -> list[dict[str, str]]:
+def _rows(plugins: Registry[Any], broken_names: set[str]) -> list[dict[str, str]]:
     """Return a row for each plug-in of one kind that can be used, or only lacks a package of an extra."""
     rows = []
     for name in plugins.names():
         origin = plugins.origin(name)
-        if name in broken and origin != "candata":
+        if name in broken_names and origin != "candata":
             continue
         try:
-            about = str(getattr(plugins.load(name), plugins.summary))
+            summary = str(getattr(plugins.load(name), plugins.summary))
         except MissingExtraError as error:
-            about = f"{error.problem}: {error.fix}"
-        rows.append({"kind": plugins.kind, "name": name, "package": origin, "about": about})
+            summary = f"{error.problem}: {error.fix}"
+        rows.append({"kind": plugins.kind, "name": name, "package": origin, "about": summary})
     return rows

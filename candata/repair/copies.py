@@ -14,7 +14,7 @@ import yaml
 from candata.scenes import Scene
 from candata.scenes.assemble import assemble
 from candata.scenes.contract import SCENES
-from candata.scenes.model_file import compiled, model_path, read_model
+from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.schema.scene import SceneFile
 
 Way = Literal["patch", "whole"]
@@ -76,7 +76,7 @@ def _save_model(scene: Scene, folder: Path, model: Path, at: Path) -> Copy:
     for sensor in list(spec.sensors):
         if sensor.name.startswith(_SENSOR_PREFIX):
             spec.delete(sensor)
-    compiled(spec, scene.name)
+    compile_model(spec, scene.name)
     model.write_text(spec.to_xml())
     roles = {"model": os.path.relpath(model, at.parent), "actuators": scene.file.actuator_names}
     file = SceneFile.model_validate(scene.file.model_dump() | roles)

@@ -20,7 +20,7 @@ from candata.repair.parts import HeldEffect, OmittedEffect, effects_to_add, hold
 from candata.repair.writes import edits
 from candata.scenes import Scene, load_scene
 from candata.scenes.first_load import vouch
-from candata.scenes.model_file import compiled, parsed
+from candata.scenes.model_file import compile_model, parse_model
 from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
@@ -188,8 +188,8 @@ def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) ->
     """Return what changed when the effects were written into the files of a copy."""
     target = build_worlds(scene, [effects]).models[0]
     root = parse(copy.model)
-    spec = parsed(copy.model)
-    compiled(spec, scene.name)
+    spec = parse_model(copy.model)
+    compile_model(spec, scene.name)
     merged_edits = merge_edits(edits(scene.model, target, spec, root))
     for path, raw in edited_files(merged_edits).items():
         path.write_bytes(raw)

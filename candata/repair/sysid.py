@@ -25,7 +25,7 @@ from candata.repair.mjcf import Change, apply_effects, fresh_folder
 from candata.repair.parts import HeldEffect, OmittedEffect, omitted_effect
 from candata.repair.script import IDENTIFY
 from candata.scenes import Scene
-from candata.scenes.model_file import compiled, parsed
+from candata.scenes.model_file import compile_model, parse_model
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
@@ -83,7 +83,7 @@ def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Datase
         copy = copy_scene(scene, "whole", draft / "out")
         sensors = _write_sensors(copy, scene, recs)
         changes = apply_effects(copy, scene, model_effects)
-        model = compiled(parsed(copy.model), scene.name)
+        model = compile_model(parse_model(copy.model), scene.name)
         free = _free(scene, model_effects, model)
         free_names = {p.effect for p in free}
         export = SysidExport(
@@ -136,7 +136,7 @@ def _free(scene: Scene, effects: Sequence[EffectSetting], model: mujoco.MjModel)
 
 def _write_sensors(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...]:
     """Write a model whose only sensors are what was recorded, all of whose elements have names; return the sensors."""
-    spec = parsed(copy.model)
+    spec = parse_model(copy.model)
     for sensor in list(spec.sensors):
         spec.delete(sensor)
     for kind, elements in (("geom", spec.geoms), ("pair", spec.pairs), ("body", spec.bodies), ("joint", spec.joints)):
@@ -154,7 +154,7 @@ def _write_sensors(copy: Copy, scene: Scene, recs: Recordings) -> tuple[str, ...
         for name, kind in ((POSITION, kinds.mjSENS_FRAMEPOS), (ROTATION, kinds.mjSENS_FRAMEQUAT)):
             spec.add_sensor(name=name, type=kind, objtype=objects.mjOBJ_XBODY, objname=scene.file.object)
             names.append(name)
-    compiled(spec, scene.name)
+    compile_model(spec, scene.name)
     copy.model.write_text(spec.to_xml())
     return tuple(names)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.scenes import sensors, transmission
 from candata.scenes.contract import SCENES
-from candata.scenes.model_file import compiled, model_path, read_model
+from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.scene import SceneFile, Servo
@@ -254,8 +254,8 @@ def _from_file(path: Path) -> Scene:
     source = model_path(path, file.model)
     if not source.is_file():
         kind = kind_of(source)
-        what = f"is {kind}, no file" if kind else "does not exist"
-        raise SceneError(f"model {file.model} {what}", expected=str(source), where=Where(path=str(path)))
+        kind_found = f"is {kind}, no file" if kind else "does not exist"
+        raise SceneError(f"model {file.model} {kind_found}", expected=str(source), where=Where(path=str(path)))
     return assemble(str(path), file, read_model(source))
 
 
@@ -280,7 +280,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
         sensors.add_touch(spec, file)
     for index, tip in enumerate(file.fingertips):
         sensors.add_force(spec, file, index, tip)
-    model = compiled(spec, name)
+    model = compile_model(spec, name)
     check_recorded(name, file, spec)
     _check_rate(name, file, model)
     _check_commands(name, model)

@@ -8,7 +8,7 @@ from pathlib import Path
 from candata.datasets.writing import write_text
 from candata.errors import SceneError, UsageError, Where
 from candata.scenes.assemble import Scene, assemble
-from candata.scenes.model_file import compiled, read_model
+from candata.scenes.model_file import compile_model, read_model
 from candata.scenes.named_files import kind_of
 from candata.scenes.proposal import Proposal, propose
 from candata.scenes.scene_text import scene_text
@@ -31,14 +31,14 @@ def write_draft(model: Path, out: Path) -> tuple[Scene, Proposal]:
         When the model cannot be read or does not compile, or holds nothing that a scene can be made of.
     """
     if not model.is_file():
-        what = f"is {kind}, no file" if (kind := kind_of(model)) else "does not exist"
-        raise UsageError(f"model {model} {what}", expected="an MJCF or a URDF", where=Where(path=str(model)))
+        kind_found = f"is {kind}, no file" if (kind := kind_of(model)) else "does not exist"
+        raise UsageError(f"model {model} {kind_found}", expected="an MJCF or a URDF", where=Where(path=str(model)))
     if out.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{out} is no scene file", expected="a name that ends in .yaml", where=Where(path=str(out)))
     spec = read_model(model)
     # Links that are fixed to others are told apart: a fingertip is often one.
     spec.compiler.fusestatic = False
-    proposal = propose(compiled(spec, str(model)))
+    proposal = propose(compile_model(spec, str(model)))
     if not proposal.joints and proposal.object is None:
         raise SceneError(
             f"model {model.name} holds nothing that is recorded",

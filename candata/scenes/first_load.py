@@ -109,10 +109,10 @@ def _remember(digest: str) -> None:
         record = _record(digest)
         record.parent.mkdir(parents=True, exist_ok=True)
         record.write_bytes(digest.encode())
-        known = list(record.parent.iterdir())
-        if len(known) > MOST_KNOWN:
-            known.sort(key=lambda file: file.stat().st_mtime)
-            for file in known[: len(known) - MOST_KNOWN]:
+        records = list(record.parent.iterdir())
+        if len(records) > MOST_KNOWN:
+            records.sort(key=lambda file: file.stat().st_mtime)
+            for file in records[: len(records) - MOST_KNOWN]:
                 file.unlink(missing_ok=True)
 
 
@@ -122,11 +122,11 @@ def _limits() -> Limits:
     return Limits(cpu_s, CLOCK_RATIO * cpu_s, int(1e9 * _set_by_user(LIMIT_GB_VARIABLE, LIMIT_BYTES / 1e9)))
 
 
-def _set_by_user(variable: str, standing: float) -> float:
+def _set_by_user(variable: str, default: float) -> float:
     """Return the number of an environment variable, or the one that stands."""
     text = os.environ.get(variable)
     if not text:
-        return standing
+        return default
     try:
         number = float(text)
     except ValueError:
@@ -138,20 +138,20 @@ def _set_by_user(variable: str, standing: float) -> float:
 
 def _in_process(path: Path, limits: Limits) -> bool:
     """Tell whether a model was loaded in a process of its own; False where MuJoCo refused it with an error."""
-    code, said, complaint = _run(path, limits)
-    stages = [line for line in said if line in _AT]
+    code, lines, complaint = _run(path, limits)
+    stages = [line for line in lines if line in _AT]
     if not stages:
         raise SetupError(
             f"the process that loads model {path.name} first does not start",
             expected=f"{sys.executable} with mujoco, within {START_S:g} s",
             found=complaint or f"exit code {code}",
         )
-    doing = _AT[stages[-1]]
-    if said[-1] in _AT:
-        raise _ended(path, code, doing, limits)
-    ending, text = json.loads(said[-1])
+    stage_text = _AT[stages[-1]]
+    if lines[-1] in _AT:
+        raise _crash_error(path, code, stage_text, limits)
+    ending, text = json.loads(lines[-1])
     if ending == "memory":
-        raise _too_much(path, f"than {limits.room_bytes / 1e9:g} GB of memory", doing, LIMIT_GB_VARIABLE, text)
+        raise _limit_error(path, f"than {limits.room_bytes / 1e9:g} GB of memory", stage_text, LIMIT_GB_VARIABLE, text)
     if ending == "unusable":
         raise SceneError(f"model {path.name} cannot be simulated", found=text, where=Where(path=str(path)))
     return bool(ending == "loaded")
@@ -163,15 +163,15 @@ def _run(path: Path, limits: Limits) -> tuple[int | None, list[str], str]:
     places = [str(Path(__file__).absolute().parents[2]), *(str(entry) for entry in sys.path if entry)]
     command = [sys.executable or "python", "-I", "-c", _START, json.dumps(places)]
     command += [os.path.abspath(path), *map(str, limits)]
-    alone = {"MUJOCO_GL": "off", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    variables = {"MUJOCO_GL": "off", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     words = "model %s is loaded in a process of its own first, for at most %g s of processor time"
     note = threading.Timer(QUIET_S, _LOG.warning, (words, path.name, limits.cpu_s))
     note.daemon = True
     note.start()
     try:
-        done = subprocess.run(
+        completed_process = subprocess.run(
             command,
-            env=os.environ | alone,
+            env=os.environ | variables,
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=START_S + limits.clock_s,
@@ -179,7 +179,7 @@ def _run(path: Path, limits: Limits) -> tuple[int | None, list[str], str]:
             # Ctrl-C is for this process, which ends that one.
             start_new_session=True,
         )
-        code, out, err = done.returncode, done.stdout, done.stderr
+        code, out, err = completed_process.returncode, completed_process.stdout, completed_process.stderr
     except subprocess.TimeoutExpired as late:
         code, out, err = None, late.stdout or b"", late.stderr or b""
     except OSError as error:
@@ -189,31 +189,31 @@ def _run(path: Path, limits: Limits) -> tuple[int | None, list[str], str]:
     return code, out.decode(errors="replace").splitlines(), (err.decode(errors="replace").splitlines() or [""])[-1]
 
 
-def _ended(path: Path, code: int | None, doing: str, limits: Limits) -> SceneError:
+def _crash_error(path: Path, code: int | None, stage_text: str, limits: Limits) -> SceneError:
     """Return the error of a model with which the process ended before its work."""
     if code is not None and -code == getattr(signal, "SIGPROF", 0):
-        return _too_much(path, f"than {limits.cpu_s:g} s of processor time", doing, LIMIT_S_VARIABLE)
+        return _limit_error(path, f"than {limits.cpu_s:g} s of processor time", stage_text, LIMIT_S_VARIABLE)
     if code is None or -code == getattr(signal, "SIGALRM", 0):
-        return _too_much(path, f"than {limits.clock_s:g} s", doing, LIMIT_S_VARIABLE)
+        return _limit_error(path, f"than {limits.clock_s:g} s", stage_text, LIMIT_S_VARIABLE)
     if code == -getattr(signal, "SIGKILL", 9):
-        found = f"the system ended the process while the model {doing}, as it does where memory runs out"
+        ending = f"the system ended the process while the model {stage_text}, as it does where memory runs out"
     elif code < 0:
-        found = f"{signal.Signals(-code).name} while it {doing}"
+        ending = f"{signal.Signals(-code).name} while it {stage_text}"
     else:
-        found = f"it gave up while the model {doing}"
+        ending = f"it gave up while the model {stage_text}"
     return SceneError(
         f"model {path.name} crashes MuJoCo",
         expected="a model that MuJoCo loads",
-        found=found,
+        found=ending,
         where=Where(path=str(path)),
         fix="leave out parts of it until it loads: the last one left out is the cause",
     )
 
 
-def _too_much(path: Path, more: str, doing: str, variable: str, text: str = "") -> SceneError:
+def _limit_error(path: Path, limit_text: str, stage_text: str, variable: str, text: str = "") -> SceneError:
     """Return the error of a model that takes more than a limit."""
     return SceneError(
-        f"model {path.name} takes more {more} while it {doing}",
+        f"model {path.name} takes more {limit_text} while it {stage_text}",
         found=text or None,
         where=Where(path=str(path)),
         fix=f"make it smaller (copies, bodies, meshes, height fields, arena), or allow more: {variable}=NUMBER",

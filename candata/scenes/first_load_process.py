@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from candata.errors import CandataError
-from candata.scenes.model_file import MODEL_ERRORS, parsed, silent
+from candata.scenes.model_file import MODEL_ERRORS, parse_model, without_log
 
 #: Steps that are tried. Chosen: what keeps a solver busy does so as soon as there is contact; ten take no time.
 STEPS = 10
@@ -38,17 +38,17 @@ def main(path: str, cpu_s: str, clock_s: str, room_bytes: str) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 1)
     os.dup2(nowhere, 2)
-    _bound(float(cpu_s), float(clock_s), int(room_bytes))
+    _set_limits(float(cpu_s), float(clock_s), int(room_bytes))
 
     def say(line: str) -> None:
         words.write(f"{line}\n")
         words.flush()
 
-    with silent():
-        say(json.dumps(_loaded(Path(path), say)))
+    with without_log():
+        say(json.dumps(_load(Path(path), say)))
 
 
-def _bound(cpu_s: float, clock_s: float, room_bytes: int) -> None:
+def _set_limits(cpu_s: float, clock_s: float, room_bytes: int) -> None:
     """Let the system end this process when its time is over, and refuse it memory beyond its room.
 
     Where Python has no `resource` (Windows), or the system counts no data (macOS), nothing bounds the memory.
@@ -65,16 +65,16 @@ def _bound(cpu_s: float, clock_s: float, room_bytes: int) -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        hard = resource.getrlimit(resource.RLIMIT_DATA)[1]
-        most = room_bytes if hard == resource.RLIM_INFINITY else min(room_bytes, hard)
-        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+        hard_limit = resource.getrlimit(resource.RLIMIT_DATA)[1]
+        data_limit = room_bytes if hard_limit == resource.RLIM_INFINITY else min(room_bytes, hard_limit)
+        resource.setrlimit(resource.RLIMIT_DATA, (data_limit, hard_limit))
 
 
-def _loaded(path: Path, say: Callable[[Stage], None]) -> tuple[Ending, str]:
+def _load(path: Path, say: Callable[[Stage], None]) -> tuple[Ending, str]:
     """Return how loading a model ended, and the words of its error."""
     say("read")
     try:
-        spec = parsed(path)
+        spec = parse_model(path)
         spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         say("compile")
         model = spec.compile()
@@ -101,9 +101,9 @@ def _fault(model: mujoco.MjModel) -> str:
         return ""  # refused with the control rate beside it
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    for values, what in ((data.xpos, "positions of bodies"), (data.geom_xpos, "positions of geoms")):
+    for values, quantity in ((data.xpos, "positions of bodies"), (data.geom_xpos, "positions of geoms")):
         if not np.isfinite(values).all():
-            return f"{what} that are not finite numbers, in the state in which the model begins"
+            return f"{quantity} that are not finite numbers, in the state in which the model begins"
     if not np.isfinite(data.qacc).all():
         return "accelerations that are not finite numbers, in the state in which the model begins"
     for _ in range(STEPS):

@@ -67,12 +67,12 @@ def candidates(uri: str, urdf: Path) -> Iterator[Candidate]:
     scheme, _, rest = uri.partition("://")
     folders = list(_package_folders(urdf))
     if scheme != "file":
-        name, _, inside = rest.partition("/")
+        name, _, relative = rest.partition("/")
         if name not in ("", ".", ".."):
-            named = (above for start in _starts(urdf) for above in start.parents if above.name == name)
-            yield from ((above / inside, above) for above in named)
-        yield from ((folder / name / inside, folder) for folder in folders)
-        yield from ((folder / inside, folder) for folder in folders)
+            packages = (parent for start in _starts(urdf) for parent in start.parents if parent.name == name)
+            yield from ((parent / relative, parent) for parent in packages)
+        yield from ((folder / name / relative, folder) for folder in folders)
+        yield from ((folder / relative, folder) for folder in folders)
     elif rest.startswith("/"):
         # A path from the root is read without a scheme too; that of another machine is sought by its end.
         yield Path(rest), Path("/")

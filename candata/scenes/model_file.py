@@ -17,7 +17,7 @@ from candata.scenes.model_text import check_text
 #: What MuJoCo raises of a model that it cannot read or compile; too little memory is a RuntimeError.
 MODEL_ERRORS = (ValueError, RuntimeError, MemoryError, mujoco.FatalError)
 #: Kinds of elements whose names a scene may read.
-_NAMED = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
+_NAMED_KINDS = ("bodies", "joints", "geoms", "sites", "actuators", "tendons", "meshes", "keys", "sensors", "materials")
 #: Kinds of elements that may be read from a file.
 _OF_FILES = ("meshes", "hfields", "textures", "skins")
 
@@ -30,11 +30,11 @@ def model_path(path: Path, model: str) -> Path:
     SceneError
         When the package is not installed.
     """
-    package, colon, inside = model.partition(":")
+    package, colon, file_name = model.partition(":")
     if not colon or not package.isidentifier() or (path.parent / model).exists():
         return path.parent / model
-    found = find_spec(package)
-    folders = list(found.submodule_search_locations or ()) if found else []
+    package_spec = find_spec(package)
+    folders = list(package_spec.submodule_search_locations or ()) if package_spec else []
     if not folders:
         raise SceneError(
             f"the model lies in the package {package}, which is not installed",
@@ -42,7 +42,7 @@ def model_path(path: Path, model: str) -> Path:
             where=Where(path=str(path)),
             fix=f"pip install {package.replace('_', '-')}",
         )
-    return Path(folders[0]) / inside
+    return Path(folders[0]) / file_name
 
 
 def read_model(path: Path) -> mujoco.MjSpec:
@@ -61,10 +61,10 @@ def read_model(path: Path) -> mujoco.MjSpec:
         When no process can be started.
     """
     load_first(path)
-    return parsed(path)
+    return parse_model(path)
 
 
-def parsed(path: Path) -> mujoco.MjSpec:
+def parse_model(path: Path) -> mujoco.MjSpec:
     """Return the spec of a model file, read in this process.
 
     Raises
@@ -74,9 +74,9 @@ def parsed(path: Path) -> mujoco.MjSpec:
     """
     check_text(path)
     try:
-        with silent():
+        with without_log():
             spec: mujoco.MjSpec = mujoco.MjSpec.from_file(str(path))
-        for kind in _NAMED:
+        for kind in _NAMED_KINDS:
             # A name is decoded when it is read.
             [element.name for element in getattr(spec, kind)]
         resolve_meshes(spec, path)
@@ -97,7 +97,7 @@ def parsed(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
+def compile_model(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
     """Return the model of a spec.
 
     Raises
@@ -106,7 +106,7 @@ def compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
         When it does not compile; `name` says whose it is.
     """
     try:
-        with silent():
+        with without_log():
             return spec.compile()
     except MODEL_ERRORS as error:
         text = " ".join(str(error).split())
@@ -114,15 +114,15 @@ def compiled(spec: mujoco.MjSpec, name: str) -> mujoco.MjModel:
 
 
 @contextmanager
-def silent() -> Iterator[None]:
+def without_log() -> Iterator[None]:
     """Keep MuJoCo from writing warnings to the console and to a file of the working directory."""
-    before, now = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
-    now.logto_console = now.logto_file = False
-    now.set()
+    usual_config, quiet_config = mujoco.MjLogConfig.get(), mujoco.MjLogConfig.get()
+    quiet_config.logto_console = quiet_config.logto_file = False
+    quiet_config.set()
     try:
         yield
     finally:
-        before.set()
+        usual_config.set()
 
 
 def _remedy(text: str) -> str:

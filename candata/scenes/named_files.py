@@ -50,14 +50,14 @@ def model_digest(source: Path) -> str:
     """
     sums: dict[str, str] = {}
     texts: dict[str, bytes] = {}
-    waiting = [os.path.abspath(source)]
-    places = set(waiting)
+    unread_files = [os.path.abspath(source)]
+    places = set(unread_files)
     total = rounds = 0
-    while waiting:
+    while unread_files:
         rounds += 1
         if rounds > MOST_NESTED:
             raise too_large(source, "files that name one another", f"at most {MOST_NESTED} deep")
-        for path in waiting:
+        for path in unread_files:
             refuse_pointer(Path(path))
             total += os.stat(path).st_size
             if total > LARGEST_BYTES:
@@ -65,18 +65,18 @@ def model_digest(source: Path) -> str:
             sums[path], text = _read(path)
             if text is not None:
                 texts[path] = text
-        more = set(_places(texts, source)) - places
-        places |= more
-        waiting = [path for path in sorted(more) if _is_file(path)]
+        named_files = set(_places(texts, source)) - places
+        places |= named_files
+        unread_files = [path for path in sorted(named_files) if _is_file(path)]
     folder = os.path.dirname(os.path.abspath(source))
     lines = sorted(f"{os.path.relpath(path, folder)}\0{content}\n" for path, content in sums.items())
     return hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
 
 
-def too_large(model: Path, found: str, expected: str) -> SceneError:
+def too_large(model: Path, size_text: str, expected: str) -> SceneError:
     """Return the error of a model that no simulation holds."""
     return SceneError(
-        f"model {model.name} is too large to simulate", expected=expected, found=found, where=Where(path=str(model))
+        f"model {model.name} is too large to simulate", expected=expected, found=size_text, where=Where(path=str(model))
     )
 
 
@@ -141,8 +141,8 @@ def _places(texts: dict[str, bytes], source: Path) -> Iterator[str]:
     folders = {"", *(folder for text in texts.values() for folder in _values(_FOLDERS, text))}
     bases = {os.path.dirname(path) for path in texts}
     if 2 * len(names) * len(folders) * len(bases) > MOST_PLACES:
-        found = f"{len(names):,} names of files, in {len(folders):,} folders beside {len(bases):,} files"
-        raise too_large(source, found, f"at most {MOST_PLACES:,} places where they may lie")
+        places = f"{len(names):,} names of files, in {len(folders):,} folders beside {len(bases):,} files"
+        raise too_large(source, places, f"at most {MOST_PLACES:,} places where they may lie")
     for name in names:
         if "://" in name:
             yield from (os.path.abspath(file) for file, _ in candidates(name, source))
@@ -153,5 +153,5 @@ def _places(texts: dict[str, bytes], source: Path) -> Iterator[str]:
 
 def _values(attribute: re.Pattern[bytes], text: bytes) -> Iterator[str]:
     """Yield the values of an attribute, as they are on disk."""
-    for double, single in attribute.findall(text):
-        yield html.unescape(os.fsdecode(double or single)).replace("\\", "/")
+    for double, value in attribute.findall(text):
+        yield html.unescape(os.fsdecode(double or value)).replace("\\", "/")

@@ -26,9 +26,9 @@ _NOISE = """\
 
 def scene_text(proposal: Proposal, model: str) -> str:
     """Return the text of a scene file with proposed roles, whose model is at `model` from there."""
-    about = f"Drafted by `candata scene init` from {Path(model).name}: check every line, then `candata scene show`."
+    comment = f"Drafted by `candata scene init` from {Path(model).name}: check every line, then `candata scene show`."
     parts = [
-        f"{_comment(about)}\nmodel: {quoted(model)}",
+        f"{_comment(comment)}\nmodel: {quote_word(model)}",
         _rate(proposal),
         _joints(proposal),
         _actuators(proposal),
@@ -41,13 +41,13 @@ def scene_text(proposal: Proposal, model: str) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def quoted(name: str) -> str:
+def quote_word(name: str) -> str:
     """Return a name as YAML: as it is where that is read as the same text, else in quotes."""
     try:
-        plain = parse_yaml(f"[{name}]") == [name] and "#" not in name and name == name.strip()
+        is_plain = parse_yaml(f"[{name}]") == [name] and "#" not in name and name == name.strip()
     except TextError:
-        plain = False
-    return name if plain else json.dumps(name, ensure_ascii=not name.isprintable())
+        is_plain = False
+    return name if is_plain else json.dumps(name, ensure_ascii=not name.isprintable())
 
 
 def _comment(text: str) -> str:
@@ -55,12 +55,12 @@ def _comment(text: str) -> str:
     return "\n".join(textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False))
 
 
-def _named(key: str, names: Sequence[str], indent: str = "") -> str:
+def _names_text(key: str, names: Sequence[str], indent: str = "") -> str:
     """Return a key with a list of names, in as many lines as they need."""
     begin = f"{indent}{key}: ["
     lines, line = [], begin
     for position, name in enumerate(names):
-        piece = quoted(name) + ("]" if position + 1 == len(names) else ", ")
+        piece = quote_word(name) + ("]" if position + 1 == len(names) else ", ")
         if len(line) + len(piece) > _WIDTH and line.strip() and line != begin:
             lines.append(line.rstrip())
             line = f"{indent}  "
@@ -71,8 +71,8 @@ def _named(key: str, names: Sequence[str], indent: str = "") -> str:
 def _rate(proposal: Proposal) -> str:
     """Return the part on the rate."""
     rates = ", ".join(f"{rate:g}" for rate in proposal.rates_hz)
-    about = "Rate of your commands and recordings [Hz]. A step of it holds a whole number of physics steps of"
-    return f"{_comment(f'{about} {proposal.timestep_s:g} s: {rates} do.')}\nrate_hz: {proposal.rate_hz:g}"
+    comment = "Rate of your commands and recordings [Hz]. A step of it holds a whole number of physics steps of"
+    return f"{_comment(f'{comment} {proposal.timestep_s:g} s: {rates} do.')}\nrate_hz: {proposal.rate_hz:g}"
 
 
 def _joints(proposal: Proposal) -> str:
@@ -81,22 +81,22 @@ def _joints(proposal: Proposal) -> str:
     if proposal.other_joints:
         lines.append(_comment(f"Nothing drives these; add those that are recorded: {', '.join(proposal.other_joints)}"))
     lines += [_comment(note) for note in proposal.notes if "joint" in note]
-    return "\n".join([*lines, _named("joints", proposal.joints)])
+    return "\n".join([*lines, _names_text("joints", proposal.joints)])
 
 
 def _actuators(proposal: Proposal) -> str:
     """Return the part on actuators: those of the model, or guessed gains where it has none."""
     notes = [_comment(note) for note in proposal.notes if "actuator" in note]
     if not proposal.servos:
-        about = "# Actuators, in the order of `action`: what each takes is what is recorded as its command."
-        return "\n".join([about, *notes, _named("actuators", proposal.actuators)])
-    about = (
+        comment = "# Actuators, in the order of `action`: what each takes is what is recorded as its command."
+        return "\n".join([comment, *notes, _names_text("actuators", proposal.actuators)])
+    comment = (
         "THE GAINS ARE GUESSED: the model has no actuators. Fill in those of your drives: stiffness kp [N m/rad] and "
         "damping kv [N m s/rad] of the position servo, and the largest torque `limit` [N m] (of slides N/m, N s/m, N). "
         "Leave joints out that no motor drives. `action` is the target position of each, in this order."
     )
-    lines = [_comment(about), "actuators:"]
-    return "\n".join([*lines, *(f"  {quoted(name)}: {_gains(servo)}" for name, servo in proposal.servos.items())])
+    lines = [_comment(comment), "actuators:"]
+    return "\n".join([*lines, *(f"  {quote_word(name)}: {_gains(servo)}" for name, servo in proposal.servos.items())])
 
 
 def _gains(servo: Servo) -> str:
@@ -107,48 +107,50 @@ def _gains(servo: Servo) -> str:
 
 def _fingertips(proposal: Proposal) -> str:
     """Return the part on fingertips and their frames."""
-    about = (
+    comment = (
         "Fingertips with a force sensor, in the order of `fingertip_force` [N]: bodies (with all that they carry) or "
         "geoms. Leave out those without one. Forces are in the frame of the body, or of a site where one is named."
     )
-    lines = [_comment(about)]
+    lines = [_comment(comment)]
     if proposal.other_tips:
         lines.append(_comment(f"Other ends of chains: {', '.join(proposal.other_tips)}"))
-    lines.append(_named("fingertips", proposal.fingertips))
-    commented = _named("fingertip_frames", proposal.fingertip_frames or ("SITE",) * len(proposal.fingertips))
-    return "\n".join([*lines, *(f"# {line}" for line in commented.splitlines())])
+    lines.append(_names_text("fingertips", proposal.fingertips))
+    comment_lines = _names_text("fingertip_frames", proposal.fingertip_frames or ("SITE",) * len(proposal.fingertips))
+    return "\n".join([*lines, *(f"# {line}" for line in comment_lines.splitlines())])
 
 
 def _object(proposal: Proposal) -> str:
     """Return the part on the object."""
-    about = ["Body with a free joint whose pose is tracked: `object_pose`, position [m] and quaternion w x y z."]
-    about += [note for note in proposal.notes if "free bod" in note]
+    comment = ["Body with a free joint whose pose is tracked: `object_pose`, position [m] and quaternion w x y z."]
+    comment += [note for note in proposal.notes if "free bod" in note]
     if proposal.other_objects:
-        about.append(f"Several bodies are free: this one seems the likeliest of {', '.join(proposal.free_bodies)}.")
+        comment.append(f"Several bodies are free: this one seems the likeliest of {', '.join(proposal.free_bodies)}.")
     if proposal.floating_base and proposal.object == proposal.floating_base:
-        about.append("It is the floating base of the robot: record its pose, or hold it in the model and leave it out.")
+        comment.append(
+            "It is the floating base of the robot: record its pose, or hold it in the model and leave it out."
+        )
     elif proposal.floating_base:
-        about.append(
+        comment.append(
             f"The base of the robot, {proposal.floating_base}, floats: hold it in the model where yours is held."
         )
     if proposal.object is None:
-        about.append("No body of the model is free: leave it out for a robot alone.")
-    key = f"object: {quoted(proposal.object)}" if proposal.object else "# object: BODY"
-    return "\n".join([*map(_comment, about), key])
+        comment.append("No body of the model is free: leave it out for a robot alone.")
+    key = f"object: {quote_word(proposal.object)}" if proposal.object else "# object: BODY"
+    return "\n".join([*map(_comment, comment), key])
 
 
 def _support(proposal: Proposal) -> str:
     """Return the part on the support."""
-    alone = proposal.object in (None, proposal.floating_base)
-    nothing = "" if proposal.support or alone else " Nothing that has a name lies below the object."
-    key = f"support: {quoted(proposal.support)}" if proposal.support else "# support: GEOM"
-    return f"{_comment(f'Geom that the object rests on, such as a table.{nothing}')}\n{key}"
+    free_geoms = proposal.object in (None, proposal.floating_base)
+    no_support = "" if proposal.support or free_geoms else " Nothing that has a name lies below the object."
+    key = f"support: {quote_word(proposal.support)}" if proposal.support else "# support: GEOM"
+    return f"{_comment(f'Geom that the object rests on, such as a table.{no_support}')}\n{key}"
 
 
 def _groups(proposal: Proposal) -> str:
     """Return the part on groups."""
-    about = _comment("Joints that may be at fault together: fingers, a wrist. The diagnosis looks at each group too.")
+    comment = _comment("Joints that may be at fault together: fingers, a wrist. The diagnosis looks at each group too.")
     if not proposal.groups:
-        return f"{about}\n# groups:\n#   index: [JOINT, JOINT]"
-    members = (_named(quoted(name), joints, "  ") for name, joints in proposal.groups.items())
-    return "\n".join([about, "groups:", *members])
+        return f"{comment}\n# groups:\n#   index: [JOINT, JOINT]"
+    members = (_names_text(quote_word(name), joints, "  ") for name, joints in proposal.groups.items())
+    return "\n".join([comment, "groups:", *members])

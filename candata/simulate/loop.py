@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from candata.effects import Forces
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
-from candata.scenes.model_file import silent
+from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.timing import resample_control, retime_commands, steps_of
@@ -135,7 +135,7 @@ def rollout(
         run.remember(memory)
     if earlier_commands is not None:
         run.hear(earlier_commands)
-    with silent():  # warnings are counted
+    with without_log():  # warnings are counted
         return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
 

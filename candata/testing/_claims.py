@@ -48,7 +48,7 @@ def require_words(registry: Registry[Any], plugin: object) -> None:
     require(importlib.import_module(module).__doc__, f"{module} has no docstring")
 
 
-def refusal_of(run: Callable[[], object], doing: str) -> CandataError:
+def refusal_of(run: Callable[[], object], action: str) -> CandataError:
     """Return the error of candata with which something is refused.
 
     Raises
@@ -60,4 +60,4 @@ def refusal_of(run: Callable[[], object], doing: str) -> CandataError:
         run()
     except CandataError as error:
         return error
-    raise AssertionError(f"{doing} is not refused")
+    raise AssertionError(f"{action} is not refused")

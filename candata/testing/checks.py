@@ -51,8 +51,8 @@ class CheckConformance:
     def test_it_is_registered_and_in_words(self) -> None:
         """Users come to it by its name, and read what it says."""
         require_words(RULES, self.rule)
-        unknown = set(self.rule.needs) - set(CHANNELS)
-        require(not unknown, f"it needs what is no channel: {', '.join(sorted(unknown))}")
+        unknown_channels = set(self.rule.needs) - set(CHANNELS)
+        require(not unknown_channels, f"it needs what is no channel: {', '.join(sorted(unknown_channels))}")
         looks = (self.rule.part, self.rule.episode, self.rule.gather, self.rule.sample)
         default = Rule(meaning="")
         require(looks != (default.part, default.episode, None, None), "it looks at nothing")
@@ -61,32 +61,34 @@ class CheckConformance:
     def test_sound_data_say_nothing(self) -> None:
         """A false alarm makes people ignore the next one. What cannot be checked may be said."""
         for name in self.scenes:
-            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
-            for given in (None, scene):
-                alarms = [f for f in self._findings(sound, given) if f.level in ("error", "warning")]
+            scene, episodes = _sound_episodes(name, self.episodes, self.duration_s)
+            for scene_given in (None, scene):
+                alarms = [f for f in self._findings(episodes, scene_given) if f.level in ("error", "warning")]
                 require(not alarms, f"scene {name}: sound data raise {alarms[:3]}")
 
     def test_its_own_defect_is_found(self) -> None:
         """In the data of one of the scenes at least, and said in words that can be acted on."""
-        found: list[Finding] = []
+        findings: list[Finding] = []
         for name in self.scenes:
-            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
-            rng, raws = np.random.default_rng(0), [stored(episode) for episode in sound]
-            damaged = [self.damage(dict(raw.arrays), raw.meta().rate_hz, rng) for raw in raws]
-            if any(arrays is not None for arrays in damaged):
-                given = [r if a is None else with_arrays(r, a) for r, a in zip(raws, damaged, strict=True)]
-                found += [f for f in self._findings(given, scene) if f.level in ("error", "warning")]
-        require(found, "its defect is not found")
-        for finding in found:
+            scene, episodes = _sound_episodes(name, self.episodes, self.duration_s)
+            rng, raws = np.random.default_rng(0), [stored(episode) for episode in episodes]
+            damaged_arrays = [self.damage(dict(raw.arrays), raw.meta().rate_hz, rng) for raw in raws]
+            if any(arrays is not None for arrays in damaged_arrays):
+                damaged_raws = [
+                    r if a is None else with_arrays(r, a) for r, a in zip(raws, damaged_arrays, strict=True)
+                ]
+                findings += [f for f in self._findings(damaged_raws, scene) if f.level in ("error", "warning")]
+        require(findings, "its defect is not found")
+        for finding in findings:
             _require_said(finding, registered_name(RULES, self.rule))
 
     def test_no_data_break_it(self) -> None:
         """Channels that lack or hold nothing but NaN, and a single row: a finding or nothing, never an exception."""
         for name in self.scenes:
-            scene, sound = _sound_episodes(name, self.episodes, self.duration_s)
-            raws = [stored(episode) for episode in sound]
-            for broken in (_without_channels, _all_nan, _one_row):
-                self._findings([with_arrays(raw, broken(raw.arrays)) for raw in raws], scene)
+            scene, episodes = _sound_episodes(name, self.episodes, self.duration_s)
+            raws = [stored(episode) for episode in episodes]
+            for break_arrays in (_without_channels, _all_nan, _one_row):
+                self._findings([with_arrays(raw, break_arrays(raw.arrays)) for raw in raws], scene)
 
     def _findings(self, episodes: Sequence[Episode | RawEpisode], scene: Scene | None) -> tuple[Finding, ...]:
         """Return what the rule finds in stored episodes."""

@@ -57,8 +57,8 @@ class DeviceConformance:
         for names in (device.joint_names, device.fingertip_names):
             require(len(set(names)) == len(names), f"a name stands twice: {', '.join(names)}")
         require(device.joint_names, "there are no joints")
-        for what in ("baud", "rate_hz", "newton_per_count"):
-            require(getattr(device, what) > 0, f"{what} is not positive")
+        for field in ("baud", "rate_hz", "newton_per_count"):
+            require(getattr(device, field) > 0, f"{field} is not positive")
         require(device.taxels >= 0, "taxels is negative")
         require((np.array(device.count_low) < device.count_high).all(), "count_low is not below count_high")
 
@@ -66,12 +66,12 @@ class DeviceConformance:
         """Angles within the wire's resolution, counts as they are, in the declared shapes."""
         device, rows = self.device, self._rows()
         commands, states = device.commands(rows.frames[::2]), device.states(rows.frames[1::2])
-        for what, sent, read in (
+        for channel, encoded, decoded in (
             ("joint_target", rows.joint_target, commands.joint_target),
             ("joint_position", rows.joint_position, states.joint_position),
         ):
-            off = float(np.abs(sent - read).max())
-            require(off <= self.angle_step_rad, f"{what} is off by {off:.3g} rad after the wire")
+            error_rad = float(np.abs(encoded - decoded).max())
+            require(error_rad <= self.angle_step_rad, f"{channel} is off by {error_rad:.3g} rad after the wire")
         require(np.array_equal(states.force_counts, rows.force_counts), "force_counts differ after the wire")
         require(np.array_equal(states.taxel_counts, rows.taxel_counts), "taxel_counts differ after the wire")
 
@@ -96,10 +96,10 @@ class DeviceConformance:
         """Noise, cut frames and heads of frames that never end stand between sound ones."""
         rows, rng = self._rows(), np.random.default_rng(4)
         for number, frame in enumerate(rows.frames):
-            noise, cut = rng.bytes(int(rng.integers(1, 40))), frame[: int(rng.integers(1, len(frame)))]
-            stream = [*rows.frames[:number], noise, cut, *rows.frames[number:]]
-            found = [f.data for f in self._read(b"".join(stream), 64)]
-            require(_is_subsequence(found, rows.frames), f"garbage before frame {number} costs a sound frame")
+            noise, cut_frame = rng.bytes(int(rng.integers(1, 40))), frame[: int(rng.integers(1, len(frame)))]
+            stream = [*rows.frames[:number], noise, cut_frame, *rows.frames[number:]]
+            frames_read = [f.data for f in self._read(b"".join(stream), 64)]
+            require(_is_subsequence(frames_read, rows.frames), f"garbage before frame {number} costs a sound frame")
 
     def test_no_bytes_break_it(self) -> None:
         """A framer never raises, and a state that comes out of noise decodes."""
@@ -121,9 +121,11 @@ class DeviceConformance:
             _skip(str(error))
         log = read_log(tmp_path / "log.mcap")
         require(len(log.force_counts), "the recording holds no states")
-        sent = self.device.states(script.states)
-        recorded, known = (_distinct_rows(rows.joint_position, rows.force_counts) for rows in (log, sent))
-        require(recorded <= known, "the log holds states that were not sent")
+        sent_states = self.device.states(script.states)
+        recorded_rows, sent_rows = (
+            _distinct_rows(rows.joint_position, rows.force_counts) for rows in (log, sent_states)
+        )
+        require(recorded_rows <= sent_rows, "the log holds states that were not sent")
         require((log.taxel_counts is None) == (self.device.taxels == 0), "taxels are in the log where there are none")
 
     def _encoder(self) -> Encoder:
@@ -155,7 +157,7 @@ class DeviceConformance:
         device, rows = self.device, ROWS
         low, high = self.joint_range_rad
         wave = low + (high - low) * (0.5 - 0.5 * np.cos(np.linspace(0, 6, rows)))
-        moved = np.repeat(wave[:, None], len(device.joint_names), axis=1)
+        positions = np.repeat(wave[:, None], len(device.joint_names), axis=1)
         meta = EpisodeMeta(
             id="conformance",
             source="sim",
@@ -164,7 +166,11 @@ class DeviceConformance:
             actuator_names=device.joint_names,
             fingertip_names=device.fingertip_names,
         )
-        arrays = {"time_ns": np.round(np.arange(rows) * 1e9 / device.rate_hz), "joint_position": moved, "action": moved}
+        arrays = {
+            "time_ns": np.round(np.arange(rows) * 1e9 / device.rate_hz),
+            "joint_position": positions,
+            "action": positions,
+        }
         if device.fingertip_names:
             arrays["fingertip_force"] = np.tile([0.0, 0.0, 1.0], (rows, len(device.fingertip_names), 1))
         return Episode(meta, arrays)
@@ -175,10 +181,10 @@ def _distinct_rows(joints: NDArray, counts: NDArray) -> set[bytes]:
     return {row.tobytes() for row in np.c_[joints, counts.reshape(len(counts), -1)]}
 
 
-def _is_subsequence(found: Sequence[bytes], wanted: Sequence[bytes]) -> bool:
+def _is_subsequence(items: Sequence[bytes], subsequence: Sequence[bytes]) -> bool:
     """Tell whether all that is wanted is found, in its order; more may be found between."""
-    rest = iter(found)
-    return all(any(frame == other for other in rest) for frame in wanted)
+    iterator = iter(items)
+    return all(any(frame == item for item in iterator) for frame in subsequence)
 
 
 def _record(device: Device, name: str, script: object, out: Path) -> None:
@@ -188,12 +194,12 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
     from candata.record.recorder import record
     from candata.record.recorder_values import Settings
 
-    played, enough = threading.Event(), threading.Event()
+    emulation_over, recording_over = threading.Event(), threading.Event()
     with Line() as line:
 
         def send() -> None:
-            wait_for_reader(line, played.is_set)
-            play(script, line, np.random.default_rng(0), passes=0, stop=played.is_set)  # type: ignore[arg-type]
+            wait_for_reader(line, emulation_over.is_set)
+            play(script, line, np.random.default_rng(0), passes=0, stop=emulation_over.is_set)  # type: ignore[arg-type]
 
         sender = threading.Thread(target=send, daemon=True)
         sender.start()
@@ -205,18 +211,18 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
                 out,
                 name=name,
                 settings=settings,
-                stop=enough.is_set,
-                show=lambda view: enough.set() if view.frames["state"] >= ROWS else None,
+                stop=recording_over.is_set,
+                show=lambda view: recording_over.set() if view.frames["state"] >= ROWS else None,
             )
         finally:
-            played.set()
+            emulation_over.set()
             sender.join()
     if report.failure is not None:
         raise report.failure
 
 
-def _skip(why: str) -> None:
+def _skip(reason: str) -> None:
     """Skip the test that is running."""
     import pytest
 
-    pytest.skip(why)
+    pytest.skip(reason)

@@ -60,15 +60,15 @@ class EffectConformance:
         """Users come to it by its name, and read what it is."""
         require_words(EFFECTS, self.effect)
         require(self.effect.acts_on in PLACES, f"acts_on is {self.effect.acts_on!r}, not one of {', '.join(PLACES)}")
-        unknown = self.effect.traits - set(get_args(Trait))
-        require(not unknown, f"no such traits: {', '.join(sorted(unknown))}")
+        unknown_traits = self.effect.traits - set(get_args(Trait))
+        require(not unknown_traits, f"no such traits: {', '.join(sorted(unknown_traits))}")
         advice = self.effect.advice
         if self.effect.fitted or advice is None:
             require(self.effect.fitted, "`advice` is missing: what a report tells people to change")
             return
         for text, allowed in ((advice.change, PLACEHOLDERS), (advice.mjcf, MJCF_PLACEHOLDERS)):
-            named = {field for _, field, _, _ in Formatter().parse(text) if field is not None}
-            require(named <= allowed, f"advice {text!r} names {named - allowed}; there are {allowed}")
+            placeholders = {field for _, field, _, _ in Formatter().parse(text) if field is not None}
+            require(placeholders <= allowed, f"advice {text!r} names {placeholders - allowed}; there are {allowed}")
             require(not text.endswith("."), f"advice {text!r} ends in a full stop")
         require("{x}" in advice.change, "`advice.change` does not say the value, {x}")
 
@@ -91,8 +91,8 @@ class EffectConformance:
         for scene in self._possible_scenes():
             readings = self._neutral_readings(scene)
             for channel, values in readings.items():
-                same = all(np.array_equal(row, values[0]) for row in values[1:])
-                require(same, f"scene {scene.name}: the neutral value moves {channel}")
+                is_same = all(np.array_equal(row, values[0]) for row in values[1:])
+                require(is_same, f"scene {scene.name}: the neutral value moves {channel}")
 
     def test_every_other_value_moves_a_channel_and_stays_finite(self) -> None:
         """A probe that moves nothing teaches nothing; one that gives NaN ends a diagnosis."""
@@ -101,9 +101,9 @@ class EffectConformance:
         for scene in self._possible_scenes():
             probes, readings = self._probe_readings(scene)
             for row, probe in enumerate(probes, start=1):
-                where = f"scene {scene.name}: {probe.model_dump_json()}"
-                require(_channels_moved(readings, row), f"{where} moves nothing")
-                require(all(np.isfinite(v[row]).all() for v in readings.values()), f"{where} reads what is not finite")
+                place = f"scene {scene.name}: {probe.model_dump_json()}"
+                require(_channels_moved(readings, row), f"{place} moves nothing")
+                require(all(np.isfinite(v[row]).all() for v in readings.values()), f"{place} reads what is not finite")
 
     def test_a_filter_of_readings_moves_only_what_it_says(self) -> None:
         """`moves` is what a diagnosis looks at."""
@@ -113,8 +113,11 @@ class EffectConformance:
         )
         for scene in self._possible_scenes() if moves and not self.effect.fitted else ():
             probes, readings = self._probe_readings(scene)
-            moved = set().union(*(_channels_moved(readings, row + 1) for row in range(len(probes))))
-            require(moved <= moves, f"scene {scene.name}: it moves {', '.join(sorted(moved - moves))}, not in `moves`")
+            channels_moved = set().union(*(_channels_moved(readings, row + 1) for row in range(len(probes))))
+            require(
+                channels_moved <= moves,
+                f"scene {scene.name}: it moves {', '.join(sorted(channels_moved - moves))}, not in `moves`",
+            )
 
     def test_a_world_repeats_and_does_not_see_its_neighbours(self) -> None:
         """The same world gives the same bits, alone or among others."""
@@ -122,8 +125,8 @@ class EffectConformance:
             return
         for scene in self._possible_scenes():
             probes, readings = self._probe_readings(scene)
-            alone = self.play(scene, [(probes[-1],)])
-            for channel, values in alone.items():
+            readings_alone = self.play(scene, [(probes[-1],)])
+            for channel, values in readings_alone.items():
                 require(
                     np.array_equal(values[0], readings[channel][-1]), f"scene {scene.name}: {channel} differs alone"
                 )
@@ -133,21 +136,24 @@ class EffectConformance:
         name = registered_name(EFFECTS, self.effect)
         for scene in self._possible_scenes() if not self.effect.fitted else ():
             x = np.concatenate([draw_parameter(p, scene, np.random.default_rng(3)) for p in self.effect.parameters])
-            given = setting(name, x, scene)
-            require(np.array_equal(flatten(given, scene), x), "a setting does not give back its vector")
-            back = EffectSetting.model_validate_json(given.model_dump_json())
-            require(back == given, "a setting does not come back through JSON")
+            effect_setting = setting(name, x, scene)
+            require(np.array_equal(flatten(effect_setting, scene), x), "a setting does not give back its vector")
+            read_back = EffectSetting.model_validate_json(effect_setting.model_dump_json())
+            require(read_back == effect_setting, "a setting does not come back through JSON")
 
     def test_bad_parameters_are_refused(self) -> None:
         """Out of bounds, no number, no such parameter: an error that says what was expected."""
         name = registered_name(EFFECTS, self.effect)
         for scene in self._possible_scenes():
-            bad = [EffectSetting(name=name, parameters={"no_such_parameter": 1.0})]
-            bad += [given for p in self.effect.parameters for given in _out_of_bounds(name, p, scene)]
-            for given in bad:
-                error = refusal_of(partial(flatten, given, scene), given.model_dump_json())
+            bad_settings = [EffectSetting(name=name, parameters={"no_such_parameter": 1.0})]
+            bad_settings += [
+                bad_setting for p in self.effect.parameters for bad_setting in _out_of_bounds(name, p, scene)
+            ]
+            for bad_setting in bad_settings:
+                error = refusal_of(partial(flatten, bad_setting, scene), bad_setting.model_dump_json())
                 require(
-                    isinstance(error, UsageError), f"{given.model_dump_json()} is refused as {type(error).__name__}"
+                    isinstance(error, UsageError),
+                    f"{bad_setting.model_dump_json()} is refused as {type(error).__name__}",
                 )
 
     def test_it_is_refused_where_it_cannot_act(self) -> None:
@@ -182,37 +188,37 @@ class EffectConformance:
         """Return the readings of the nominal world, and of those with the effect at its identity."""
         name = registered_name(EFFECTS, cls.effect)
         x = flatten(EffectSetting(name=name), scene)
-        neutral = [EffectSetting(name=name)]
-        neutral += [setting(name, x, scene)] if np.isfinite(x).all() else []
-        return cls().play(scene, [(), *((given,) for given in neutral)])
+        neutral_settings = [EffectSetting(name=name)]
+        neutral_settings += [setting(name, x, scene)] if np.isfinite(x).all() else []
+        return cls().play(scene, [(), *((neutral_setting,) for neutral_setting in neutral_settings)])
 
 
 @cache
-def _scene(given: str | Path | Scene) -> Scene:
+def _scene(scene: str | Path | Scene) -> Scene:
     """Return a scene, compiled once."""
-    return given if isinstance(given, Scene) else load_scene(given)
+    return scene if isinstance(scene, Scene) else load_scene(scene)
 
 
-def _require_ranges(p: Parameter, scene: Scene, possible: bool) -> None:
+def _require_ranges(p: Parameter, scene: Scene, can_act: bool) -> None:
     """Claim that what a parameter says of a scene is finite, and within the bounds where the effect can act."""
-    where = f"{p.name} in scene {scene.name}"
+    place = f"{p.name} in scene {scene.name}"
     identity, (low, high) = p.identity(scene), p.bounds(scene)
-    require((p.neutral is None) == np.isfinite(identity), f"{where}: give either `identity` or `neutral`")
+    require((p.neutral is None) == np.isfinite(identity), f"{place}: give either `identity` or `neutral`")
     neutral = p.neutral(scene) if p.neutral else identity
     ranges: dict[str, Sequence[float]] = {
         "neutral": [neutral],
         "probes": p.probes(scene),
         "draws": list(np.ravel(p.draws(scene))),
     }
-    for what, values in ({"bounds": [low, high]} | ranges).items():
-        require(np.isfinite(values).all(), f"{where}: {what} are not finite: {values}")
-    if not possible:
+    for quantity, values in ({"bounds": [low, high]} | ranges).items():
+        require(np.isfinite(values).all(), f"{place}: {quantity} are not finite: {values}")
+    if not can_act:
         return
-    require(low < high, f"{where}: the bounds are empty: {low:g} to {high:g}")
-    for what, values in ranges.items():
-        inside = (low <= np.asarray(values)) & (np.asarray(values) <= high)
-        require(inside.all(), f"{where}: {what} leave the bounds {low:g} to {high:g}: {values}")
-    require(neutral not in list(p.probes(scene)), f"{where}: a probe is the neutral value")
+    require(low < high, f"{place}: the bounds are empty: {low:g} to {high:g}")
+    for quantity, values in ranges.items():
+        is_inside = (low <= np.asarray(values)) & (np.asarray(values) <= high)
+        require(is_inside.all(), f"{place}: {quantity} leave the bounds {low:g} to {high:g}: {values}")
+    require(neutral not in list(p.probes(scene)), f"{place}: a probe is the neutral value")
 
 
 def _probes(name: str, effect: Effect, scene: Scene) -> Iterator[EffectSetting]:

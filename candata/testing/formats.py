@@ -60,22 +60,27 @@ class FormatConformance:
         episodes = made_up_episodes()
         for variant in (None, *self.format.variants):
             folder = self._write(episodes, tmp_path / (variant or "usual"), variant)
-            back = self._read(folder, None)
-            ids = [episode.meta.id for episode in back]
-            require(len(back) == len(episodes), f"{len(episodes)} episodes were written, {len(back)} come back")
+            read_back = self._read(folder, None)
+            ids = [episode.meta.id for episode in read_back]
+            require(
+                len(read_back) == len(episodes), f"{len(episodes)} episodes were written, {len(read_back)} come back"
+            )
             if self.exact:
                 require(ids == [episode.meta.id for episode in episodes], f"other ids come back: {ids}")
-            for given, found in zip(episodes, back, strict=True):
-                self._require_same(given, found)
+            for written, read_episode in zip(episodes, read_back, strict=True):
+                self._require_same(written, read_episode)
 
     def test_it_reads_the_same_twice_and_leaves_the_source_alone(self, tmp_path: Path) -> None:
         """An import may be repeated."""
         source, mapping = self._source(tmp_path)
-        before = _bytes_of(source)
-        first, second = (self._read(source, mapping) for _ in range(2))
-        require(first, "the source holds no episodes")
-        require([content_hash(e) for e in first] == [content_hash(e) for e in second], "a second reading differs")
-        require(_bytes_of(source) == before, "reading changes the source")
+        bytes_before = _bytes_of(source)
+        first_reading, second_reading = (self._read(source, mapping) for _ in range(2))
+        require(first_reading, "the source holds no episodes")
+        require(
+            [content_hash(e) for e in first_reading] == [content_hash(e) for e in second_reading],
+            "a second reading differs",
+        )
+        require(_bytes_of(source) == bytes_before, "reading changes the source")
 
     def test_what_is_no_source_is_refused(self, tmp_path: Path) -> None:
         """Nothing there, an empty folder, a file of other text."""
@@ -91,15 +96,15 @@ class FormatConformance:
         """Each file cut, emptied, removed or with bits changed: candata's error, or whole episodes."""
         source, mapping = self._source(tmp_path / "sound")
         intact = {e.meta.id: content_hash(e) for e in self._read(source, mapping)}
-        for what, damaged in _damages(source, tmp_path / "damaged"):
+        for damage, damaged_source in _damages(source, tmp_path / "damaged"):
             try:
-                found = self._read(damaged, mapping)
+                episodes = self._read(damaged_source, mapping)
             except CandataError:
                 continue
             except Exception as error:
-                raise AssertionError(f"{what}: {type(error).__name__}, not an error of candata: {error}") from error
-            other = [e.meta.id for e in found if content_hash(e) != intact.get(e.meta.id, content_hash(e))]
-            require(not (self.exact and other), f"{what}: {other} come back with other content")
+                raise AssertionError(f"{damage}: {type(error).__name__}, not an error of candata: {error}") from error
+            changed_ids = [e.meta.id for e in episodes if content_hash(e) != intact.get(e.meta.id, content_hash(e))]
+            require(not (self.exact and changed_ids), f"{damage}: {changed_ids} come back with other content")
 
     def _source(self, folder: Path) -> tuple[Path, Path | None]:
         """Return a source and its map, in a folder that stands."""
@@ -120,17 +125,19 @@ class FormatConformance:
         """Return the episodes of a source."""
         return list(self.format.read(source, Reading(mapping=mapping)))  # type: ignore[misc]
 
-    def _require_same(self, given: Episode, found: Episode) -> None:
+    def _require_same(self, written: Episode, read_back: Episode) -> None:
         """Claim that an episode came back."""
         if self.exact:
-            require(found.meta == given.meta, f"{given.meta.id}: another record comes back: {found.meta}")
-            require(content_hash(found) == content_hash(given), f"{given.meta.id}: other numbers come back")
+            require(read_back.meta == written.meta, f"{written.meta.id}: another record comes back: {read_back.meta}")
+            require(content_hash(read_back) == content_hash(written), f"{written.meta.id}: other numbers come back")
             return
-        require(len(set(found.arrays) - {"time_ns"}) > 0, f"{given.meta.id}: no channel comes back")
-        for channel in set(found.arrays) & set(given.arrays):
-            first, second = np.asarray(given[channel], float), np.asarray(found[channel], float)
-            near = first.shape == second.shape and np.allclose(first, second, rtol=self.tolerance, atol=self.tolerance)
-            require(near, f"{given.meta.id}: {channel} comes back as something else")
+        require(len(set(read_back.arrays) - {"time_ns"}) > 0, f"{written.meta.id}: no channel comes back")
+        for channel in set(read_back.arrays) & set(written.arrays):
+            written_values, read_values = np.asarray(written[channel], float), np.asarray(read_back[channel], float)
+            is_near = written_values.shape == read_values.shape and np.allclose(
+                written_values, read_values, rtol=self.tolerance, atol=self.tolerance
+            )
+            require(is_near, f"{written.meta.id}: {channel} comes back as something else")
 
 
 def made_up_episodes(count: int = 3, rows: int = 40) -> list[Episode]:
@@ -172,16 +179,16 @@ def _damages(source: Path, target: Path) -> Iterator[tuple[str, Path]]:
         data = (root / file).read_bytes()
         changes: dict[str, bytes | None] = {"cut": data[: len(data) // 2], "emptied": b"", "removed": None}
         for number in range(FLIPS if data else 0):
-            flipped = bytearray(data)
-            flipped[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-            changes[f"with bit flip {number}"] = bytes(flipped)
-        for what, changed in changes.items():
+            data_flipped = bytearray(data)
+            data_flipped[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+            changes[f"with bit flip {number}"] = bytes(data_flipped)
+        for damage, data_changed in changes.items():
             shutil.rmtree(target, ignore_errors=True)
             shutil.copytree(root, target)
             (target / file).unlink()
-            if changed is not None:
-                (target / file).write_bytes(changed)
-            yield f"{file} {what}", target / source.relative_to(root)
+            if data_changed is not None:
+                (target / file).write_bytes(data_changed)
+            yield f"{file} {damage}", target / source.relative_to(root)
 
 
 def _bytes_of(source: Path) -> str:
@@ -190,8 +197,8 @@ def _bytes_of(source: Path) -> str:
     return hashlib.sha256(b"".join(str(p).encode() + p.read_bytes() for p in files)).hexdigest()
 
 
-def _skip(why: str) -> None:
+def _skip(reason: str) -> None:
     """Skip the test that is running."""
     import pytest
 
-    pytest.skip(why)
+    pytest.skip(reason)

@@ -48,12 +48,12 @@ class PolicyConformance:
         for scene in self._possible_scenes():
             rows, limits = round(self.duration_s * scene.file.rate_hz), command_range(scene)
             for plan in self._plans(scene, seed=1):
-                found, columns = plan.commands.shape, len(scene.actuator_ids)
-                fits = 2 <= found[0] <= rows and found[1:] == (columns,)
-                require(fits, f"scene {scene.name}: commands are {found}, expected (2 to {rows}, {columns})")
+                shape, columns = plan.commands.shape, len(scene.actuator_ids)
+                fits = 2 <= shape[0] <= rows and shape[1:] == (columns,)
+                require(fits, f"scene {scene.name}: commands are {shape}, expected (2 to {rows}, {columns})")
                 require(np.isfinite(plan.commands).all(), f"scene {scene.name}: commands are not finite")
-                inside = (limits[:, 0] <= plan.commands) & (plan.commands <= limits[:, 1])
-                require(inside.all(), f"scene {scene.name}: commands leave what the actuators take")
+                is_inside = (limits[:, 0] <= plan.commands) & (plan.commands <= limits[:, 1])
+                require(is_inside.all(), f"scene {scene.name}: commands leave what the actuators take")
                 state = (scene.model.nq,), (scene.model.nv,)
                 require(
                     (plan.qpos.shape, plan.qvel.shape) == state, f"scene {scene.name}: the state is not (nq,), (nv,)"
@@ -63,10 +63,10 @@ class PolicyConformance:
     def test_the_seed_decides_the_plan(self) -> None:
         """The same seed gives the same bits, another seed another motion or start."""
         for scene in self._possible_scenes():
-            for same, again in zip(self._plans(scene, seed=1), self._plans(scene, seed=1), strict=True):
-                require(_same_plan(same, again), f"scene {scene.name}: the same seed gives another plan")
-            first, other = (_plan(self.policy.plan, scene, seed, self.duration_s) for seed in (1, 2))
-            require(not _same_plan(first, other), f"scene {scene.name}: two seeds give the same plan")
+            for plan, plan_again in zip(self._plans(scene, seed=1), self._plans(scene, seed=1), strict=True):
+                require(_same_plan(plan, plan_again), f"scene {scene.name}: the same seed gives another plan")
+            first_plan, second_plan = (_plan(self.policy.plan, scene, seed, self.duration_s) for seed in (1, 2))
+            require(not _same_plan(first_plan, second_plan), f"scene {scene.name}: two seeds give the same plan")
 
     def test_the_simulation_plays_it_to_the_end(self) -> None:
         """An episode is what `candata generate-sim --policy` makes of it."""
@@ -90,7 +90,7 @@ def _plan(planner: Planner, scene: Scene, seed: int, duration_s: float) -> Plan:
     return planner(scene, np.random.default_rng(seed), duration_s)
 
 
-def _same_plan(first: Plan, second: Plan) -> bool:
+def _same_plan(plan: Plan, other_plan: Plan) -> bool:
     """Tell whether two plans hold the same bits."""
-    pairs = (first.commands, second.commands), (first.qpos, second.qpos), (first.qvel, second.qvel)
+    pairs = (plan.commands, other_plan.commands), (plan.qpos, other_plan.qpos), (plan.qvel, other_plan.qvel)
     return all(np.array_equal(a, b) for a, b in pairs)

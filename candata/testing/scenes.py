@@ -43,11 +43,14 @@ class SceneConformance:
     def test_its_roles_resolve(self) -> None:
         """Joints, actuators, fingertips and object are parts of the model, and the noise is declared."""
         scene = self._load()
-        found = roles(scene)
-        require(len(found.joints) == len(scene.file.joints), "a joint is not in the model")
+        scene_roles = roles(scene)
+        require(len(scene_roles.joints) == len(scene.file.joints), "a joint is not in the model")
         require(scene.file.noise is not None, "`noise` is not declared: what a diagnosis calls its floor")
-        idle = {a for a in scene.file.actuator_names} - {joint.actuator for joint in found.joints}
-        require(not idle, f"actuators {', '.join(sorted(idle))} move no joint that is recorded")
+        unrecorded_actuators = {a for a in scene.file.actuator_names} - {joint.actuator for joint in scene_roles.joints}
+        require(
+            not unrecorded_actuators,
+            f"actuators {', '.join(sorted(unrecorded_actuators))} move no joint that is recorded",
+        )
 
     def test_its_policies_can_act(self) -> None:
         """`generate-sim` plays them by default."""
@@ -60,11 +63,11 @@ class SceneConformance:
         """Held where it begins, nothing drifts, jumps or falls for ever."""
         scene = self._load()
         qpos, qvel = at_rest(scene, 1)
-        held = holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids])
-        commands = np.repeat(held[None, None], round(self.settle_s * scene.file.rate_hz), axis=1)
-        played = rollout(scene, commands, qpos, qvel, [()], keep_state=True)
-        require(np.isfinite(played.qpos).all(), "the simulation fails before it rests")
-        fastest = float(np.abs(played.qvel[0, -1]).max())
+        rest_command = holding_commands(scene, scene.model.actuator_length0[scene.actuator_ids])
+        commands = np.repeat(rest_command[None, None], round(self.settle_s * scene.file.rate_hz), axis=1)
+        trajectory = rollout(scene, commands, qpos, qvel, [()], keep_state=True)
+        require(np.isfinite(trajectory.qpos).all(), "the simulation fails before it rests")
+        fastest = float(np.abs(trajectory.qvel[0, -1]).max())
         require(fastest < self.still_mps, f"it still moves at {fastest:.2g} after {self.settle_s:g} s")
 
     def _load(self) -> Scene:

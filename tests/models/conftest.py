@@ -9,7 +9,8 @@ import torch
 
 from candata.loaders import Normaliser
 from candata.models import Sizes, model
-from candata.testing.models import SIZES, made_up_batch, made_up_normaliser, seeded, tiny_config
+from candata.testing.models import SIZES, made_up_batch, made_up_normaliser, tiny_config
+from candata.testing.models import generator as fresh_generator
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def tiny() -> Callable[..., torch.nn.Module]:
 @pytest.fixture
 def generator() -> Callable[[int], torch.Generator]:
     """Makes torch generators: `generator(seed)`."""
-    return seeded
+    return fresh_generator
 
 
 @pytest.fixture
@@ -48,7 +49,7 @@ def awake() -> Callable[[torch.nn.Module], torch.nn.Module]:
     def move(module: torch.nn.Module, size: float = 0.05) -> torch.nn.Module:
         with torch.no_grad():
             for number, parameter in enumerate(module.parameters()):
-                parameter += size * torch.randn(parameter.shape, generator=seeded(number))
+                parameter += size * torch.randn(parameter.shape, generator=fresh_generator(number))
         return module
 
     return move
