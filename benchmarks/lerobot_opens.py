@@ -195,8 +195,12 @@ def environment(folder: Path, python: str, lerobot: tuple[str, str]) -> Path:
     version, datasets = lerobot
     install = [runs, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     if _version(python) == sys.version_info[:2]:
-        own = subprocess.run([runs, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
-                             check=True, capture_output=True, text=True)  # fmt: skip
+        own = subprocess.run(
+            [runs, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"],
+            check=True,
+            capture_output=True,
+            text=True,
+        )
         Path(own.stdout.strip(), "running.pth").write_text(sysconfig.get_path("purelib") + "\n")
     subprocess.run([*install, "--no-deps", f"lerobot=={version}", f"datasets=={datasets}"], check=True, **QUIET)
     subprocess.run([*install, *LIGHT.split()], check=True, **QUIET)
@@ -232,8 +236,9 @@ def check(variant: str | None, python: str, lerobot: tuple[str, str], environmen
     probe, target = scratch / "probe.py", scratch / f"{label}.npz"
     probe.write_text(textwrap.dedent(PROBE))
     offline = {"HF_HUB_OFFLINE": "1", "HF_HOME": str(scratch / "hub"), "PATH": "", "HOME": str(scratch)}
-    ran = subprocess.run([runs, "-W", "ignore", probe, root, target, str(list(STEPS))],
-                         env=offline, capture_output=True, text=True)  # fmt: skip
+    ran = subprocess.run(
+        [runs, "-W", "ignore", probe, root, target, str(list(STEPS))], env=offline, capture_output=True, text=True
+    )
     if ran.returncode:
         print(f"{label}: lerobot {lerobot[0]} does not open it: {ran.stderr.strip().splitlines()[-1]}")
         return 1

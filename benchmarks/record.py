@@ -71,9 +71,17 @@ def lost_frames(folder: Path, seconds: float) -> dict:
     log = folder / "busy.mcap"
     with hand(folder) as (port, truth_file), busy():
         recorder = start(
-            "record-real", "--port", port, "--out", log, "--no-calibrate", "--duration", seconds, "--json",
+            "record-real",
+            "--port",
+            port,
+            "--out",
+            log,
+            "--no-calibrate",
+            "--duration",
+            seconds,
+            "--json",
             stdout=subprocess.PIPE,
-        )  # fmt: skip
+        )
         report = json.loads(recorder.communicate()[0])
     read = read_log(log)
     with np.load(truth_file) as truth:

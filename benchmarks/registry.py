@@ -31,14 +31,24 @@ def catalog(count: int) -> pa.Table:
     rng = np.random.default_rng(0)
     names = [["thumb", "index", "middle"]] * count
     columns = {
-        "id": [f"e{i:06d}" for i in range(count)], "source": ["sim", "real"] * (count // 2),
-        "scene": ["table"] * count, "object": rng.choice(["cup", "can", "box"], count), "task": ["pick"] * count,
-        "seed": np.arange(count), "effects": ['[{"name": "joint_damping"}]'] * count, "outcome": [None] * count,
-        "rate_hz": np.full(count, 80.0), "rows": rng.integers(100, 400, count), "duration_s": rng.random(count),
-        "joint_names": names, "actuator_names": names, "fingertip_names": names,
-        "content_hash": [f"{i:064x}" for i in range(count)], "row_group": np.zeros(count, int),
+        "id": [f"e{i:06d}" for i in range(count)],
+        "source": ["sim", "real"] * (count // 2),
+        "scene": ["table"] * count,
+        "object": rng.choice(["cup", "can", "box"], count),
+        "task": ["pick"] * count,
+        "seed": np.arange(count),
+        "effects": ['[{"name": "joint_damping"}]'] * count,
+        "outcome": [None] * count,
+        "rate_hz": np.full(count, 80.0),
+        "rows": rng.integers(100, 400, count),
+        "duration_s": rng.random(count),
+        "joint_names": names,
+        "actuator_names": names,
+        "fingertip_names": names,
+        "content_hash": [f"{i:064x}" for i in range(count)],
+        "row_group": np.zeros(count, int),
         "meta": ["{}"] * count,
-    }  # fmt: skip
+    }
     return pa.table({name: pa.array(columns[name], encode.EPISODE_COLUMNS.field(name).type) for name in COLUMNS})
 
 

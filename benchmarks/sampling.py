@@ -34,9 +34,17 @@ def build(name: str, preset: str) -> torch.nn.Module:
     """Return the model for the benchmark's sizes."""
     channels = {"object_pose": scale(7), "joint_position": scale(SIZES.joints), "action": scale(SIZES.actuators)}
     normaliser = Normaliser(
-        method="std", dataset="made-up", digest="", episodes=1, rows=1, windows=1, rate_hz=10, horizon=SIZES.horizon,
-        channels=channels, increments=scale(SIZES.horizon, 6),
-    )  # fmt: skip
+        method="std",
+        dataset="made-up",
+        digest="",
+        episodes=1,
+        rows=1,
+        windows=1,
+        rate_hz=10,
+        horizon=SIZES.horizon,
+        channels=channels,
+        increments=scale(SIZES.horizon, 6),
+    )
     found = model(name)
     return found.build(found.presets[preset], SIZES, normaliser)
 

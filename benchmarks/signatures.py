@@ -42,8 +42,9 @@ class Cost(NamedTuple):
 
 def recorded(scene: Scene, folder: Path, episodes: int, duration_s: float) -> Path:
     """Return a dataset of the built-in hand with damped joints."""
-    jobs = [Job(f"e{i:03d}", i, scene.policies[i % len(scene.policies)], 1, TRUTH, hidden=True)
-            for i in range(episodes)]  # fmt: skip
+    jobs = [
+        Job(f"e{i:03d}", i, scene.policies[i % len(scene.policies)], 1, TRUTH, hidden=True) for i in range(episodes)
+    ]
     create_dataset(folder, "real")
     append(
         folder, make_episodes(scene, jobs, duration_s=duration_s, noise=scene.file.noise), Lineage(operation="bench")
@@ -94,9 +95,13 @@ def main() -> None:
     found = [
         ("kept anew by a diagnosis after the filling", f"{warm.count}", "0", warm.count == 0),
         (f"CPU of {args.jobs} processes over one's", f"{ratio:.2f}", f"<= {SHARED:g}", ratio <= SHARED),
-        (f"signatures simulated by {args.jobs} processes", f"{several.count}", f"{total.count}",
-         several.count == total.count),
-    ]  # fmt: skip
+        (
+            f"signatures simulated by {args.jobs} processes",
+            f"{several.count}",
+            f"{total.count}",
+            several.count == total.count,
+        ),
+    ]
     for what, value, target, met in sorted(found, key=lambda row: row[3]):
         print(f"{'met   ' if met else 'MISSED'}  {what}: {value} (target {target})")
     print(f"diagnosis with nothing kept: {cold.cpu_s:.1f} CPU s, {cold.count} files; after it: {warm.cpu_s:.1f} CPU s")

@@ -147,16 +147,34 @@ def catalog_set(root: Path) -> Path:
 def catalog_row(number: int, digest: str) -> dict[str, object]:
     """Return the row of one episode of the synthetic catalog."""
     meta = EpisodeMeta(
-        id=f"ep-{number:06d}", source="sim" if number % 2 else "real", rate_hz=80, scene="xhand_tabletop",
-        object=("cup", "box", "can")[number % 3], seed=number, outcome="drop" if number % 5 else "success", **NAMES,
-    )  # fmt: skip
+        id=f"ep-{number:06d}",
+        source="sim" if number % 2 else "real",
+        rate_hz=80,
+        scene="xhand_tabletop",
+        object=("cup", "box", "can")[number % 3],
+        seed=number,
+        outcome="drop" if number % 5 else "success",
+        **NAMES,
+    )
     return {
-        "id": meta.id, "source": meta.source, "scene": meta.scene, "object": meta.object, "task": None,
-        "seed": meta.seed, "effects": None, "outcome": meta.outcome, "rate_hz": meta.rate_hz, "rows": STEPS,
-        "duration_s": 3.7375, "joint_names": meta.joint_names, "actuator_names": meta.actuator_names,
-        "fingertip_names": meta.fingertip_names, "content_hash": digest, "row_group": number % PER_PART // 8,
+        "id": meta.id,
+        "source": meta.source,
+        "scene": meta.scene,
+        "object": meta.object,
+        "task": None,
+        "seed": meta.seed,
+        "effects": None,
+        "outcome": meta.outcome,
+        "rate_hz": meta.rate_hz,
+        "rows": STEPS,
+        "duration_s": 3.7375,
+        "joint_names": meta.joint_names,
+        "actuator_names": meta.actuator_names,
+        "fingertip_names": meta.fingertip_names,
+        "content_hash": digest,
+        "row_group": number % PER_PART // 8,
         "meta": encode.meta_json(meta),
-    }  # fmt: skip
+    }
 
 
 def catalogs(root: Path, rounds: int) -> list[Row]:

@@ -38,13 +38,33 @@ def main() -> None:
         folder = asked.keep or Path(scratch)
         data, run = folder / "data", folder / "run"
         candata(
-            "generate-sim", "--scene", "xhand_tabletop", "--episodes", asked.episodes, "--seed", asked.seed,
-            "--out", data,
-        )  # fmt: skip
+            "generate-sim",
+            "--scene",
+            "xhand_tabletop",
+            "--episodes",
+            asked.episodes,
+            "--seed",
+            asked.seed,
+            "--out",
+            data,
+        )
         candata(
-            "train", "--data", data, "--model", asked.model, "--preset", "small", "--minutes", asked.minutes,
-            "--learning-rate", asked.learning_rate, "--threads", asked.threads, "--out", run,
-        )  # fmt: skip
+            "train",
+            "--data",
+            data,
+            "--model",
+            asked.model,
+            "--preset",
+            "small",
+            "--minutes",
+            asked.minutes,
+            "--learning-rate",
+            asked.learning_rate,
+            "--threads",
+            asked.threads,
+            "--out",
+            run,
+        )
         found = json.loads(candata("evaluate", run, data, "--threads", asked.threads, "--json"))
         log = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
     steps = [line for line in log if "wait_share" in line]

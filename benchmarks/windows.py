@@ -217,8 +217,10 @@ def measure(args: argparse.Namespace, root: Path, others: Mapping[str, Other | s
                 return count * BATCH / other.ask(do="time", way=way, windows=places)["cpu_s"]
 
             ways[f"{other.facts['name']}, {way}"] = foreign
-            print(f"{other.facts['name']}, {way}: {differing(other, way, feed, args.rows)} values of "
-                  f"{COMPARED} windows differ from candata's")  # fmt: skip
+            print(
+                f"{other.facts['name']}, {way}: {differing(other, way, feed, args.rows)} values of "
+                f"{COMPARED} windows differ from candata's"
+            )
     results: dict[str, list[float]] = {name: [] for name in (*ways, "open")}
     for number in range(args.rounds):
         begin = time.process_time()

@@ -30,10 +30,22 @@ EXAMPLE = "Example: candata validate recordings --scene scene.yaml --html out/va
 
 DatasetName = Annotated[str, typer.Argument(metavar="DATASET", help="Folder or registered name.")]
 Version = Annotated[str | None, typer.Option(help="Version: its number, the start of its digest, or a tag.")]
-Rules = Annotated[list[str] | None, typer.Option("--rule", metavar="NAME", help="Apply this rule only; may be given again.")]  # fmt: skip  # noqa: E501
-SceneName = Annotated[str | None, typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml of the world: for limits, depth, distance, units and orders.")]  # fmt: skip  # noqa: E501
+Rules = Annotated[
+    list[str] | None, typer.Option("--rule", metavar="NAME", help="Apply this rule only; may be given again.")
+]
+SceneName = Annotated[
+    str | None,
+    typer.Option(
+        "--scene",
+        metavar="SCENE",
+        help="Name or scene.yaml of the world: for limits, depth, distance, units and orders.",
+    ),
+]
 Deep = Annotated[bool, typer.Option("--deep", help="Hash every file in full, and read dense channels.")]
-FailOn = Annotated[str, typer.Option("--fail-on", metavar="LEVEL", help="Least level that makes exit 1: error, warning, info, unknown.")]  # fmt: skip  # noqa: E501
+FailOn = Annotated[
+    str,
+    typer.Option("--fail-on", metavar="LEVEL", help="Least level that makes exit 1: error, warning, info, unknown."),
+]
 Html = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Write a page as well.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, every finding in it.")]
 

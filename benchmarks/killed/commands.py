@@ -264,14 +264,17 @@ def prepare() -> list[int]:
     Path("torn.mcap").write_bytes(log[: len(log) // 2])
     sim = ("generate-sim", "--jobs", 1, "--scene")
     lines: list[Words] = [
-        ("registry", "tag", "base", "clean"), ("registry", "split", "base"), ("registry", "push", "base", "store"),
+        ("registry", "tag", "base", "clean"),
+        ("registry", "split", "base"),
+        ("registry", "push", "base", "store"),
         ("registry", "pull", "store", "base@1", "--out", "old"),
         (*sim, "cube_toss", "--duration-s", 0.3, "--episodes", 4, "--seed", 7, "--out", "tosses"),
         (*sim, "gripper_tabletop", "--duration-s", 1.2, "--episodes", 8, "--seed", 5, "--out", "grip"),
-        ("registry", "tag", "base", "spare"), ("import", "table", "map.yaml", "--out", "driven"),
+        ("registry", "tag", "base", "spare"),
+        ("import", "table", "map.yaml", "--out", "driven"),
         ("export", "lerobot", "tosses", "--out", "exported"),
         ("train", "--data", "grip", *NET, "--out", "run"),
-    ]  # fmt: skip
+    ]
     codes = [run(words) for words in lines]
     return codes if not any(codes) and len(open_dataset("base")) == 6 else [][1]
 
@@ -284,9 +287,15 @@ def _write_log(path: Path) -> None:
     from candata.record.logs import LogMeta, LogWriter
 
     meta = LogMeta(
-        device="d", joint_names=("a",), fingertip_names=("t",), taxels=0, newton_per_count=0.1,
-        count_low=(-128, -128, 0), count_high=(127, 127, 255), rate_hz=80.0,
-    )  # fmt: skip
+        device="d",
+        joint_names=("a",),
+        fingertip_names=("t",),
+        taxels=0,
+        newton_per_count=0.1,
+        count_low=(-128, -128, 0),
+        count_high=(127, 127, 255),
+        rate_hz=80.0,
+    )
     writer, one = LogWriter(path, meta), np.zeros((1, 1))
     for i in range(400):
         force, taxels = np.zeros((1, 1, 3), np.int16), np.zeros((1, 1, 0, 3), np.int16)

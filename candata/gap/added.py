@@ -201,10 +201,12 @@ def _choices(held: Members, rough: Responses) -> list[Members]:
     """
     names = {c.name for c, _ in held}
     each = [
-        (c, u) for c, response in rough
+        (c, u)
+        for c, response in rough
         if isinstance(response, Curve) and c.choices and c.name not in names
-        for u in response.at[:, None] if not c.is_neutral(u)
-    ]  # fmt: skip
+        for u in response.at[:, None]
+        if not c.is_neutral(u)
+    ]
     return [tuple(choice if m is left else m for m in held) for left in held for choice in each]
 
 

@@ -153,8 +153,9 @@ def probes(c: Candidate, scene: Scene) -> list[Array]:
     nearest of them, where that is far: a limit acts near its neutral value at other times than farther out. A single
     number of a vector takes both signs of its probes, where its bounds do. What lies beyond bounds counts as on them.
     """
-    numbers = [np.array(p.probes(scene), float) for p in parameters_on(c.name, scene, c.element)
-               for _ in range(p.size(scene))]  # fmt: skip
+    numbers = [
+        np.array(p.probes(scene), float) for p in parameters_on(c.name, scene, c.element) for _ in range(p.size(scene))
+    ]
     mine = [n for n, own in zip(numbers, c.own, strict=True) if own]
     if c.size == 1 and len(c.own) > 1 and c.low[0] < 0 < c.high[0]:
         mine = [np.unique(np.concatenate([-n, n])) for n in mine]

@@ -200,10 +200,17 @@ def _judged(found: Replayed, dataset: str, scene: str, reference: float, rng: np
     else:
         kept = bool((size.low or 0.0) > 0 and size.closed >= KEPT * reference)
     return EditTest(
-        dataset=dataset, scene=scene, episodes=len(found.recs), before=size.before,
-        after=round(float(after.mean()), 4), closed=size.closed, low=size.low, high=size.high, kept=kept,
+        dataset=dataset,
+        scene=scene,
+        episodes=len(found.recs),
+        before=size.before,
+        after=round(float(after.mean()), 4),
+        closed=size.closed,
+        low=size.low,
+        high=size.high,
+        kept=kept,
         reference=round(reference, 4),
-    )  # fmt: skip
+    )
 
 
 def _luck(level: Score, rng: np.random.Generator) -> float:

@@ -176,8 +176,10 @@ def _standing_out(problem: Problem, world: EffectSet, rng: np.random.Generator) 
     nulls = null_recordings(problem.replayer, problem.recs, problem.begin, problem.noise, rng, REPLICAS, world)
     null = residual_force(problem.replayer, nulls, starts(scene, nulls, np.tile(problem.begin.moving, REPLICAS)), world)
     found = suspects(scene, real, null, problem.parts)
-    own = [_gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
-           for r in range(REPLICAS)]  # fmt: skip
+    own = [
+        _gain(suspects(scene, null.take(np.arange(r * count, (r + 1) * count)), null, problem.parts))
+        for r in range(REPLICAS)
+    ]
     return [s for s in found if s.gain > max(own)], [pull for s in found for pull in pulls(scene, s)]
 
 

@@ -142,32 +142,46 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
     """Return the finding that a channel is in another unit."""
     names = _named(p, some)
     return Finding(
-        "command_unit" if channel == "action" else "joint_unit", True,
-        f"{channel} looks like {unit}", "rad, or m for slides: a joint moves by about 1 when its command does",
+        "command_unit" if channel == "action" else "joint_unit",
+        True,
+        f"{channel} looks like {unit}",
+        "rad, or m for slides: a joint moves by about 1 when its command does",
         f"it moves by {np.median(slope[some]):.3g} ({_listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
         "as large",
-        f"give the unit of these columns in map.yaml: {MAPPED[unit]}", channel, names,
-    )  # fmt: skip
+        f"give the unit of these columns in map.yaml: {MAPPED[unit]}",
+        channel,
+        names,
+    )
 
 
 def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
     """Return the finding that joints move by a multiple of their commands."""
     names = _named(p, some)
     return Finding(
-        "command_unit", True, "commands are not in the joints' unit", "about 1 rad of motion for 1 rad of command",
-        f"{np.median(slope[some]):.3g} ({_listed(names)})", "scale the commands to joint targets in rad (m for slides)",
-        "action", names,
-    )  # fmt: skip
+        "command_unit",
+        True,
+        "commands are not in the joints' unit",
+        "about 1 rad of motion for 1 rad of command",
+        f"{np.median(slope[some]):.3g} ({_listed(names)})",
+        "scale the commands to joint targets in rad (m for slides)",
+        "action",
+        names,
+    )
 
 
 def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
     """Return the finding that joints run against their commands."""
     names = _named(p, some)
     return Finding(
-        "reversed_commands", True, "joints run against their commands", "one sign for command and joint",
+        "reversed_commands",
+        True,
+        "joints run against their commands",
+        "one sign for command and joint",
         f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({_listed(names)})",
-        "turn the sign of the command or of the joint", "action", names,
-    )  # fmt: skip
+        "turn the sign of the command or of the joint",
+        "action",
+        names,
+    )
 
 
 def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
@@ -185,12 +199,18 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     for some, definite in ((moves, True), (far & ~moves, False)):
         names = _named(p, some)
         if names:
-            out.append(Finding(
-                "zero", definite, "joints stay far from their commands",
-                f"at most {ZERO_RAD:g} rad from where the scene's joints go",
-                ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
-                "give command and joint one zero and one sign", "joint_position", names,
-            ))  # fmt: skip
+            out.append(
+                Finding(
+                    "zero",
+                    definite,
+                    "joints stay far from their commands",
+                    f"at most {ZERO_RAD:g} rad from where the scene's joints go",
+                    ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
+                    "give command and joint one zero and one sign",
+                    "joint_position",
+                    names,
+                )
+            )
     return out
 
 
@@ -202,10 +222,17 @@ def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
     )
     if commanded.any() or _moves(p).any() or moved or recs.lengths.max() < TOLD_ROWS:
         return []
-    return [Finding(
-        "still", False, "nothing moves in these recordings", "commands that move the joints",
-        "constant commands, still joints", "record motions, several of each", "action",
-    )]  # fmt: skip
+    return [
+        Finding(
+            "still",
+            False,
+            "nothing moves in these recordings",
+            "commands that move the joints",
+            "constant commands, still joints",
+            "record motions, several of each",
+            "action",
+        )
+    ]
 
 
 def following_findings(p: Paired, nominal: Array) -> list[Finding]:
@@ -226,27 +253,49 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     out = []
     if both.any():
         names = _named(p, both)
-        out.append(Finding(
-            "scene_still", False, "neither the recorded joints nor the scene's follow their commands",
-            "joints that move when commanded", f"still: {_listed(names)}",
-            "look at ranges, gains and links that collide; these joints tell nothing", "joint_position", names,
-        ))  # fmt: skip
+        out.append(
+            Finding(
+                "scene_still",
+                False,
+                "neither the recorded joints nor the scene's follow their commands",
+                "joints that move when commanded",
+                f"still: {_listed(names)}",
+                "look at ranges, gains and links that collide; these joints tell nothing",
+                "joint_position",
+                names,
+            )
+        )
     if stuck.any():
         names = _named(p, stuck)
-        out.append(Finding(
-            "scene_stuck", True, "joints of the scene do not follow their commands",
-            "the scene's joints move as the recorded ones do", f"still: {_listed(names)}",
-            "look at the model: limits, gains, links that collide, equalities", "joint_position", names,
-        ))  # fmt: skip
+        out.append(
+            Finding(
+                "scene_stuck",
+                True,
+                "joints of the scene do not follow their commands",
+                "the scene's joints move as the recorded ones do",
+                f"still: {_listed(names)}",
+                "look at the model: limits, gains, links that collide, equalities",
+                "joint_position",
+                names,
+            )
+        )
     if dead.any():
         names = _named(p, dead)
         most = bool(2 * dead.sum() > commanded.sum())
-        out.append(Finding(
-            "dead_joint", most, "recorded joints do not follow their commands", "joints that move when commanded",
-            f"still: {_listed(names)}",
-            "look at motor, wire and encoder" if most else "held where they were read and left out, not identifiable",
-            "joint_position", names,
-        ))  # fmt: skip
+        out.append(
+            Finding(
+                "dead_joint",
+                most,
+                "recorded joints do not follow their commands",
+                "joints that move when commanded",
+                f"still: {_listed(names)}",
+                "look at motor, wire and encoder"
+                if most
+                else "held where they were read and left out, not identifiable",
+                "joint_position",
+                names,
+            )
+        )
     return out
 
 
@@ -267,14 +316,18 @@ def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float
     if not len(bad):
         return []
     when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
-    return [Finding(
-        "scene_unstable", len(bad) >= many * len(recs),
-        "the nominal simulation is unstable under the recorded commands",
-        f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
-        f"none in {len(bad)} of {len(recs)} episodes that were looked at, first in {when}",
-        "give the model a smaller time step, more damping or armature, until it plays these commands; look whether "
-        "they are in its order and unit", "commands",
-    )]  # fmt: skip
+    return [
+        Finding(
+            "scene_unstable",
+            len(bad) >= many * len(recs),
+            "the nominal simulation is unstable under the recorded commands",
+            f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
+            f"none in {len(bad)} of {len(recs)} episodes that were looked at, first in {when}",
+            "give the model a smaller time step, more damping or armature, until it plays these commands; look whether "
+            "they are in its order and unit",
+            "commands",
+        )
+    ]
 
 
 def late(p: Paired, nominal: Array) -> Array:

@@ -115,13 +115,20 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
     if not units or (len(units) == len(telling) and not by_noise):
         return None
     names = tuple(scene.file.fingertips[f] for f in units)
-    told = ", ".join(f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
-                     for name, (f, u) in zip(names, units.items(), strict=True))  # fmt: skip
+    told = ", ".join(
+        f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
+        for name, (f, u) in zip(names, units.items(), strict=True)
+    )
     return Finding(
-        "force_unit", True, "fingertip_force of some fingertips is not in newton",
-        "forces near the scene's in contact, N, on every fingertip", told,
-        "give the unit of their columns in map.yaml, or scale these to newtons", "fingertip_force", names,
-    )  # fmt: skip
+        "force_unit",
+        True,
+        "fingertip_force of some fingertips is not in newton",
+        "forces near the scene's in contact, N, on every fingertip",
+        told,
+        "give the unit of their columns in map.yaml, or scale these to newtons",
+        "fingertip_force",
+        names,
+    )
 
 
 def _noise(real: Array, force: Array) -> Array:
@@ -184,18 +191,27 @@ def _unit(times: float, unit: str) -> Finding:
     name = f"{unit}: {1 / TO_SI[unit]:.4g}" if unit else "no known unit"
     mapped = f"give its unit in map.yaml: `units: {{fingertip_force: {unit}}}`, or " if unit else ""
     return Finding(
-        "force_unit", True, "fingertip_force is not in newton", "forces near the scene's in contact, N",
-        f"{times:.3g} times those on all fingertips ({name})", f"{mapped}scale them to newtons", "fingertip_force",
-    )  # fmt: skip
+        "force_unit",
+        True,
+        "fingertip_force is not in newton",
+        "forces near the scene's in contact, N",
+        f"{times:.3g} times those on all fingertips ({name})",
+        f"{mapped}scale them to newtons",
+        "fingertip_force",
+    )
 
 
 def _doubtful(times: float, why: str, kind: str = "force_unit") -> Finding:
     """Return the note that forces may be in another unit."""
     return Finding(
-        kind, False, "fingertip_force may be in another unit", "forces near the scene's in contact, N",
+        kind,
+        False,
+        "fingertip_force may be in another unit",
+        "forces near the scene's in contact, N",
         f"{times:.3g} times those on all fingertips ({why})",
-        "if so, give its unit in map.yaml: `units: {fingertip_force: ...}`", "fingertip_force",
-    )  # fmt: skip
+        "if so, give its unit in map.yaml: `units: {fingertip_force: ...}`",
+        "fingertip_force",
+    )
 
 
 @dataclass(frozen=True)
@@ -324,9 +340,14 @@ def _rises(a: _Agreement, chosen: Index, moved: Index, own: Callable[[Array], Ar
 
 
 def _exchanged(
-    scene: Scene, recs: Recordings, chosen: Index, asked: NDArray[np.bool_], against: NDArray[np.bool_],
-    cosines: tuple[float, float], sure: bool,
-) -> Finding:  # fmt: skip
+    scene: Scene,
+    recs: Recordings,
+    chosen: Index,
+    asked: NDArray[np.bool_],
+    against: NDArray[np.bool_],
+    cosines: tuple[float, float],
+    sure: bool,
+) -> Finding:
     """Return the finding that fingertips are in another order, in all episodes or in those that ask for it."""
     tips = scene.file.fingertips
     moved = np.flatnonzero(chosen != np.arange(len(chosen)))
@@ -335,9 +356,12 @@ def _exchanged(
     order = "put the columns of `fingertip_force` in the order of `fingertips` in scene.yaml, or name them"
     verb = "are" if sure else "may be"
     return Finding(
-        "swapped_fingertips", sure, f"forces {verb} in another order than the scene's fingertips",
+        "swapped_fingertips",
+        sure,
+        f"forces {verb} in another order than the scene's fingertips",
         "each fingertip agrees with its own in the scene",
         f"{pairs}, {where} (cosine {cosines[1]:.2f}, as given {cosines[0]:.2f})",
-        f"{order}, the same in every episode" if against.any() else order, "fingertip_force",
+        f"{order}, the same in every episode" if against.any() else order,
+        "fingertip_force",
         tuple(tips[i] for i in moved),
-    )  # fmt: skip
+    )

@@ -178,12 +178,15 @@ def _swapped(p: Paired, recs: Recordings, group: Sequence[Swap]) -> Finding:
     columns = " or ".join(f"`{c}` in the order of `{o}`" for c, o in zip(channels, order, strict=True))
     fix = f"put the columns of {columns} in scene.yaml, or name them"
     return Finding(
-        "swapped_joints" if channels == ("joint_position",) else "swapped_commands", True,
+        "swapped_joints" if channels == ("joint_position",) else "swapped_commands",
+        True,
         f"{' or '.join(what)} are in another order than the scene's {' or '.join(order)}",
-        "each joint follows its own command", pairs if episodes.all() else f"{pairs}, {in_episodes(recs, episodes)}",
-        fix if episodes.all() else f"{fix}, the same in every episode", channels[0],
+        "each joint follows its own command",
+        pairs if episodes.all() else f"{pairs}, {in_episodes(recs, episodes)}",
+        fix if episodes.all() else f"{fix}, the same in every episode",
+        channels[0],
         tuple(p.names[i] for i in moved),
-    )  # fmt: skip
+    )
 
 
 def distances(off: Array, some: NDArray[np.bool_]) -> Array:

@@ -38,9 +38,15 @@ def rescored(problem: Problem, best: Fit) -> tuple[Problem, Fit]:
 def in_world(problem: Problem, members: Members, nulls: int = NULLS_AGAIN) -> Problem:
     """Return the problem in units of the floor of a set's world, of so many null replays of each episode."""
     spread = floor(
-        problem.replayer, problem.recs, problem.begin, problem.plan, problem.noise, problem.rng, nulls,
+        problem.replayer,
+        problem.recs,
+        problem.begin,
+        problem.plan,
+        problem.noise,
+        problem.rng,
+        nulls,
         problem.setting(members),
-    )  # fmt: skip
+    )
     return replace(problem, score=score(problem.raw, spread, problem.plan, problem.score.loss_error))
 
 

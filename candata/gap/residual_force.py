@@ -108,11 +108,18 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         return force
 
     rollout(
-        scene, commands, state.qpos, state.qvel, [world] * count, memory=state.memory,
+        scene,
+        commands,
+        state.qpos,
+        state.qvel,
+        [world] * count,
+        memory=state.memory,
         earlier_commands=commands_before(recs.commands, begin.rows),
-        observer=Observer(shifted, free_gain=0.02), push=push, instant_force=recs.instant_force,
+        observer=Observer(shifted, free_gain=0.02),
+        push=push,
+        instant_force=recs.instant_force,
         threads=replayer.threads,
-    )  # fmt: skip
+    )
     replayer.count(count * commands.shape[1] * scene.substeps)
     return _residual(scene, shifted, target, log)
 
@@ -241,9 +248,13 @@ def _residual(scene: Scene, readings: dict[str, Array], target: _Target, log: li
     position = np.stack([x.qpos[:, scene.joint_qpos] for x, _ in log], axis=1)
     felt = np.stack([x.tip_force for x, _ in log], axis=1)
     return Residual(
-        force[:, : len(log)], extra[:, : len(log)], felt,
-        np.stack([t.joint for t in table], axis=1), np.stack([t.object for t in table], axis=1), position,
-    )  # fmt: skip
+        force[:, : len(log)],
+        extra[:, : len(log)],
+        felt,
+        np.stack([t.joint for t in table], axis=1),
+        np.stack([t.object for t in table], axis=1),
+        position,
+    )
 
 
 def _servo(scene: Scene, effort: Array) -> tuple[Array, Array]:

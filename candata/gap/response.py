@@ -123,8 +123,9 @@ class Curve:
             steps = np.linspace(self.at[i - 1], self.at[i], 2 * BETWEEN + 1)
             lines = [
                 loss[a] + (loss[b] - loss[a]) / (self.at[b] - self.at[a]) * (steps - self.at[a])
-                for a, b in ((i - 2, i - 1), (i, i + 1)) if a >= 0 and b < len(loss)
-            ]  # fmt: skip
+                for a, b in ((i - 2, i - 1), (i, i + 1))
+                if a >= 0 and b < len(loss)
+            ]
             bounds.append(float(np.max(lines, axis=0).min() if lines else loss[i - 1 : i + 1].min()))
         return min(bounds)
 

@@ -40,8 +40,10 @@ def respond(
     dead = []
     own = [problem.plays_all or bool(held and (c.choices or _is_read(problem, c))) for c in found]
     places = [_places(c, problem, held) for c in found]
-    played = [tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
-              for kind in (True, False)]  # fmt: skip
+    played = [
+        tuple((c, u) for c, o, points in zip(found, own, places, strict=True) if o is kind for u in points)
+        for kind in (True, False)
+    ]
     seen = not held and problem.library.seen
     moved = {
         True: iter(_moves(problem, here, played[0], held) if played[0] else ()),

@@ -212,8 +212,9 @@ class Fit:
         ends = np.cumsum([0, *(c.size for c, _ in self.members)])
         numbers = np.concatenate([np.arange(ends[i], ends[i + 1]) for i in order])
         plane, evidence = self.plane, self.evidence
-        moved = replace(plane, low=plane.low[numbers], high=plane.high[numbers], at=plane.at[numbers],
-                        slope=plane.slope[numbers])  # fmt: skip
+        moved = replace(
+            plane, low=plane.low[numbers], high=plane.high[numbers], at=plane.at[numbers], slope=plane.slope[numbers]
+        )
         points = evidence.points[:, numbers]
         return Fit(tuple(self.members[i] for i in order), moved, replace(evidence, points=points))
 

@@ -181,9 +181,11 @@ def _fits(grid: _Grid, motion: Array, rng: np.random.Generator) -> list[tuple]:
     count, joints = len(grid.yy), grid.yy.shape[1]
     best = _best(grid, np.ones(count))
     lags = np.stack(
-        [_lag(grid, *_best(grid, np.bincount(rng.integers(count, size=count), minlength=count).astype(float)))
-         for _ in range(RESAMPLES)]
-    )  # fmt: skip
+        [
+            _lag(grid, *_best(grid, np.bincount(rng.integers(count, size=count), minlength=count).astype(float)))
+            for _ in range(RESAMPLES)
+        ]
+    )
     low, high = np.quantile(lags, ENDS, axis=0)
     coarse = (grid.delay_s[1] - grid.delay_s[0]) / 2
     uu, uy, _ = grid.summed(np.ones(count))

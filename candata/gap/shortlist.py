@@ -107,9 +107,10 @@ def reconsidered(problem: Problem, here: Compact, seen: Screened, base: Array) -
     part, index = brief(problem)
     least = WORTH * float((base[index] - 1).mean())
     left_out = {
-        c.label for c, r in seen.rough
+        c.label
+        for c, r in seen.rough
         if (c.element or c.label in seen.faint) and fitted(part, r, base[index])[0] <= least
-    }  # fmt: skip
+    }
     responses, _ = respond(problem, here, [c for c, _ in seen.rough if c.label not in left_out])
     return replace(seen, responses=responses, faint=tuple(name for name in seen.faint if name in left_out))
 

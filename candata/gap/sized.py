@@ -87,9 +87,10 @@ def _untold(problem: Problem, fit: Fit, least: float) -> Members:
     own, whole = (float(problem.score.loss(z).mean()) for z in (fit.plane.z, problem.nominal))
     rises = [float(problem.score.loss(z).mean()) - own for z in problem.without_each(fit.members)]
     found = [
-        (rise, member) for member, (_, low), (_, high), rise in zip(fit.members, *ends, rises, strict=True)
+        (rise, member)
+        for member, (_, low), (_, high), rise in zip(fit.members, *ends, rises, strict=True)
         if rise < LITTLE * (whole - own) and member[0].name not in known and _is_none(member, low, high)
-    ]  # fmt: skip
+    ]
     order = [member for _, member in sorted(found, key=lambda pair: pair[0])][: len(fit.members) - 1]
     while len(order) > 1:
         left = problem.residuals([problem.setting(without(fit, tuple(order)))])[0]

@@ -233,9 +233,10 @@ def sharpened(problem: Problem, stage: Stage) -> Stage:
     scene = problem.replayer.scene
     best = _simplest(stage.fits[0], stage.fits, scene)
     near = [
-        f for f in stage.fits
+        f
+        for f in stage.fits
         if is_near(f, best) or best.gain - f.gain < LUCKY * stage.threshold or _may_come_near(problem, stage, f, best)
-    ]  # fmt: skip
+    ]
     others = [f for f in near if is_elsewhere(f.members[0][0], best.members[0][0], scene)]
     front = [polished(problem, f, stage.base) for f in (best, *others[:RIVALS])]
     front += _wider(problem, stage, front[0])

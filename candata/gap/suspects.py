@@ -129,8 +129,10 @@ def pulls(scene: Scene, suspect: Suspect) -> list[Suspect]:
 def _joint(scene: Scene, j: int, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:
     """Return the suspicion on one joint."""
     rows = _rows(scene)
-    pair = [Sample(_blocks(r.force[:, :, j : j + 1], rows), _blocks(r.joint[:, :, j], rows)[:, :, None], (), np.ones(1))
-            for r in (real, null)]  # fmt: skip
+    pair = [
+        Sample(_blocks(r.force[:, :, j : j + 1], rows), _blocks(r.joint[:, :, j], rows)[:, :, None], (), np.ones(1))
+        for r in (real, null)
+    ]
     plain = [(k,) for k in range(_PERIODIC)]
     sample = _against(pair[0], pair[1], plain)
     wave = _best_wave(real.force[:, :, j], real.position[:, :, j], max(1, rows // FINER), _travel(scene, j))
@@ -176,8 +178,10 @@ def _of_object(r: Residual, circumstance: str) -> NDArray[np.bool_]:
 def _tip(scene: Scene, tip: int, real: Residual, null: Residual, parts: Sequence[Index]) -> Suspect:
     """Return the suspicion on what one fingertip reads."""
     rows = _rows(scene)
-    pair = [Sample(_blocks(r.tip[:, :, tip], rows), _blocks(tip_terms(scene, r.felt[:, :, tip]), rows), (), np.ones(3))
-            for r in (real, null)]  # fmt: skip
+    pair = [
+        Sample(_blocks(r.tip[:, :, tip], rows), _blocks(tip_terms(scene, r.felt[:, :, tip]), rows), (), np.ones(3))
+        for r in (real, null)
+    ]
     sample = _against(pair[0], pair[1], [(k,) for k in range(len(TIP_TERMS))])
     name = scene.file.fingertips[tip]
     by_row = tip_terms(scene, real.felt[:, :, tip])

@@ -130,9 +130,11 @@ def shared(problem: Problem, best: Fit, alone: Sequence[Fit]) -> Fit | None:
     kept = without(best, left_out)
     fits = [
         _split(part, tuple(one for one in kept if one is not m), m, f, base)
-        for m in kept if m[0].name not in known and not m[0].choices
-        for f in _free(best, alone) if not f[0].choices
-    ]  # fmt: skip
+        for m in kept
+        if m[0].name not in known and not m[0].choices
+        for f in _free(best, alone)
+        if not f[0].choices
+    ]
     now = float(part.score.loss(here_of(problem, best)[index]).mean()) if fits else 0.0
     far = now - PROMISING * share_of(now - 1)
     found = sharp(problem, [f.members for f in fits if float(part.score.loss(f.plane.z).mean()) < far])

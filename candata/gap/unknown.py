@@ -230,9 +230,11 @@ def _when(problem: Problem, best: Stopgap) -> str:
     names = _depends_on(problem, best)
     support = problem.replayer.scene.file.support
     circumstance = {
-        "constant": "", "off the support": f" whenever it is off the {support}", "in contact": " while it is touched",
+        "constant": "",
+        "off the support": f" whenever it is off the {support}",
+        "in contact": " while it is touched",
         "nearness to the support": f" that fades with its height above the {support}",
-    }  # fmt: skip
+    }
     first = circumstance.get(names[0])
     return _on(names) if first is None else first + _on(names[1:])
 

@@ -56,12 +56,15 @@ def library(scene: Scene, recs: Recordings, only: tuple[str, ...] = ()) -> tuple
         if name not in possible:
             raise UsageError(
                 f"effect {name} cannot act in scene {scene.name}",
-                expected=f"one of {', '.join(n for n in possible if n not in hidden)}", found=name,
+                expected=f"one of {', '.join(n for n in possible if n not in hidden)}",
+                found=name,
                 fix=f"it acts on {effect(name).acts_on}: leave it out, or add to the scene what it needs",
-            )  # fmt: skip
+            )
         if name in hidden:
             raise UsageError(
-                f"effect {name} cannot show in these recordings", expected=f"channel {hidden[name]}",
-                found=", ".join(recs.readings), fix="leave it out, or record the channel",
-            )  # fmt: skip
+                f"effect {name} cannot show in these recordings",
+                expected=f"channel {hidden[name]}",
+                found=", ".join(recs.readings),
+                fix="leave it out, or record the channel",
+            )
     return tuple(n for n in only or possible if n not in hidden)

@@ -163,11 +163,15 @@ def _write(export: SysidExport, copy: Copy, scene: Scene, recs: Recordings, mode
     """Write parameters, targets, sequences, program and listing."""
     states = {
         p.name: {
-            "name": p.name, "nominal": list(p.own), "min_value": list(p.low), "max_value": list(p.high),
-            "value": list(p.start), "frozen": False,
+            "name": p.name,
+            "nominal": list(p.own),
+            "min_value": list(p.low),
+            "max_value": list(p.high),
+            "value": list(p.start),
+            "frozen": False,
         }
         for p in export.parameters
-    }  # fmt: skip
+    }
     folder = copy.folder
     (folder / "parameters.yaml").write_text(yaml.safe_dump(states, default_flow_style=False))
     targets = {p.name: [[place.model_dump() for place in part] for part in p.places] for p in export.parameters}

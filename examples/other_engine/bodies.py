@@ -33,13 +33,34 @@ def _finger(name: str, x: float, y: float) -> tuple[Link, Link]:
     """Return the two links of a finger that hangs from the palm at (x, y) and closes towards the middle."""
     axis = (0.0, -1.0 if x < 0 else 1.0, 0.0)
     upper = Link(
-        f"{name}1", "z", "hinge", (x, y, -0.02), axis, (-0.5, 1.0), 0.06, (0, 0, -0.025), (4e-5, 4e-5, 1e-5),
-        2.0, 0.06, 0.8,
-    )  # fmt: skip
+        f"{name}1",
+        "z",
+        "hinge",
+        (x, y, -0.02),
+        axis,
+        (-0.5, 1.0),
+        0.06,
+        (0, 0, -0.025),
+        (4e-5, 4e-5, 1e-5),
+        2.0,
+        0.06,
+        0.8,
+    )
     lower = Link(
-        f"{name}2", f"{name}1", "hinge", (0, 0, -0.05), axis, (-0.5, 1.2), 0.04, (0, 0, -0.03), (3e-5, 3e-5, 1e-5),
-        1.5, 0.03, 0.5, tip=(0, 0, -0.045),
-    )  # fmt: skip
+        f"{name}2",
+        f"{name}1",
+        "hinge",
+        (0, 0, -0.05),
+        axis,
+        (-0.5, 1.2),
+        0.04,
+        (0, 0, -0.03),
+        (3e-5, 3e-5, 1e-5),
+        1.5,
+        0.03,
+        0.5,
+        tip=(0, 0, -0.045),
+    )
     return upper, lower
 
 
@@ -125,8 +146,10 @@ noise: {NOISE}
 
 def urdf(damping_nms_rad: float = 0.0) -> str:
     """Return the gripper as URDF, with damping in its hinges."""
-    parts = ['<link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
-             "</inertial></link>"]  # fmt: skip
+    parts = [
+        '<link name="base"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial></link>"
+    ]
     for k in LINKS:
         kind, d = ("prismatic", 0.0) if k.kind == "slide" else ("revolute", damping_nms_rad)
         xx, yy, zz = k.inertia

@@ -83,9 +83,16 @@ def _meta(scene: Scene, name: str, task: str) -> EpisodeMeta:
     """Return who, what, when; the recordings count as real."""
     file = scene.file
     return EpisodeMeta(
-        id=name, source="real", rate_hz=bodies.RATE_HZ, object=file.object, task=task, joint_names=file.joints,
-        actuator_names=file.actuator_names, fingertip_names=file.fingertips, contact_rule=ContactRule(),
-    )  # fmt: skip
+        id=name,
+        source="real",
+        rate_hz=bodies.RATE_HZ,
+        object=file.object,
+        task=task,
+        joint_names=file.joints,
+        actuator_names=file.actuator_names,
+        fingertip_names=file.fingertips,
+        contact_rule=ContactRule(),
+    )
 
 
 def main() -> None:

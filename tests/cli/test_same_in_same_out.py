@@ -178,8 +178,10 @@ def scored(folder: Path) -> dict[str, object]:
         del line["process"]
     score = json.loads((folder / "bench.json").read_text())
     score["rows"] = [row for row in score["rows"] if row["unit"] != "s"]
-    digests = {path.parent.parent.name: json.loads(path.read_text())["digest"]
-               for path in (folder / "cases").glob("*/versions/000001.json")}  # fmt: skip
+    digests = {
+        path.parent.parent.name: json.loads(path.read_text())["digest"]
+        for path in (folder / "cases").glob("*/versions/000001.json")
+    }
     return {"results": results, "shares": shares, "score": score, "recordings": digests}
 
 

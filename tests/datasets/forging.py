@@ -31,9 +31,11 @@ def forge(root: Path, change: Callable[[Path, dict], None], position: int = 0) -
     (folder / "part.json").write_bytes(data)
     folder.rename(folder.with_name(manifest["id"]))
     entry |= {
-        "id": manifest["id"], "sha256": hashlib.sha256(data).hexdigest(), "rows": manifest["rows"],
+        "id": manifest["id"],
+        "sha256": hashlib.sha256(data).hexdigest(),
+        "rows": manifest["rows"],
         "episodes": len(manifest["episodes"]),
-    }  # fmt: skip
+    }
     members = {}
     for part in version["parts"]:
         listed = json.loads((root / "parts" / part["id"] / "part.json").read_text())

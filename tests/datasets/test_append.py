@@ -139,7 +139,7 @@ def test_the_catalog_says_who_what_when(tmp_path, episode):
         (lambda root, make: open_dataset(root), "empty dataset"),
         (lambda root, make: open_dataset(root / "none"), "not a dataset"),
     ],
-)  # fmt: skip
+)
 def test_wrong_use_is_one_clear_error(tmp_path, episode, call, words):
     root = create_dataset(tmp_path / "ds")
     with pytest.raises((DataError, UsageError), match=words):

@@ -127,8 +127,9 @@ def test_bars_hold_the_samples_that_lie_on_their_first_edge():
 
 def test_bars_of_many_samples_have_no_heap_at_their_end(rng):
     sides = [[(0, 32, Pool.sketch(rng.exponential(size=32))) for _ in range(60)] for _ in range(2)]
-    drawn = Pool.of([(k, n, v) for k, (_, n, v) in enumerate(sides[0])],
-                    [(k, n, v) for k, (_, n, v) in enumerate(sides[1])], 60, 60).bars(np.arange(120) < 60)  # fmt: skip
+    drawn = Pool.of(
+        [(k, n, v) for k, (_, n, v) in enumerate(sides[0])], [(k, n, v) for k, (_, n, v) in enumerate(sides[1])], 60, 60
+    ).bars(np.arange(120) < 60)
     assert drawn.this[-1] < drawn.this[len(drawn.this) // 2]
 
 

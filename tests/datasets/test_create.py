@@ -36,9 +36,19 @@ def test_an_empty_folder_becomes_a_dataset(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["", "{", "[]", '{"format_version": 1}', '{"format_version": 9, "new": 1}', '{"format_version": "1"}',
-     '{"format_version": 0}', '{"format_version": -1}', '{"format_version": true}', '{"format_version": 1.5}'],
-)  # fmt: skip
+    [
+        "",
+        "{",
+        "[]",
+        '{"format_version": 1}',
+        '{"format_version": 9, "new": 1}',
+        '{"format_version": "1"}',
+        '{"format_version": 0}',
+        '{"format_version": -1}',
+        '{"format_version": true}',
+        '{"format_version": 1.5}',
+    ],
+)
 def test_a_damaged_or_newer_dataset_file_is_refused(tmp_path, text):
     root = create_dataset(tmp_path / "ds")
     (root / "dataset.json").write_text(text)

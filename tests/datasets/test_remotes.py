@@ -252,8 +252,11 @@ def test_a_folder_with_other_things_is_refused(dataset, store, tmp_path):
 def test_a_tag_that_moved_is_pushed_only_when_told(rich, store, tmp_path):
     push(rich, store, "rich")
     path = rich / "tags/clean.json"
-    path.write_text(path.read_text().replace('"version": 2', '"version": 1').replace(
-        open_dataset(rich, 2).digest, open_dataset(rich, 1).digest))  # fmt: skip
+    path.write_text(
+        path.read_text()
+        .replace('"version": 2', '"version": 1')
+        .replace(open_dataset(rich, 2).digest, open_dataset(rich, 1).digest)
+    )
     with pytest.raises(UsageError, match="--move-tags"):
         push(rich, store, "rich")
     assert push(rich, store, "rich", move_tags=True).tags == ("clean",)

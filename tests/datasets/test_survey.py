@@ -22,8 +22,10 @@ def made(tmp_path):
 def test_the_episodes_shown_follow_the_rule(made, episode):
     found = survey(made(episode("a", rows=20), episode("b", rows=60, contact=False), episode("c", rows=21)))
     assert [(one.episode.meta.id, one.reason) for one in found.examples] == [
-        ("a", "the first"), ("b", "the longest"), ("c", "the most contact"),
-    ]  # fmt: skip
+        ("a", "the first"),
+        ("b", "the longest"),
+        ("c", "the most contact"),
+    ]
 
 
 def test_one_episode_may_be_all_of_them(made, episode):

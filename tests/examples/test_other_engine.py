@@ -151,8 +151,11 @@ def run(*arguments: str, before: tuple[str, ...] = ()) -> subprocess.CompletedPr
     paths = os.pathsep.join([*before, str(FOLDER.parents[1])])
     return subprocess.run(
         [sys.executable, str(FOLDER / "record.py"), *arguments],
-        env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
 
 
 def test_numbers_that_mean_nothing_are_refused(tmp_path):

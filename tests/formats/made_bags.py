@@ -114,10 +114,12 @@ def joints(count: int = 50, names: Iterable[str] = ("b", "a"), late_ns: int = 0,
     names = list(names)
     times = [START + k * STEP for k in range(count)]
     return [
-        (t + late_ns, {"header": {"stamp": stamp(t)}, "name": names,
-                       "position": [k + i / 10 for i in range(len(names))]} | more)
+        (
+            t + late_ns,
+            {"header": {"stamp": stamp(t)}, "name": names, "position": [k + i / 10 for i in range(len(names))]} | more,
+        )
         for k, t in enumerate(times)
-    ]  # fmt: skip
+    ]
 
 
 def fox_pose(time_ns: int, x: float) -> tuple[int, Any]:

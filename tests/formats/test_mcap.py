@@ -102,10 +102,15 @@ def test_a_transform_is_found_by_its_child_frame(tmp_path):
 def test_foxglove_s_protobuf_and_json_are_read_alike(tmp_path):
     found = [fox_pose(t, float(k)) for k, t in enumerate(TIMES.tolist())]
     plain = [
-        (t, {"timestamp": {"sec": t // 10**9, "nsec": t % 10**9},
-             "pose": {"position": {"x": k, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}})
+        (
+            t,
+            {
+                "timestamp": {"sec": t // 10**9, "nsec": t % 10**9},
+                "pose": {"position": {"x": k, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}},
+            },
+        )
         for k, t in enumerate(TIMES.tolist())
-    ]  # fmt: skip
+    ]
     kind = "foxglove.PoseInFrame"
     (one,) = read(write_foxglove(tmp_path / "p.mcap", {"/pose": (kind, found)}), POSE_MAP)
     (two,) = read(write_foxglove(tmp_path / "j.mcap", {"/pose": (kind, plain)}, "json"), POSE_MAP)

@@ -63,13 +63,16 @@ def bare(count: int = 50) -> list:
         (channels(object_pose="/pose", joint_position={"topic": "/j", "joints": ["a", "z"]}), DataError, "lacks"),
         (channels(object_pose="/pose", joint_position={"topic": "/j", "joints": ["q"]}), DataError, "holds nothing"),
         (channels(object_pose="/pose", joint_effort="/j"), DataError, "gives no effort"),
-        (channels(joint_position="/j", joint_velocity={"topic": "/j", "joints": ["a"], "fields": ["position"]}),
-         UsageError, "the joints differ"),
+        (
+            channels(joint_position="/j", joint_velocity={"topic": "/j", "joints": ["a"], "fields": ["position"]}),
+            UsageError,
+            "the joints differ",
+        ),
         (channels(object_pose="/pose") | {"episodes": {"marker": "/none"}}, UnknownNameError, "unknown topic"),
         (channels(object_pose="/pose") | {"episodes": {"marker": "/bare", "ranges_s": [[0, 1]]}}, UsageError, "both"),
         ([], UsageError, "topics.yaml"),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_map_is_refused(tmp_path, mapping, kind, words):
     topics = POSE_TOPIC | {"/bare": (BARE, bare()), "/j": (JOINTS, joints())}
     bag = write_ros2(tmp_path / "run.mcap", topics)

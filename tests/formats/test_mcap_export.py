@@ -107,9 +107,14 @@ def test_the_mcap_library_s_strict_reader_decodes_every_message(folder, rng):
             found.setdefault(channel.topic, []).append(value)
     counts = {topic: len(values) for topic, values in found.items()}
     assert counts == {
-        "/tf": 12, "/joint_states": 12, "/joint_targets": 12, "/fingertip_forces": 12, "/candata/taxels": 12,
-        "/object/points": 1, "/candata/row": 12,
-    }  # fmt: skip
+        "/tf": 12,
+        "/joint_states": 12,
+        "/joint_targets": 12,
+        "/fingertip_forces": 12,
+        "/candata/taxels": 12,
+        "/object/points": 1,
+        "/candata/row": 12,
+    }
     assert [item.child_frame_id for item in found["/tf"][4].transforms] == ["hand"]
     assert len(found["/object/points"][0].data) == CLOUD.nbytes
 

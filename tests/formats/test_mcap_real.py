@@ -28,8 +28,12 @@ def test_all_import_by_one_map_and_what_is_bad_is_said(bags):
     found = {episode.meta.id: episode for episode in read(bags, MAP, allow_gaps=True, note=notes.append)}
     assert len(found) == 14
     assert {name for name, one in found.items() if not one.meta.invalid_counts} == {
-        "roll2bag", "rollbag", "yawbag", "yx1bag", "yx4bag",
-    }  # fmt: skip
+        "roll2bag",
+        "rollbag",
+        "yawbag",
+        "yx1bag",
+        "yx4bag",
+    }
     # The markers of fly90bag were out of sight for 32.6 s.
     assert found["fly90bag"].meta.invalid_counts["object_pose"] == 3284
     for episode in found.values():

@@ -87,8 +87,12 @@ def arm_episodes(arm) -> Callable[..., list[Episode]]:
         return [
             Episode(
                 EpisodeMeta(
-                    id=f"arm-{i:03d}", source="real", rate_hz=ARM_HZ, task=("slow", "fast")[i % 2],
-                    joint_names=arm.file.joints, actuator_names=arm.file.actuator_names,
+                    id=f"arm-{i:03d}",
+                    source="real",
+                    rate_hz=ARM_HZ,
+                    task=("slow", "fast")[i % 2],
+                    joint_names=arm.file.joints,
+                    actuator_names=arm.file.actuator_names,
                 ),
                 {
                     "time_ns": np.arange(rows) * round(1e9 / ARM_HZ),
@@ -97,7 +101,7 @@ def arm_episodes(arm) -> Callable[..., list[Episode]]:
                 },
             )
             for i in range(count)
-        ]  # fmt: skip
+        ]
 
     return make
 

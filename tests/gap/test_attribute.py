@@ -60,8 +60,9 @@ def test_a_gain_is_as_steady_as_it_is_though_not_all_of_it_counts():
     assert some.is_plain(some.fits[0], TASKS)
 
 
-@pytest.mark.parametrize(("sharp", "remains", "counts", "asked"), [(0.2, False, True, 1), (0.0, False, False, 1),
-                                                                   (0.0, True, True, 0)])  # fmt: skip
+@pytest.mark.parametrize(
+    ("sharp", "remains", "counts", "asked"), [(0.2, False, True, 1), (0.0, False, False, 1), (0.0, True, True, 0)]
+)
 def test_what_is_not_plain_within_the_nulls_range_counts_if_it_is_when_sharp(
     monkeypatch, sharp, remains, counts, asked
 ):

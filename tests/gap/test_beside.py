@@ -162,8 +162,10 @@ def test_what_explains_as_much_once_what_is_held_moves_is_tried_beside_what_pass
     """The true one comes along with a wrong one that explains less, and begins where what is held moved."""
     problem, (held, rough, some) = late[0], off
     now, sums = sets._moved_along(problem, held, rough, some)
-    wrong, right = ((*held.members, (candidate(n, problem.replayer.scene), np.full(1, v))) for n, v in
-                    (("armature", 0.0005), ("joint_dry_friction", 0.3)))  # fmt: skip
+    wrong, right = (
+        (*held.members, (candidate(n, problem.replayer.scene), np.full(1, v)))
+        for n, v in (("armature", 0.0005), ("joint_dry_friction", 0.3))
+    )
     begun = sets._moving(some[0], [wrong], now, sums)
     assert begun[0] is wrong
     for found in (begun[1], sets._moving(some[0], [], now, sums)[0], sets._moving(some[0], [right], now, sums)[0]):
@@ -175,8 +177,10 @@ def test_what_explains_as_much_once_what_is_held_moves_is_tried_beside_what_pass
 def test_a_choice_is_fitted_whatever_is_read_off(late, monkeypatch):
     problem, delay = late
     step = candidate("time_step", problem.replayer.scene)
-    sums = [Sum((*delay.members, (candidate("armature", problem.replayer.scene), np.full(1, 0.0005))), np.inf),
-            Sum((*delay.members, (step, step.low)), np.inf)]  # fmt: skip
+    sums = [
+        Sum((*delay.members, (candidate("armature", problem.replayer.scene), np.full(1, 0.0005))), np.inf),
+        Sum((*delay.members, (step, step.low)), np.inf),
+    ]
     fitted = []
     monkeypatch.setattr(sets, "joint", lambda problem, members, *a, **k: fitted.append(members) or delay)
     now = float(problem.score.loss(delay.plane.z).mean())

@@ -142,8 +142,9 @@ def test_several_names_may_be_outdone_as_one_may_but_not_those_of_tosses(monkeyp
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(
         found=SimpleNamespace(first=first, force=None, chosen=chosen, doubt=None),
-        problem=SimpleNamespace(setting=lambda members: ()), scene=None,
-    )  # fmt: skip
+        problem=SimpleNamespace(setting=lambda members: ()),
+        scene=None,
+    )
     found = conclusion._unseated(some, "explained", Gap(before=1.4, after=1.06, closed=0.85), (), None)
     assert found == ("a wind" if asked else None)
 
@@ -159,8 +160,9 @@ def test_a_force_is_played_once_in_the_nominal_world_for_both_questions_if_it_ma
     first = SimpleNamespace(fits=(SimpleNamespace(labels=("gravity_tilt",)),))
     some = SimpleNamespace(
         found=SimpleNamespace(first=first, force=None, chosen=SimpleNamespace(members=("one", "other")), doubt=doubt),
-        problem=SimpleNamespace(setting=lambda members: ()), scene=None,
-    )  # fmt: skip
+        problem=SimpleNamespace(setting=lambda members: ()),
+        scene=None,
+    )
     named = Gap(before=3.0, after=1.7, closed=0.65)
     assert conclusion._unseated(some, "explained", named, (), "rng") is None
     assert played == [("in the named world's floors", (), "rng")][: 1 if close >= 0.65 else 0]

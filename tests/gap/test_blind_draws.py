@@ -96,8 +96,12 @@ def test_the_element_of_a_vector_is_clearly_off(hand):
 
 
 def test_a_background_is_about_five_percent_off_everywhere_but_in_its_main_effect(hand, labels):
-    scales = [e.parameters["mass_scale"] for one in of(labels, "background") for e in one.effects
-              if e.name == "object_mass" and one.main != "object_mass"]  # fmt: skip
+    scales = [
+        e.parameters["mass_scale"]
+        for one in of(labels, "background")
+        for e in one.effects
+        if e.name == "object_mass" and one.main != "object_mass"
+    ]
     # A normal 5 % over some 39 draws: its spread is known to about a ninth (1 / sqrt(2 n)), three of these are allowed.
     assert np.std(np.log(scales)) == pytest.approx(0.05, rel=0.35)
     for one in of(labels, "background"):

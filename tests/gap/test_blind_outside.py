@@ -50,8 +50,19 @@ def test_a_cause_changes_what_is_read_and_stays_finite(hand, plain, name):
 @pytest.mark.parametrize("name", CAUSES)
 def test_a_cause_without_size_changes_nothing(hand, plain, name):
     drawn = draw_outside(name, hand, np.random.default_rng(2))
-    sizes = {"x_N", "y_N", "pull_N", "stiffness_Nm_rad", "torque_Nm", "share", "loss", "often", "width_N",
-             "stiffness_N_m", "tension_N"}  # fmt: skip
+    sizes = {
+        "x_N",
+        "y_N",
+        "pull_N",
+        "stiffness_Nm_rad",
+        "torque_Nm",
+        "share",
+        "loss",
+        "often",
+        "width_N",
+        "stiffness_N_m",
+        "tension_N",
+    }
     still = {k: 0.0 if k in sizes else v for k, v in drawn.values.items()}
     made = played(hand, drawn.model_copy(update={"values": still}))
     # Not one bit differs, but for zeros that were added.

@@ -40,10 +40,14 @@ def say(setting: EffectSetting, support: float = 0.9, **values: float) -> NamedE
 def case(kind, effects=(), named=(), verdict=None, rises=None, closed=0.99, cpu_s=10.0, cold=False, **more) -> Outcome:
     label = Label(case="case-0001", kind=kind, effects=effects, main=more.get("main"), outside=more.get("outside"))
     report = Report(
-        verdict=verdict or ("explained" if named else "no_gap"), effects=tuple(named), unknown=more.get("unknown"),
-        ambiguous_class=more.get("tied", ()), ranking=more.get("ranking", ()),
-        gap=Gap(before=3.0, after=1.0, closed=closed if named else None), data=DATA,
-    )  # fmt: skip
+        verdict=verdict or ("explained" if named else "no_gap"),
+        effects=tuple(named),
+        unknown=more.get("unknown"),
+        ambiguous_class=more.get("tied", ()),
+        ranking=more.get("ranking", ()),
+        gap=Gap(before=3.0, after=1.0, closed=closed if named else None),
+        data=DATA,
+    )
     shares = Shares(case="case-0001", sealed="", rises=rises, alike=more.get("alike")) if rises else None
     return Outcome(label, CaseResult(case="case-0001", sealed="", cpu_s=cpu_s, cold=cold, report=report), shares)
 
@@ -213,8 +217,11 @@ def test_rows_below_target_come_first_and_misses_say_truth_verdict_and_name():
     assert met[0] is False
     (missed,) = found.misses
     assert (missed.truth, missed.verdict, missed.named, missed.gap) == (
-        "object_mass", "explained", "sliding_friction", 3.0
-    )  # fmt: skip
+        "object_mass",
+        "explained",
+        "sliding_friction",
+        3.0,
+    )
     assert (found.done, found.cases) == (2, 9)
 
 

@@ -83,8 +83,10 @@ def test_two_faults_of_one_joint_become_those_of_all_joints_together(arm, arm_ep
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
-    some = [(candidate(name, arm, "elbow"), np.full(1, value)) for name, value in
-            (("joint_dry_friction", 0.3), ("actuation_delay", 0.03))]  # fmt: skip
+    some = [
+        (candidate(name, arm, "elbow"), np.full(1, value))
+        for name, value in (("joint_dry_friction", 0.3), ("actuation_delay", 0.03))
+    ]
     wrong = joint(problem, tuple(some), base)
     monkeypatch.setattr(elsewhere, "sharpest", lambda problem, light: None)  # as if none moved alone explained more
     found = elsewhere.moved(problem, wrong)

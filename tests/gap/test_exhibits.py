@@ -31,9 +31,11 @@ def problem(arm, one_phase, plain_recordings):
     after = {"joint_position": before["joint_position"] / 10}
     spread = Floor(np.full((4, 60, 2), 5e-4), np.full((6, 4, 60, 2), 3e-4))
     world = SimpleNamespace(
-        plan=plan, score=score(np.zeros((4, 60, 2)), spread, plan), begin=SimpleNamespace(rows=np.zeros(4, int)),
+        plan=plan,
+        score=score(np.zeros((4, 60, 2)), spread, plan),
+        begin=SimpleNamespace(rows=np.zeros(4, int)),
         replayer=SimpleNamespace(scene=arm),
-    )  # fmt: skip
+    )
     return world, HeldOut(recs, before, after, np.ones(4), np.ones(4), np.zeros((4, 1)))
 
 
@@ -84,14 +86,18 @@ def curve(scene, name: str, direction: np.ndarray, at: float) -> Fit:
 def test_cosines_of_what_two_candidates_change(arm):
     rng = np.random.default_rng(0)
     a, b = rng.standard_normal((2, 3, 8))
-    fits = [curve(arm, "joint_dry_friction", a, 0.5), curve(arm, "joint_damping", -2 * a, 0.3),
-            curve(arm, "armature", b, 1.0)]  # fmt: skip
+    fits = [
+        curve(arm, "joint_dry_friction", a, 0.5),
+        curve(arm, "joint_damping", -2 * a, 0.3),
+        curve(arm, "armature", b, 1.0),
+    ]
     found = collinearity(fits)
     assert found.labels == ("joint_dry_friction", "joint_damping", "armature")
     expected = float((a * b).sum() / np.linalg.norm(a) / np.linalg.norm(b))
     # Single precision of the residuals.
-    assert found.matrix == pytest.approx(np.array([[1, -1, expected], [-1, 1, -expected], [expected, -expected, 1]]),
-                                         abs=1e-5)  # fmt: skip
+    assert found.matrix == pytest.approx(
+        np.array([[1, -1, expected], [-1, 1, -expected], [expected, -expected, 1]]), abs=1e-5
+    )
 
 
 def test_of_one_effect_on_several_elements_the_best_stands_for_all(arm):
@@ -125,8 +131,14 @@ def test_ranges_are_the_effects_own_in_this_scene(arm):
     def named(name: str, **values) -> NamedEffect:
         return NamedEffect(name=name, share=1, support=1, parameters={k: Estimate(value=v) for k, v in values.items()})
 
-    found = ranges([named("servo_gain", kp_scale=0.5), named("friction_cone", cone="elliptic"),
-                    named("torque_limit", limit_Nm=1.0)], arm)  # fmt: skip
+    found = ranges(
+        [
+            named("servo_gain", kp_scale=0.5),
+            named("friction_cone", cone="elliptic"),
+            named("torque_limit", limit_Nm=1.0),
+        ],
+        arm,
+    )
     assert set(found) == {("servo_gain", None, "kp_scale"), ("torque_limit", None, "limit_Nm")}
     gain = found["servo_gain", None, "kp_scale"]
     assert (gain.low, gain.high, gain.identity) == (0.15, 4.0, 1.0)

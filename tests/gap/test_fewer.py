@@ -88,10 +88,13 @@ def test_a_choice_goes_unless_the_others_do_not_make_up_for_it(arm, arm_episodes
 OFFSETS = [0.03, -0.05, 0.02, -0.03, 0.01, -0.02]
 
 
-@pytest.mark.parametrize(("true", "value", "kept"), [
-    ("object_size", {"scale": 0.96}, ("object_size", "object_mass")),
-    ("joint_offset", {"offset_rad": OFFSETS}, ("joint_offset", "object_mass")),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("true", "value", "kept"),
+    [
+        ("object_size", {"scale": 0.96}, ("object_size", "object_mass")),
+        ("joint_offset", {"offset_rad": OFFSETS}, ("joint_offset", "object_mass")),
+    ],
+)
 def test_many_numbers_go_that_take_a_part_of_one_more_effect_unless_they_are_true(planted, true, value, kept):
     """Slopes do not tell: where the numbers stand, without them most of the gap is open however the others move."""
     scene = load_scene("gripper_tabletop")
@@ -138,9 +141,15 @@ def test_what_either_of_two_joints_does_as_well_is_said_of_all(arm, two_causes):
     assert world is not problem, "in units of the floor of its own world"
 
 
-@pytest.mark.parametrize(("light", "all_over", "whole"), [
-    (0.5, 0.5, True), (-0.002, 0.02, True), (-0.002, -0.001, False), (-0.5, 0.5, False),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("light", "all_over", "whole"),
+    [
+        (0.5, 0.5, True),
+        (-0.002, 0.02, True),
+        (-0.002, -0.001, False),
+        (-0.5, 0.5, False),
+    ],
+)
 def test_of_all_and_one_element_beside_others_the_one_that_explains_more_is_named(
     arm, two_causes, monkeypatch, light, all_over, whole
 ):

@@ -41,17 +41,20 @@ class Robot(NamedTuple):
 SERVO = '<position name="{0}" joint="{0}" kp="2" kv=".05" {1}/>'
 PLAIN = Robot(joint("a") + joint("bb"), SERVO.format("a", "") + SERVO.format("bb", ""), ("a", "bb"))
 MIMIC = Robot(
-    joint("a") + joint("bb"), SERVO.format("a", ""), ("a",),
+    joint("a") + joint("bb"),
+    SERVO.format("a", ""),
+    ("a",),
     '<equality><joint joint1="bb" joint2="a" polycoef="0.1 0.5 0 0 0"/></equality>',
-)  # fmt: skip
+)
 FILTERED = Robot(joint("a"), SERVO.format("a", 'timeconst="0.05"'), ("a",))
 DELAYED = Robot(joint("a"), SERVO.format("a", 'delay="0.04" nsample="20"'), ("a",))
 INTEGRATING = Robot(joint("a"), '<intvelocity name="a" joint="a" kp="2" kv=".05" actrange="-2 2"/>', ("a",))
 SAGGING = Robot(
     f'<body pos="0 0 .5"><joint name="flex" axis="0 1 0" stiffness="1" damping=".02"/>{LINK}'
     f'<body pos=".1 0 0"><joint name="a" axis="0 0 1" damping=".02"/>{LINK}</body></body>',
-    SERVO.format("a", ""), ("a",),
-)  # fmt: skip
+    SERVO.format("a", ""),
+    ("a",),
+)
 
 
 @pytest.fixture(scope="module")
@@ -187,9 +190,13 @@ def test_recordings_too_short_to_lead_start_at_their_first_row(world):
     scene = world(PLAIN)
     recs = played(scene, CUT).recs
     short = Recordings(
-        recs.ids, recs.tasks, recs.commands[:, :6], {n: v[:, :6] for n, v in recs.readings.items()},
-        np.full(EPISODES, 6), False,
-    )  # fmt: skip
+        recs.ids,
+        recs.tasks,
+        recs.commands[:, :6],
+        {n: v[:, :6] for n, v in recs.readings.items()},
+        np.full(EPISODES, 6),
+        False,
+    )
     assert not starts(scene, short).rows.any()
 
 

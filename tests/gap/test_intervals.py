@@ -68,9 +68,13 @@ def posed(arm, pair):
         plane = Plane(low, high, own, residuals([members])[0], slope)
 
         problem = SimpleNamespace(
-            recs=Episodes(range(episodes)), replayer=SimpleNamespace(scene=arm), residuals=residuals,
-            setting=lambda members: members, score=SimpleNamespace(loss=lambda z: z.mean(1)), rng=rng,
-        )  # fmt: skip
+            recs=Episodes(range(episodes)),
+            replayer=SimpleNamespace(scene=arm),
+            residuals=residuals,
+            setting=lambda members: members,
+            score=SimpleNamespace(loss=lambda z: z.mean(1)),
+            rng=rng,
+        )
         return problem, Fit(members, plane, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 2)))), size
 
     return make
@@ -207,10 +211,13 @@ def trapped(arm, seed):
     at = true + size * np.array([-1.1, -0.15, -0.05, 0.9])
     curve = Curve(c, at, np.stack([residual(at[[i]]) for i in range(len(at))]), np.ones(len(at), bool))
     problem = SimpleNamespace(
-        recs=Episodes(range(20)), replayer=SimpleNamespace(scene=arm), rng=np.random.default_rng(seed),
-        setting=lambda members: members[0][1], residuals=lambda worlds: [residual(u) for u in worlds],
+        recs=Episodes(range(20)),
+        replayer=SimpleNamespace(scene=arm),
+        rng=np.random.default_rng(seed),
+        setting=lambda members: members[0][1],
+        residuals=lambda worlds: [residual(u) for u in worlds],
         score=SimpleNamespace(loss=lambda z: (z**2).mean(-1)),
-    )  # fmt: skip
+    )
     own = curve.fitter(problem.score)(np.arange(20))
     return problem, Fit(((c, own),), curve, CrossFit(np.zeros(1), np.zeros(1), np.zeros((4, 1)))), true
 

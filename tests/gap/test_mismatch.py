@@ -317,9 +317,10 @@ def test_stronger_motors_explain_early_joints_too(gripper, gripped, monkeypatch)
     own = recs.readings["joint_position"][..., pairs.drive.joints]
     played: list = []
     monkeypatch.setattr(
-        module._Look, "play",
+        module._Look,
+        "play",
         lambda self, recs, effects=(): played.append(effects) or {"joint_position": recs.readings["joint_position"]},
-    )  # fmt: skip
+    )
 
     def apart(*_):  # stronger motors fit best, the shift itself fairly, all else badly
         limited = played and played[-1] and played[-1][0].name == "torque_limit"

@@ -271,8 +271,17 @@ class Valley:
 def pair(monkeypatch):
     """An effect of two numbers between -9 and 9, of which one is plausible."""
     monkeypatch.setattr(refine, "typical_size", lambda c, scene: np.ones(2))
-    c = Candidate("joint_offset", None, np.zeros(2), np.full(2, -9.0), np.full(2, 9.0), np.zeros(2, bool), False,
-                  np.ones(2, bool), np.zeros(2))  # fmt: skip
+    c = Candidate(
+        "joint_offset",
+        None,
+        np.zeros(2),
+        np.full(2, -9.0),
+        np.full(2, 9.0),
+        np.zeros(2, bool),
+        False,
+        np.ones(2, bool),
+        np.zeros(2),
+    )
     return c
 
 

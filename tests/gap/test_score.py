@@ -20,8 +20,10 @@ E, B, D, R = 3, 6, 3, 10
 
 PLAN = Layout(
     (("joint_position", "a", "rad"), ("joint_position", "b", "rad"), ("object_pose", "position x", "m")),
-    ("free",), np.zeros((E, B), int), 5,
-)  # fmt: skip
+    ("free",),
+    np.zeros((E, B), int),
+    5,
+)
 
 
 @pytest.fixture
@@ -120,8 +122,11 @@ def test_a_quantity_that_was_not_recorded_has_no_discrepancy(case):
     residual, floor = case
     residual[0, :, 2] = np.nan
     level = score(residual, floor, PLAN)
-    joints = score(residual[..., :2], replace(floor, sigma=floor.sigma[..., :2], null=floor.null[..., :2]),
-                   replace(PLAN, columns=PLAN.columns[:2]))  # fmt: skip
+    joints = score(
+        residual[..., :2],
+        replace(floor, sigma=floor.sigma[..., :2], null=floor.null[..., :2]),
+        replace(PLAN, columns=PLAN.columns[:2]),
+    )
     expected = joints.size(joints.normal(residual[..., :2]))[0]
     assert level.size(level.normal(residual))[0] == pytest.approx(expected, rel=1e-5)
 

@@ -51,9 +51,12 @@ def test_a_set_that_seemed_to_leave_nothing_is_refitted_in_its_own_floors(monkey
 
     def fit(loss):
         return SimpleNamespace(
-            labels=names, members=both,
-            evidence=SimpleNamespace(loss=np.full(12, 1 + loss)), gain=5.0 - loss, plane=SimpleNamespace(z=1 + loss),
-        )  # fmt: skip
+            labels=names,
+            members=both,
+            evidence=SimpleNamespace(loss=np.full(12, 1 + loss)),
+            gain=5.0 - loss,
+            plane=SimpleNamespace(z=1 + loss),
+        )
 
     sharp, in_its_own = fit(0.001), fit(0.3)
     score = SimpleNamespace(loss=lambda z: np.full(12, z))
@@ -109,8 +112,10 @@ def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, pla
 def test_two_join_a_set_together_if_each_gains_alone(arm, two_causes):
     problem, base = two_causes
     idle = joint(problem, members(arm, armature=0.0005), base)
-    alone = [joint(problem, members(arm, **{name: value}), base) for name, value in
-             (("actuation_delay", 0.03), ("joint_dry_friction", 0.3))]  # fmt: skip
+    alone = [
+        joint(problem, members(arm, **{name: value}), base)
+        for name, value in (("actuation_delay", 0.03), ("joint_dry_friction", 0.3))
+    ]
     sure = [replace(f, evidence=alone[0].evidence) for f in alone]
     assert {"joint_dry_friction", "actuation_delay"} < set(trials.paired(problem, idle, sure).labels)
     unsure = replace(sure[1], evidence=replace(sure[1].evidence, gain=sure[1].evidence.gain - sure[1].gain))

@@ -76,9 +76,15 @@ def test_without_a_name_nothing_closes():
 
 @pytest.mark.parametrize(
     ("after", "closed", "least", "most"),
-    [(1.0, 1.0, 1.0, 1.0), (0.98, 1.0, 1.0, 1.0), (1.1, 0.9, 0.5, 0.5), (1.04, 0.6, 0.8, 0.9), (4.0, 0.97, 0.9, 0.95),
-     (1.6, 0.5, 0.0, 0.05)],
-)  # fmt: skip
+    [
+        (1.0, 1.0, 1.0, 1.0),
+        (0.98, 1.0, 1.0, 1.0),
+        (1.1, 0.9, 0.5, 0.5),
+        (1.04, 0.6, 0.8, 0.9),
+        (4.0, 0.97, 0.9, 0.95),
+        (1.6, 0.5, 0.0, 0.05),
+    ],
+)
 def test_a_set_that_leaves_much_is_trusted_less(after, closed, least, most):
     """By the smaller of floors and share that are left: neither a faint nor a large gap is held against it."""
     found = trust(Gap(before=5.0, after=after, closed=closed))
@@ -112,6 +118,6 @@ def test_few_episodes_that_hold_most_of_what_remains_are_told_apart():
         gap(np.full(4, 3.0), np.array([1.0, 1.0, 1.0, 9.0]), np.random.default_rng(0), True, list("abcd")),
     ],
     ids=["others hold more", "little elsewhere", "little remains", "too few"],
-)  # fmt: skip
+)
 def test_otherwise_none_are(found):
     assert (found.outlying, found.closed_elsewhere) == ((), None)

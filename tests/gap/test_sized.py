@@ -86,9 +86,13 @@ def test_names_that_make_up_for_one_another_are_not_all_left_out(arm, monkeypatc
 
     score = SimpleNamespace(loss=lambda z: z)
     problem = SimpleNamespace(
-        score=score, nominal=np.full(1, 3.0), measured=(), residuals=residuals, setting=lambda some: some,
+        score=score,
+        nominal=np.full(1, 3.0),
+        measured=(),
+        residuals=residuals,
+        setting=lambda some: some,
         without_each=lambda some: residuals([[m for m in some if m is not left] for left in some]),
-    )  # fmt: skip
+    )
     own = tuple(
         (SimpleNamespace(name=name, label=name, choices=(), neutral=np.zeros(1), size=1), np.ones(1)) for name in "abc"
     )

@@ -78,9 +78,11 @@ def test_the_numbers_of_one_finger_stand_for_a_vector_where_they_keep_what_it_ga
 
     score = SimpleNamespace(loss=lambda z: 1 + (z**2).mean(1))
     problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=hand), residuals=residuals, score=score,
+        replayer=SimpleNamespace(scene=hand),
+        residuals=residuals,
+        score=score,
         setting=lambda members: [c.setting(u, hand) for c, u in members],
-    )  # fmt: skip
+    )
     monkeypatch.setattr(staging, "brief", lambda problem: (problem, np.arange(8)))
     monkeypatch.setattr(staging, "_fits", lambda problem, planes, base: planes)
     at = true + np.linspace(-0.004, 0.004, len(true))
@@ -147,9 +149,11 @@ def test_rivals_are_compared_by_their_typical_losses(arm, monkeypatch):
 def sharply(arm, monkeypatch, sharp: dict[str, float]) -> SimpleNamespace:
     """Return a problem in which each effect leaves this loss where it is sharp, from whatever start."""
     problem = SimpleNamespace(
-        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].name,
+        begin=0,
+        replayer=SimpleNamespace(scene=arm),
+        setting=lambda members: members[0][0].name,
         losses_from=lambda begins, worlds: np.array([[np.full(8, sharp[w]) for w in worlds] for _ in begins]),
-    )  # fmt: skip
+    )
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(
         staging, "polished", lambda problem, f, base: fit(f.members[0][0], np.full(8, sharp[f.labels[0]]))
@@ -173,9 +177,11 @@ def test_the_next_joints_fault_is_sharpened_too_but_not_that_of_all(arm, monkeyp
     alone, better = candidate("joint_damping", arm, "shoulder"), candidate("joint_damping", arm, other)
     sharp = {alone.label: np.full(8, 1.1), better.label: np.full(8, 1.0)}
     problem = SimpleNamespace(
-        begin=0, replayer=SimpleNamespace(scene=arm), setting=lambda members: members[0][0].label,
+        begin=0,
+        replayer=SimpleNamespace(scene=arm),
+        setting=lambda members: members[0][0].label,
         losses_from=lambda begins, worlds: np.array([[sharp[w] for w in worlds] for _ in begins]),
-    )  # fmt: skip
+    )
     polished = []
 
     def polish(problem, f, base):
@@ -201,9 +207,11 @@ def test_all_of_a_finger_s_numbers_are_sharpened_where_those_of_one_joint_leave_
     one, both = (candidate("joint_offset", scene, name) for name in ("right_base", "right"))
     losses = {one.label: np.full(8, 1 + leaves), both.label: np.full(8, 1 + sharp)}
     problem = SimpleNamespace(
-        begin=0, replayer=SimpleNamespace(scene=scene), setting=lambda members: members[0][0].label,
+        begin=0,
+        replayer=SimpleNamespace(scene=scene),
+        setting=lambda members: members[0][0].label,
         losses_from=lambda begins, worlds: np.array([[losses[w] for w in worlds] for _ in begins]),
-    )  # fmt: skip
+    )
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, f, base: fit(f.members[0][0], losses[f.labels[0]]))
     monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(one, losses[one.label]))
@@ -217,9 +225,11 @@ def test_a_scalar_is_fitted_as_a_vector_that_it_is_compared_with(hand, monkeypat
     """By slopes it is the better one; beside another scalar both are read off curves, and none is taken."""
     losses = {"pose_scale": 0.98 if slopes else 1.04, other: 1.0}
     problem = SimpleNamespace(
-        begin=0, replayer=SimpleNamespace(scene=hand), setting=lambda members: members[0][0].name,
+        begin=0,
+        replayer=SimpleNamespace(scene=hand),
+        setting=lambda members: members[0][0].name,
         losses_from=lambda begins, worlds: np.array([[np.full(8, losses[w]) for w in worlds] for _ in begins]),
-    )  # fmt: skip
+    )
     monkeypatch.setattr(staging, "_starts", lambda problem: [1, 2, 3])
     monkeypatch.setattr(staging, "polished", lambda problem, best, base: best)
     monkeypatch.setattr(staging, "joint", lambda problem, members, base: fit(members[0][0], np.full(8, 0.98)))

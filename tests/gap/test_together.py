@@ -168,8 +168,10 @@ def test_a_set_is_begun_with_that_the_first_cause_is_not_in(posed, wrong):
 def test_a_third_that_is_worth_little_beside_two_is_judged_sharply(posed, wrong, monkeypatch, blunt, sharp, taken):
     problem, first = posed
     size, gained = len(problem.recs), 16.0
-    pair, triple = (tuple((candidate(name, problem.replayer.scene), np.full(1, 0.1)) for name in some) for some in
-                    (TRUE, {*TRUE, "armature"}))  # fmt: skip
+    pair, triple = (
+        tuple((candidate(name, problem.replayer.scene), np.full(1, 0.1)) for name in some)
+        for some in (TRUE, {*TRUE, "armature"})
+    )
 
     def left(members, loss):
         evidence = replace(wrong.evidence, loss=np.full(size, loss), gain=np.full(size, 1 + gained - loss))

@@ -34,8 +34,10 @@ def test_rivals_that_stay_near_alone_are_fitted_on(arm, arm_episodes, planted, m
         made.append((members[0][0].name, widths))
         return joint(problem, members, base, widths)
 
-    light = [joint(problem, ((candidate(name, arm), np.full(1, value)),), base, widths=()) for name, value in
-             (("joint_damping", 0.3), ("servo_damping", 1.0))]  # fmt: skip
+    light = [
+        joint(problem, ((candidate(name, arm), np.full(1, value)),), base, widths=())
+        for name, value in (("joint_damping", 0.3), ("servo_damping", 1.0))
+    ]
     alike = [replace(f, evidence=light[0].evidence) for f in light]
     monkeypatch.setattr(trials, "joint", counted)
     monkeypatch.setattr(trials, "UNSURE", np.inf)
@@ -93,8 +95,10 @@ def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_ep
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
-    fits = [joint(problem, ((candidate(name, arm), np.full(1, value)),), base) for name, value in
-            (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
+    fits = [
+        joint(problem, ((candidate(name, arm), np.full(1, value)),), base)
+        for name, value in (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))
+    ]
     best = fits[0]
     assert worth.left_by(best) > worth.LEFT
     found = trials.shared(problem, best, fits)
@@ -108,8 +112,13 @@ def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_ep
 def test_of_two_that_do_much_alike_either_beginning_may_lead_on(monkeypatch, best):
     """Damping of the joints beside less of the servos, for which more of the servos stood, lies far from their half."""
     a, b = (SimpleNamespace(name=name, neutral=np.zeros(1)) for name in ("servo_damping", "joint_damping"))
-    monkeypatch.setattr(trials, "joint", lambda part, members, *rest: SimpleNamespace(
-        members=members, plane=SimpleNamespace(z=abs(members[-1][1][0] / 2 - best))))  # fmt: skip
+    monkeypatch.setattr(
+        trials,
+        "joint",
+        lambda part, members, *rest: SimpleNamespace(
+            members=members, plane=SimpleNamespace(z=abs(members[-1][1][0] / 2 - best))
+        ),
+    )
     part = SimpleNamespace(score=SimpleNamespace(loss=np.array))
     found = trials._split(part, (), (a, np.ones(1)), (b, np.full(1, 2.0)), np.zeros(1))
     assert [(c.name, float(u[0])) for c, u in found.members] == [
@@ -148,8 +157,10 @@ def test_in_a_full_set_the_one_that_shares_takes_the_place_of_what_made_up_for_i
     recs = recordings(arm, arm_episodes(effects, count=12))
     problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
     base = problem.score.loss(problem.nominal)
-    servos, joints, inertia = [(candidate(name, arm), np.full(1, value)) for name, value in
-                               (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))]  # fmt: skip
+    servos, joints, inertia = [
+        (candidate(name, arm), np.full(1, value))
+        for name, value in (("servo_damping", 1.5), ("joint_damping", 1.0), ("armature", 0.01))
+    ]
     alone = [joint(problem, (m,), base) for m in (servos, joints)]
     full = joint(problem, (servos, inertia), base)
     monkeypatch.setattr(worth, "LARGEST", 2)
@@ -170,8 +181,10 @@ def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, 
     (members,) = added._started(part, rough)
     assert {c.name for c, _ in members} == {"joint_damping", "servo_gain"}
     alone = {c.name: (c, u) for c, u in added._strongest(part, rough)}
-    loss, best, full = (added.by_loss(part, [some])[0][0] for some in (
-        members, (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"])))  # fmt: skip
+    loss, best, full = (
+        added.by_loss(part, [some])[0][0]
+        for some in (members, (alone["servo_damping"],), (alone["joint_damping"], alone["servo_gain"]))
+    )
     assert loss < best < full
     assert added._started(part, [r for r in rough if r[0].name == "servo_gain"]) == []
 

@@ -236,8 +236,11 @@ def test_episodes_are_counted_where_a_quarter_of_the_gap_is_left(arm, monkeypatc
         assert after == replace(found, doubt=after.doubt)
         return
     assert (after.chosen, after.tied, after.score, after.remains) == (
-        "one value", ("one value",), "another floor", False,
-    )  # fmt: skip
+        "one value",
+        ("one value",),
+        "another floor",
+        False,
+    )
 
 
 @pytest.mark.parametrize("tied", [("a set",), ("a set", "another")])

@@ -56,9 +56,13 @@ def grips(scene, effects, count: int = 8, seconds: float = 1.6, seed: int = 5) -
     commands[:, :, 1:] += 0.06 * np.sin(np.arange(commands.shape[1]) / rng.uniform(3, 6, (count, 1)))[..., None]
     played = rollout(scene, commands, *at_rest(scene, count), [effects] * count)
     return Recordings(
-        tuple(f"e{i}" for i in range(count)), ("grip",) * count, commands,
-        add_noise(played.readings, scene.file.noise, rng), np.full(count, commands.shape[1]), False,
-    )  # fmt: skip
+        tuple(f"e{i}" for i in range(count)),
+        ("grip",) * count,
+        commands,
+        add_noise(played.readings, scene.file.noise, rng),
+        np.full(count, commands.shape[1]),
+        False,
+    )
 
 
 def described(scene, recs, world=(), where=()):
@@ -71,9 +75,19 @@ def described(scene, recs, world=(), where=()):
     raw = residual(recs, plan, nominal)
     no_library = SimpleNamespace(take=lambda index: None)
     problem = Problem(
-        replayer, recs, begin, plan, score(raw, spread, plan), folds(recs.tasks, rng), scene.file.noise, "declared",
-        rng, no_library, nominal, raw,
-    )  # fmt: skip
+        replayer,
+        recs,
+        begin,
+        plan,
+        score(raw, spread, plan),
+        folds(recs.tasks, rng),
+        scene.file.noise,
+        "declared",
+        rng,
+        no_library,
+        nominal,
+        raw,
+    )
     return describe(problem, world, where, None, rng)
 
 
@@ -247,8 +261,11 @@ def test_the_residual_force_is_what_was_added(arm, arm_episodes, hiding):
 def test_what_the_support_takes_is_not_known(gripper):
     recs = grips(gripper, ())
     seen = residual_force(Replayer(gripper), recs, starts(gripper, recs))
-    pull = next(s for s in suspects(gripper, seen, seen, folds(recs.tasks, np.random.default_rng(0)))
-                if s.place == "object" and s.axes.start == 0)  # fmt: skip
+    pull = next(
+        s
+        for s in suspects(gripper, seen, seen, folds(recs.tasks, np.random.default_rng(0)))
+        if s.place == "object" and s.axes.start == 0
+    )
     off = pull.sample.terms[:, :, 2, OBJECT_TERMS.index(("off the support",))]
     known = np.isfinite(pull.sample.force)
     assert set(off[known[..., 2]]) == {1.0}, "downwards only in the air"

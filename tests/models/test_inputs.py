@@ -116,10 +116,12 @@ def test_a_window_without_a_cloud_reads_none(tiny, batch, awake, generator):
 @pytest.mark.parametrize(
     ("name", "lost"),
     [
-        ("mlp", "history/action"), ("diffusion_unet", "planned/action"), ("contact_diffusion", "history/contact"),
+        ("mlp", "history/action"),
+        ("diffusion_unet", "planned/action"),
+        ("contact_diffusion", "history/contact"),
         ("diffusion_unet", "clouds"),
     ],
-)  # fmt: skip
+)
 def test_a_name_that_is_missing_is_told(name, lost, tiny, batch, generator):
     windows = batch(2)
     del windows[lost]

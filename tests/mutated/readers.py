@@ -345,9 +345,15 @@ def _log(folder: Path, rows: int) -> None:
     from candata.record.logs import LogMeta, LogWriter
 
     meta = LogMeta(
-        device="d", joint_names=("a",), fingertip_names=("t",), taxels=2, newton_per_count=0.1,
-        count_low=(-128, -128, 0), count_high=(127, 127, 255), rate_hz=80.0,
-    )  # fmt: skip
+        device="d",
+        joint_names=("a",),
+        fingertip_names=("t",),
+        taxels=2,
+        newton_per_count=0.1,
+        count_low=(-128, -128, 0),
+        count_high=(127, 127, 255),
+        rate_hz=80.0,
+    )
     writer = LogWriter(folder / "log.mcap", meta)
     zeros = np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1, 3), np.int16), np.zeros((1, 1, 2, 3), np.int16)
     for k in range(rows):

@@ -90,9 +90,15 @@ def test_a_built_in_scene_is_saved_whole(hand, tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "element"),
-    [("servo_gain", "left"), ("joint_offset", "right"), ("sliding_friction", "left"), ("contact_damping", "table"),
-     ("torque_limit", "right"), ("armature", "left")],
-)  # fmt: skip
+    [
+        ("servo_gain", "left"),
+        ("joint_offset", "right"),
+        ("sliding_friction", "left"),
+        ("contact_damping", "table"),
+        ("torque_limit", "right"),
+        ("armature", "left"),
+    ],
+)
 def test_a_local_effect_touches_what_it_names(rig, tmp_path, name, element):
     effects = [drawn(name, rig, element)]
     found, written = export(rig, effects, tmp_path / "out")
@@ -138,9 +144,13 @@ def test_carriage_returns_stay(tmp_path):
 
 
 def test_a_damping_ratio_becomes_the_damping_it_meant(tmp_path):
-    scene = write_rig(tmp_path / "rig", MAIN.replace('kp="1500" kv="80"', 'kp="1500" kv="80"').replace(
-        '<position class="servo" name="left" joint="left"></position>',
-        '<position name="left" joint="left" kp="2" dampratio="0.7"/>'))  # fmt: skip
+    scene = write_rig(
+        tmp_path / "rig",
+        MAIN.replace('kp="1500" kv="80"', 'kp="1500" kv="80"').replace(
+            '<position class="servo" name="left" joint="left"></position>',
+            '<position name="left" joint="left" kp="2" dampratio="0.7"/>',
+        ),
+    )
     effects = [drawn("servo_gain", scene)]
     found, written = export(scene, effects, tmp_path / "out")
     target, names = touched(scene, effects)

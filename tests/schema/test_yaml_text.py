@@ -141,8 +141,12 @@ def test_a_byte_order_mark_of_utf_8_is_no_text():
 
 def test_tags_that_change_nothing_are_read():
     assert parse_yaml("!!map {a: !!str 1, b: !!float 1, c: !!seq [!!int 3], d: !!null , e: ! x}") == {
-        "a": "1", "b": 1.0, "c": [3], "d": None, "e": "x"
-    }  # fmt: skip
+        "a": "1",
+        "b": 1.0,
+        "c": [3],
+        "d": None,
+        "e": "x",
+    }
 
 
 def test_as_many_values_as_are_allowed_are_read():

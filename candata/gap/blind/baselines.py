@@ -130,8 +130,9 @@ def _stepped(bed: Bed, members: Members) -> Members:
     if not places:
         return members
     spans = np.array([STEP * (members[m][0].high[i] - members[m][0].low[i]) for m, i in places])
-    signs = np.array([-1.0 if members[m][1][i] + s > members[m][0].high[i] else 1.0
-                      for (m, i), s in zip(places, spans, strict=True)])  # fmt: skip
+    signs = np.array(
+        [-1.0 if members[m][1][i] + s > members[m][0].high[i] else 1.0 for (m, i), s in zip(places, spans, strict=True)]
+    )
     moved = [_shifted(members, places, step) for step in np.diag(spans * signs)]
     base, *zs = bed.residuals([_world(bed.scene, some) for some in (members, *moved)])
     slope = np.stack([(z - base) / np.float32(s) for z, s in zip(zs, spans * signs, strict=True)])
@@ -163,11 +164,14 @@ def report_of(dataset: Dataset, bed: Bed, members: Members) -> Report:
     whole = losses[0] - losses[1]
     named = [
         NamedEffect(
-            name=e.name, element=e.element, share=(loss - losses[1]) / whole if whole > 0 else 0.0, support=1.0,
+            name=e.name,
+            element=e.element,
+            share=(loss - losses[1]) / whole if whole > 0 else 0.0,
+            support=1.0,
             parameters={name: Estimate(value=value) for name, value in e.parameters.items()},
         )
         for e, loss in zip(world, losses[2:], strict=True)
-    ]  # fmt: skip
+    ]
     closed = (sizes[0] - sizes[1]) / max(sizes[0] - 1, 1e-9) if members else None
     return Report(
         verdict="explained" if named else "no_gap",
@@ -251,9 +255,15 @@ def baseline_case(
 
 
 def run_baselines(
-    out: Path, cases: Sequence[Place], labels: dict[str, Label], methods: Sequence[str], *,
-    crew: Crew = alone, seed: int = 0, told: Callable[[int], None] = lambda count: None,
-) -> dict[str, list[CaseResult]]:  # fmt: skip
+    out: Path,
+    cases: Sequence[Place],
+    labels: dict[str, Label],
+    methods: Sequence[str],
+    *,
+    crew: Crew = alone,
+    seed: int = 0,
+    told: Callable[[int], None] = lambda count: None,
+) -> dict[str, list[CaseResult]]:
     """Return the results of each baseline on some cases; those that stand in `baselines.jsonl` are taken as they are.
 
     Parameters

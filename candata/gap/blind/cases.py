@@ -39,10 +39,17 @@ Told = Callable[[str], None]
 
 
 def seal_labels(
-    out: Path, scene: Scene, counts: dict[Kind, int], *, seed: int, episodes: int, duration_s: float = 3.2,
+    out: Path,
+    scene: Scene,
+    counts: dict[Kind, int],
+    *,
+    seed: int,
+    episodes: int,
+    duration_s: float = 3.2,
     only: Sequence[str] = (),
-    live: Callable[[], Sequence[str]] = lambda: (), salt: str | None = None,
-) -> LabelsFile:  # fmt: skip
+    live: Callable[[], Sequence[str]] = lambda: (),
+    salt: str | None = None,
+) -> LabelsFile:
     """Return the sealed labels of a run: those that stand in `out`, or fresh ones from a secret salt.
 
     Parameters
@@ -70,9 +77,14 @@ def seal_labels(
         When the run that stands there was asked for something else.
     """
     asked: dict[str, str | int | float] = {
-        "scene": scene.name, "scene_digest": scene.digest, "seed": seed, "episodes": episodes,
-        "duration_s": duration_s, "only": ",".join(only), **{f"count_{k}": n for k, n in counts.items()},
-    }  # fmt: skip
+        "scene": scene.name,
+        "scene_digest": scene.digest,
+        "seed": seed,
+        "episodes": episodes,
+        "duration_s": duration_s,
+        "only": ",".join(only),
+        **{f"count_{k}": n for k, n in counts.items()},
+    }
     path = out / LABELS
     if not path.exists():
         secret = salt or new_salt()
@@ -97,8 +109,9 @@ def standing_labels(out: Path, asked: dict[str, str | int | float]) -> LabelsFil
             "the folder holds a run that was asked for something else",
             expected=", ".join(f"{k} {found.asked.get(k)}" for k in sorted(other)),
             found=", ".join(f"{k} {asked.get(k)}" for k in sorted(other)),
-            where=Where(path=str(out)), fix="repeat the first command, or choose another --out",
-        )  # fmt: skip
+            where=Where(path=str(out)),
+            fix="repeat the first command, or choose another --out",
+        )
     return found
 
 
@@ -119,9 +132,16 @@ def missing_cases(out: Path, sealed: LabelsFile) -> dict[str, str]:
 
 
 def make_cases(
-    out: Path, scene: str, sealed: LabelsFile, *, seed: int, episodes: int, duration_s: float,
-    crew: Crew = alone, told: Told = lambda name: None,
-) -> list[Path]:  # fmt: skip
+    out: Path,
+    scene: str,
+    sealed: LabelsFile,
+    *,
+    seed: int,
+    episodes: int,
+    duration_s: float,
+    crew: Crew = alone,
+    told: Told = lambda name: None,
+) -> list[Path]:
     """Return the folders of all cases, those that are missing made; `told` hears the name of each new one.
 
     All cases share their commands; noise and hidden world are each case's own.
@@ -212,8 +232,12 @@ def read_cases(folder: Path) -> dict[Path, CaseFile]:
     cases = {path: CaseFile.parse(_json(path / CASE), path / CASE) for path in found}
     for path, case in cases.items():
         if case.name != path.name:
-            raise UsageError("a case bears another name than its folder", expected=path.name, found=case.name,
-                             where=Where(path=str(path / CASE)))  # fmt: skip
+            raise UsageError(
+                "a case bears another name than its folder",
+                expected=path.name,
+                found=case.name,
+                where=Where(path=str(path / CASE)),
+            )
     return cases
 
 
@@ -237,10 +261,12 @@ def open_labels(cases: dict[Path, CaseFile], sealed: LabelsFile) -> dict[str, La
             raise DataError("a case has no label", expected=case.name, where=Where(path=str(folder)))
         if commitment(text, sealed.salt) != case.sealed:
             raise DataError(
-                f"the label of {case.name} is not the one that was sealed", expected=f"sealed {case.sealed[:12]}",
-                found=f"sealed {commitment(text, sealed.salt)[:12]}", where=Where(path=str(folder)),
+                f"the label of {case.name} is not the one that was sealed",
+                expected=f"sealed {case.sealed[:12]}",
+                found=f"sealed {commitment(text, sealed.salt)[:12]}",
+                where=Where(path=str(folder)),
                 fix="give the labels that were written beside these cases",
-            )  # fmt: skip
+            )
         out[case.name] = Label.parse(parse_json(text), case.name)
     return out
 

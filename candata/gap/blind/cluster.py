@@ -154,9 +154,10 @@ def _check_machine(found: tuple[bool, str], name: str, shared: Path) -> None:
     seen, version = found
     if not seen:
         raise SetupError(
-            f"{name} of the Ray cluster does not see {shared}", expected="a folder that all its machines share",
+            f"{name} of the Ray cluster does not see {shared}",
+            expected="a folder that all its machines share",
             fix="give an --out (or --cache-dir) on a shared folder, mounted at the same path everywhere",
-        )  # fmt: skip
+        )
     if version != __version__:
         raise SetupError(f"{name} of the Ray cluster holds another candata", expected=__version__, found=version)
 
@@ -197,11 +198,13 @@ def _result(ray: Any, ref: Any) -> Any:
         if isinstance(error.cause, CandataError):
             raise error.cause from None
         if isinstance(error.cause, ImportError):
-            raise SetupError(f"a Ray worker cannot run candata: {error.cause}",
-                             fix="install the same candata on every machine") from None  # fmt: skip
+            raise SetupError(
+                f"a Ray worker cannot run candata: {error.cause}", fix="install the same candata on every machine"
+            ) from None
         raise
     except ray.exceptions.RayError as error:
         raise SetupError(
-            f"{RETRIES + 1} Ray workers died of one task, or the cluster is gone", found=str(error).splitlines()[0],
+            f"{RETRIES + 1} Ray workers died of one task, or the cluster is gone",
+            found=str(error).splitlines()[0],
             fix="look at its memory; the same command goes on where this one stopped",
-        ) from None  # fmt: skip
+        ) from None

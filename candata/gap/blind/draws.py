@@ -17,9 +17,16 @@ from candata.simulate.seal import draw_parameter
 Array = NDArray[np.float64]
 #: Cases of each kind by default: what the targets ask for, within 90 minutes of two cores.
 COUNTS: dict[Kind, int] = {
-    "one": 120, "quarter": 40, "null": 100, "pair": 40, "triple": 40, "outside": 40, "background": 40, "solver": 40,
+    "one": 120,
+    "quarter": 40,
+    "null": 100,
+    "pair": 40,
+    "triple": 40,
+    "outside": 40,
+    "background": 40,
+    "solver": 40,
     "local": 40,
-}  # fmt: skip
+}
 #: Relative error of everything in a background, 1 sd; of what the model lacks, as a share of a clear fault.
 BACKGROUND = 0.05
 #: An object half as heavy again, on top of a solver mismatch.

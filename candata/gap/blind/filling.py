@@ -147,9 +147,12 @@ def _posed(some: Source, depth: Depth) -> list[tuple[Problem, EffectSet]]:
     found = posed(data, replayer, some.seed, Path(some.cache), some.only, share=True)
     if found.problem is None:
         raise DataError(
-            "there is nothing to diagnose in these recordings", expected=f"{FEWEST} episodes or more that move",
-            found=f"{len(found.everything)} episodes", where=Where(path=some.dataset), fix="record more",
-        )  # fmt: skip
+            "there is nothing to diagnose in these recordings",
+            expected=f"{FEWEST} episodes or more that move",
+            found=f"{len(found.everything)} episodes",
+            where=Where(path=some.dataset),
+            fix="record more",
+        )
     problem = found.problem
     if some.shared:
         problem = replace(problem, library=replace(problem.library, own=False, parts={}))

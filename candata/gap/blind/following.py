@@ -87,10 +87,18 @@ def again(
         return found.report
     turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]
     plans = [
-        Job(f"next-{i:04d}", len(case) + i, motion.name, seed, truth.effects, hidden=True,
-            noise_seed=truth.seed, motion=motion)
+        Job(
+            f"next-{i:04d}",
+            len(case) + i,
+            motion.name,
+            seed,
+            truth.effects,
+            hidden=True,
+            noise_seed=truth.seed,
+            motion=motion,
+        )
         for i, motion in enumerate(turns)
-    ]  # fmt: skip
+    ]
     both = Path(folder)
     shutil.rmtree(both, ignore_errors=True)
     create_dataset(both, both.name)

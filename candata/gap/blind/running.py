@@ -87,8 +87,9 @@ def run_cases(
     cold |= {p.sealed for p in cases if sharing[p.scene] == 1}
     tasks = [
         (*p.anywhere, seed, method, judge, None if p.sealed in cold else str(cache))
-        for p in cases if p.sealed not in standing
-    ]  # fmt: skip
+        for p in cases
+        if p.sealed not in standing
+    ]
     for result in spread(log, run_case, tasks, crew, until):
         standing[result.sealed] = result
         told(result)

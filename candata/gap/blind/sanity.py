@@ -79,17 +79,21 @@ def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[st
     following = [pair for episode in nominal for pair in _following(scene, episode)]
     least, worst = min(following, default=(float("nan"), ""))
     found = Fitness(
-        len({joint for _, joint in following}), least, worst,
-        {name: _moved(scene, nominal, _jobs(policies, (draw_setting(scene, name, rng),), seed), duration_s)
-         for name in names},
-    )  # fmt: skip
+        len({joint for _, joint in following}),
+        least,
+        worst,
+        {
+            name: _moved(scene, nominal, _jobs(policies, (draw_setting(scene, name, rng),), seed), duration_s)
+            for name in names
+        },
+    )
     if following and found.follows < FOLLOWS:
         raise SceneError(
             f"joints of scene {scene.name} do not follow their targets",
             expected=f"correlation of at least {FOLLOWS:g} within {LAG_S:g} s",
             found=f"{found.follows:.2f} at joint {found.worst}",
             fix="check the actuators' gains and the order of joints and actuators",
-        )  # fmt: skip
+        )
     return found
 
 

@@ -50,11 +50,15 @@ def score_run(
     rows = [row for row in (*_rows(outcomes), _resolved(followed), _filling(filled)) if row.n]
     order = {False: 0, True: 2, None: 3}
     return BenchFile(
-        method=method, scene=scene, cases=cases, done=len(outcomes),
+        method=method,
+        scene=scene,
+        cases=cases,
+        done=len(outcomes),
         rows=tuple(sorted(rows, key=lambda r: order[r.is_met])),
-        misses=tuple(m for o in outcomes if (m := miss(o))), confusion=confusion(outcomes),
+        misses=tuple(m for o in outcomes if (m := miss(o))),
+        confusion=confusion(outcomes),
         calibration=calibration(outcomes),
-    )  # fmt: skip
+    )
 
 
 def _rows(outcomes: Sequence[Outcome]) -> list[BenchRow]:
@@ -105,19 +109,23 @@ def _sets(pairs: list[Outcome], triples: list[Outcome]) -> list[BenchRow]:
     for word, some, low in (("two effects", pairs, 85), ("three effects", triples, 70)):
         out += [
             percent(f"{word}: all right", (set(o.named) == set(o.truth) for o in some), low=low),
-            percent(f"{word}: all right, where each is worth 0.1 floors",
-                   (set(o.named) == set(o.truth) for o in some if o.plain)),
+            percent(
+                f"{word}: all right, where each is worth 0.1 floors",
+                (set(o.named) == set(o.truth) for o in some if o.plain),
+            ),
             percent(f"{word}: a wrong name", (bool(o.wrong_names) for o in some), high=8),
             percent(f"{word}: largest true contributor first", (o.first for o in some)),
-        ]  # fmt: skip
+        ]
     return out
 
 
 def _abstention(null: list[Outcome], outside: list[Outcome], known: list[Outcome]) -> list[BenchRow]:
     """Return the measures of saying nothing, and of saying that the cause is not known."""
     places = [o.result.report.unknown if o.result.report else None for o in outside]
-    where = [p is not None and o.label.outside is not None and p.acts_on == o.label.outside.acts_on
-             for p, o in zip(places, outside, strict=True)]  # fmt: skip
+    where = [
+        p is not None and o.label.outside is not None and p.acts_on == o.label.outside.acts_on
+        for p, o in zip(places, outside, strict=True)
+    ]
     return [
         percent("null: an effect named", (bool(o.named) for o in null), high=3),
         percent("outside the library: abstains", (o.abstains for o in outside), low=90),
@@ -135,19 +143,24 @@ def _mismatch(background: list[Outcome], solver: list[Outcome]) -> list[BenchRow
         percent("all 5 % wrong + one: the drawn one first", (o.named[:1] == (o.label.main,) for o in background)),
         _quantile("all 5 % wrong + one: gap closed, median", closed, 0.5, low=90),
         percent("solver mismatch: found or flagged", (o.flagged for o in solver), low=100),
-        percent("solver mismatch: 50 % mass error on top, first or second",
-               ("object_mass" in o.named[:2] for o in heavy), low=100),
-    ]  # fmt: skip
+        percent(
+            "solver mismatch: 50 % mass error on top, first or second",
+            ("object_mass" in o.named[:2] for o in heavy),
+            low=100,
+        ),
+    ]
 
 
 def _local(local: list[Outcome]) -> list[BenchRow]:
     """Return the measures of faults of one element."""
     return [
         percent("local fault: the right joint or finger first", (_element_first(o) for o in local), low=95),
-        percent("local fault: the right joint or finger first, where the fault is worth 0.1 floors",
-               (_element_first(o) for o in local if o.plain)),
+        percent(
+            "local fault: the right joint or finger first, where the fault is worth 0.1 floors",
+            (_element_first(o) for o in local if o.plain),
+        ),
         percent("local fault: effect and element first", (o.first for o in local)),
-    ]  # fmt: skip
+    ]
 
 
 def _element_first(o: Outcome) -> bool:
