@@ -4,7 +4,8 @@
     python tools/bare_names.py candata/datasets  # each bare word of one folder, with its file and line
 
 A name is counted each time it is bound: as a variable, a parameter, a field, a function or a class. Words that are a
-term of the field (`low` and `high` of a range, `mean`, `raw`) and the loop's short letters are not listed. Exit 1 when
+term of the field (`low` and `high` of a range, `mean`, `raw`) and the loop's short letters are not listed. Fields of
+records are not counted: files hold them under these names. Exit 1 when
 a room outside `candata/gap` has more than `LIMIT` of such names.
 """
 
@@ -54,6 +55,8 @@ signed typed unsigned drawing scaling sampling spelling masked polling forecasti
 
 #: Words above that are the field's terms (a fit, a run, the first of two bodies' free joints), or Python's own (`out`).
 TERMS = frozenset({"expected", "fit", "free", "masked", "out", "predicted", "real", "run", "sealed", "true"})
+#: Parents of what is stored in files or printed as JSON.
+RECORDS = {"Record", "ResultRecord"}
 #: Words above that are verbs as well: a function may be called so.
 VERBS = frozenset(
     {"close", "clean", "clear", "cut", "empty", "forward", "let", "lead", "open", "put", "read", "set", "shut"}
@@ -80,12 +83,21 @@ def is_bare(name: str, is_function: bool = False) -> bool:
 
 
 def bindings(tree: ast.AST) -> Iterator[tuple[str, int, bool]]:
-    """Yield each name that a module binds, its line, and whether it is a function's."""
+    """Yield each name that a module binds, its line, and whether it is a function's; fields of records left out."""
+    stored_fields = {
+        id(field.target)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and {ast.unparse(base) for base in node.bases} & RECORDS
+        for field in node.body
+        if isinstance(field, ast.AnnAssign)
+    }
     for node in ast.walk(tree):
         match node:
             case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name):
                 yield name, node.lineno, True
-            case ast.Name(id=name, ctx=ast.Store()) | ast.ClassDef(name=name) | ast.arg(arg=name):
+            case ast.Name(id=name, ctx=ast.Store()) if id(node) not in stored_fields:
+                yield name, node.lineno, False
+            case ast.ClassDef(name=name) | ast.arg(arg=name):
                 yield name, node.lineno, False
 
 

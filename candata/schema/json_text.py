@@ -69,8 +69,8 @@ def parse_json(text: str | bytes, finite: bool = True) -> Any:
     return value
 
 
-def read_json(path: Path, what: str | None = None, finite: bool = True) -> Any:
-    """Return the value of a JSON file; `what` it is to the user is its name by default.
+def read_json(path: Path, title: str | None = None, finite: bool = True) -> Any:
+    """Return the value of a JSON file; `title` it is to the user is its name by default.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def read_json(path: Path, what: str | None = None, finite: bool = True) -> Any:
     DataError
         When it is a Git LFS pointer.
     """
-    return read_value(path, lambda data: parse_json(data, finite), "JSON", MOST_BYTES, what)
+    return read_value(path, lambda data: parse_json(data, finite), "JSON", MOST_BYTES, title)
 
 
 def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -102,16 +102,16 @@ def _line(text: str, sought: Callable[[str], bool]) -> int | None:
 
 def _second_key(text: str) -> tuple[str, int | None]:
     """Return the first key that stands twice in one object, and the line where it does."""
-    inside: list[set[str]] = []
+    open_keys: list[set[str]] = []
     for mark in _MARKS.finditer(text):
         word = mark[0]
         if word in "[{":
-            inside.append(set())
+            open_keys.append(set())
         elif word in "]}":
-            inside.pop()
+            open_keys.pop()
         elif mark[1]:
             key = json.loads(word.removesuffix(mark[1]))
-            if key in inside[-1]:
+            if key in open_keys[-1]:
                 return key[:80], line_of(text, mark.start())
-            inside[-1].add(key)
+            open_keys[-1].add(key)
     return "", None

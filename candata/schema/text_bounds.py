@@ -17,7 +17,7 @@ _OTHER_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)
 #: Bytes that are read at once. Chosen.
 _PIECE_BYTES = 2**20
 #: Characters of what was found that an error shows. Chosen.
-_SHOWN = 400
+_SHOWN_CHARACTERS = 400
 
 
 class TextError(ValueError):
@@ -48,14 +48,16 @@ def decode_text(data: bytes) -> str:
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        found = f"the byte 0x{error.object[error.start]:02x}, which is no UTF-8"
-        raise TextError(found, error.object.count(b"\n", 0, error.start) + 1, "text in UTF-8", fix) from None
+        bad_byte = f"the byte 0x{error.object[error.start]:02x}, which is no UTF-8"
+        raise TextError(bad_byte, error.object.count(b"\n", 0, error.start) + 1, "text in UTF-8", fix) from None
 
 
 def read_start(file: IO[bytes], most_bytes: int) -> bytes:
     """Return the first bytes of a file, `most_bytes` at most; memory is taken for what there is alone."""
     pieces: list[bytes] = []
-    while (missing := most_bytes - sum(map(len, pieces))) and (piece := file.read(min(_PIECE_BYTES, missing))):
+    while (missing_bytes := most_bytes - sum(map(len, pieces))) and (
+        piece := file.read(min(_PIECE_BYTES, missing_bytes))
+    ):
         pieces.append(piece)
     return b"".join(pieces)
 
@@ -81,7 +83,7 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     return data
 
 
-def read_value(path: Path, parse: Callable[[bytes], Any], kind: str, most_bytes: int, what: str | None = None) -> Any:
+def read_value(path: Path, parse: Callable[[bytes], Any], kind: str, most_bytes: int, title: str | None = None) -> Any:
     """Return the value of a file; no more than `most_bytes` of it are read.
 
     Parameters
@@ -94,7 +96,7 @@ def read_value(path: Path, parse: Callable[[bytes], Any], kind: str, most_bytes:
         What the file should be, as `YAML`.
     most_bytes : int
         Size from which it is refused [bytes].
-    what : str, optional
+    title : str, optional
         What the file is to the user, for messages; its name by default.
 
     Raises
@@ -104,19 +106,19 @@ def read_value(path: Path, parse: Callable[[bytes], Any], kind: str, most_bytes:
     DataError
         When it is a Git LFS pointer.
     """
-    what, where = what or path.name, Where(path=str(path))
+    title, place = title or path.name, Where(path=str(path))
     refuse_pointer(path)
     try:
         return parse(read_bounded(path, most_bytes))
     except OSError as error:
         raise UsageError(
-            f"{what} cannot be read", expected=f"a {kind} file", found=error.strerror or str(error), where=where
+            f"{title} cannot be read", expected=f"a {kind} file", found=error.strerror or str(error), where=place
         ) from None
     except TextError as error:
         raise UsageError(
-            f"{what} is no {kind}",
+            f"{title} is no {kind}",
             expected=error.expected,
-            found=error.found[:_SHOWN],
-            where=where if error.line is None else Where(path=f"{path}, line {error.line}"),
+            found=error.found[:_SHOWN_CHARACTERS],
+            where=place if error.line is None else Where(path=f"{path}, line {error.line}"),
             fix=error.fix or (None if error.line is None else "correct that line"),
         ) from None

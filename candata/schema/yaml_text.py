@@ -55,19 +55,19 @@ class _Loader(yaml.SafeLoader):
         """Return a node, once what the text unfolds to with it is within the bounds."""
         event = self.peek_event()
         if isinstance(event, yaml.AliasEvent):
-            known = event.anchor in self.anchors  # type: ignore[has-type]
-            if known and event.anchor not in self._anchored:
+            is_known = event.anchor in self.anchors  # type: ignore[has-type]
+            if is_known and event.anchor not in self._anchored:
                 raise _at(event, f"the alias *{event.anchor} within what it stands for", "write the values out")
             self._count(event, self._anchored.get(str(event.anchor), 0))
             return super().compose_node(parent, index)
-        before, self._depth = self._values, self._depth + 1
+        values_before, self._depth = self._values, self._depth + 1
         if self._depth > MOST_DEPTH:
             raise _at(event, "values nested too deep", expected=f"at most {MOST_DEPTH} levels")
         self._count(event, 1)
         node = super().compose_node(parent, index)
         self._depth -= 1
         if event.anchor is not None:
-            self._anchored[event.anchor] = self._values - before
+            self._anchored[event.anchor] = self._values - values_before
         self._check_tag(event, node)
         return node
 
@@ -80,11 +80,11 @@ class _Loader(yaml.SafeLoader):
 
     def _check_tag(self, event: Any, node: Any) -> None:
         """Refuse a tag that makes something else of a value than the text says, and numbers beyond any use."""
-        allowed: tuple[Any, ...] = (None, "!", _TEXT, *_COLLECTIONS)
+        allowed_tags: tuple[Any, ...] = (None, "!", _TEXT, *_COLLECTIONS)
         if isinstance(node, yaml.ScalarNode):
-            plain = self.resolve(yaml.ScalarNode, node.value, (True, False))
-            allowed = (None, "!", _TEXT, plain) + ((_FLOAT,) if plain == _INT else ())
-        if event.tag not in allowed:
+            plain_tag = self.resolve(yaml.ScalarNode, node.value, (True, False))
+            allowed_tags = (None, "!", _TEXT, plain_tag) + ((_FLOAT,) if plain_tag == _INT else ())
+        if event.tag not in allowed_tags:
             raise _at(event, f"the tag `{event.tag[:80]}`", "remove it", "plain values without tags")
         if node.tag in (_INT, _FLOAT):
             if len(node.value) > MOST_DIGITS:
@@ -146,16 +146,16 @@ def parse_yaml(text: str | bytes) -> Any:
         raise TextError(character, line_of(text, error.position), "printable text", "remove it") from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        found = ", ".join(part for part in (error.context, error.problem, error.note) if part)
-        raise TextError(found, None if mark is None else mark.line + 1) from None
+        problem = ", ".join(part for part in (error.context, error.problem, error.note) if part)
+        raise TextError(problem, None if mark is None else mark.line + 1) from None
     except (OverflowError, ValueError) as error:  # an escape such as "\U99999999" is no character
         if isinstance(error, TextError):
             raise
         raise TextError(f"an escape that is no character: {error}") from None
 
 
-def read_yaml(path: Path, what: str | None = None) -> Any:
-    """Return the value of a YAML file; `what` it is to the user is its name by default.
+def read_yaml(path: Path, title: str | None = None) -> Any:
+    """Return the value of a YAML file; `title` it is to the user is its name by default.
 
     Raises
     ------
@@ -164,4 +164,4 @@ def read_yaml(path: Path, what: str | None = None) -> Any:
     DataError
         When it is a Git LFS pointer.
     """
-    return read_value(path, parse_yaml, "YAML", MOST_BYTES, what)
+    return read_value(path, parse_yaml, "YAML", MOST_BYTES, title)
