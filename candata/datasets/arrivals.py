@@ -167,8 +167,7 @@ def keep(root: Path, plan: Plan) -> tuple[str, ...]:
     for cloud in plan.record.clouds:
         if (wait / cloud.path).is_file():
             durable.ensure_below(root, (root / cloud.path).parent)
-            (wait / cloud.path).replace(root / cloud.path)
-            durable.sync((root / cloud.path).parent)
+            durable.replace_synced(wait / cloud.path, root / cloud.path)
     added = arriving(root, plan)
     for part_id in added:
         _commit(root, part_id, plan.parts[part_id][0])
