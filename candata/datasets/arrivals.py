@@ -16,7 +16,8 @@ from candata.datasets.clouds import get_cloud
 from candata.datasets.encode import RawEpisode, episode_row
 from candata.datasets.parts import EPISODES, EPISODES_PER_ROW_GROUP, MANIFEST, STEPS, UNREADABLE, RawPart, part_folder
 from candata.datasets.pull_plan import Plan
-from candata.datasets.remotes import Bar, Store, corrupted, object_key, version_key
+from candata.datasets.remotes import Bar, corrupted, object_key, version_key
+from candata.datasets.store import Store
 from candata.datasets.tags import read_tags, tag_path
 from candata.datasets.versions import DATASET, create_version, read_version
 from candata.errors import DataError, UsageError, Where

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.gc import collect_staging
-from candata.datasets.remotes import CHUNK_BYTES
+from candata.datasets.store import CHUNK_BYTES
 from candata.errors import SetupError, Where
 
 
