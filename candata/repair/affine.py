@@ -9,29 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import active, effect, flatten, parameters_on, setting
-from candata.repair.fields import OPTIONS, differences, read
+from candata.repair.fields import OPTIONS, PLAIN, differences, read
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.record import Record
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
+#: Whole numbers of a model, which no fit moves.
+WHOLE_NUMBERS = ("geom_condim", "geom_priority", "pair_dim")
 #: Model array -> (kind of spec element, attribute) of what a parameter of the toolbox can write.
-SPEC = {
-    "geom_friction": ("geom", "friction"),
-    "geom_solref": ("geom", "solref"),
-    "geom_solimp": ("geom", "solimp"),
+SPEC = {array: place for array, place in PLAIN.items() if array not in WHOLE_NUMBERS} | {
     "geom_size": ("geom", "size"),
     "geom_pos": ("geom", "pos"),
-    "pair_friction": ("pair", "friction"),
-    "pair_solref": ("pair", "solref"),
-    "pair_solimp": ("pair", "solimp"),
-    "dof_damping": ("joint", "damping"),
-    "dof_frictionloss": ("joint", "frictionloss"),
-    "dof_armature": ("joint", "armature"),
     "actuator_gainprm": ("actuator", "gainprm"),
     "actuator_biasprm": ("actuator", "biasprm"),
-    "actuator_forcerange": ("actuator", "forcerange"),
     "body_mass": ("body", "mass"),
     "body_inertia": ("body", "inertia"),
     "body_ipos": ("body", "ipos"),
