@@ -7,8 +7,8 @@ from pathlib import Path
 
 from candata.datasets import encode
 from candata.datasets.parts import write_part
-from candata.datasets.versions import index_of, newest, publish, read_dataset_file
-from candata.errors import DataError, UsageError, Where
+from candata.datasets.versions import index_of, is_new_episode, newest, publish, read_dataset_file
+from candata.errors import UsageError
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
@@ -77,15 +77,7 @@ def _unknown(root: Path, episodes: Iterable[Episode], known: dict[str, str]) -> 
     """Yield the episodes that are not in `known`, which grows with them."""
     for episode in episodes:
         digest, name = encode.content_hash(episode), episode.meta.id
-        if known.get(name, digest) != digest:
-            raise DataError(
-                "an episode with this id but another content is in the dataset",
-                expected=f"content {known[name][:12]}",
-                found=f"content {digest[:12]}",
-                where=Where(path=str(root), episode=name),
-                fix="give the new episode another id, or write to another dataset",
-            )
-        if name not in known:
+        if is_new_episode(root, known, name, digest):
             known[name] = digest
             yield episode
 

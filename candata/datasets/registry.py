@@ -10,8 +10,8 @@ from pathlib import Path
 from candata.datasets import durable
 from candata.datasets.names import is_name, require_name
 from candata.datasets.versions import DATASET, read_dataset_file
-from candata.datasets.writing import replacing
-from candata.errors import CandataError, DataError, SetupError, UnknownNameError, UsageError, Where
+from candata.datasets.writing import refused, replacing
+from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.registry import REGISTRY_VERSION, RegistryFile, RemoteEntry
 from candata.schema.text_bounds import TextError, read_bounded
@@ -86,7 +86,7 @@ def change_registry(change: Callable[[RegistryFile], RegistryFile], path: Path |
         When its folder cannot be written.
     """
     file = path or registry_path()
-    try:
+    with refused(file, "registry", _FIX):
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.with_name(file.name + ".lock").open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # released by the system, even when the process is killed
@@ -94,11 +94,6 @@ def change_registry(change: Callable[[RegistryFile], RegistryFile], path: Path |
             with replacing(file, "registry", _FIX) as draft:
                 draft.write_bytes(durable.encode_record(registry))
             return registry
-    except OSError as error:
-        raise SetupError(
-            "the registry cannot be written", found=durable.reason(error), where=Where(path=str(file)),
-            fix=_FIX,
-        ) from None  # fmt: skip
 
 
 def add_dataset(name: str, folder: str | Path) -> RegistryFile:

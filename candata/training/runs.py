@@ -9,8 +9,8 @@ from typing import Any
 
 from candata.datasets.drafts import is_draft
 from candata.datasets.durable import alone, encode_record, ensure_folder
-from candata.datasets.writing import replacing
-from candata.errors import SetupError, UsageError, Where
+from candata.datasets.writing import refused, replacing
+from candata.errors import UsageError, Where
 from candata.loaders import Split, split_digest
 from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.record import Record
@@ -92,16 +92,8 @@ def writing(folder: Path) -> Iterator[None]:
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
-    try:
-        with alone(ensure_folder(folder), "another process trains into this folder"):
-            yield
-    except OSError as error:
-        raise SetupError(
-            "the run cannot be written",
-            found=error.strerror or str(error),
-            where=Where(path=str(folder)),
-            fix=_FIX,
-        ) from None
+    with refused(folder, "run", _FIX), alone(ensure_folder(folder), "another process trains into this folder"):
+        yield
 
 
 def run_file(path: Path) -> AbstractContextManager[Path]:
