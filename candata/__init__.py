@@ -6,7 +6,11 @@ The names below are the public surface; each is imported from its room on first 
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import Any
+
+if sys.platform == "win32":
+    raise ImportError("candata runs on Linux and macOS; Windows is not supported")
 
 __version__ = "0.1.0"
 

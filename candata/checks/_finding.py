@@ -3,64 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from candata.checks._evidence import LEVELS, Finding, Level
 
 if TYPE_CHECKING:
     from candata.checks._view import View
     from candata.datasets import RawPart
     from candata.scenes import Scene
 
-Level = Literal["error", "warning", "info", "unknown"]
-#: Grades, the gravest first.
-LEVELS: tuple[Level, ...] = ("error", "warning", "info", "unknown")
-
-Evidence = float | int | str
-
 #: A number that is no part of a name.
 _NUMBER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?![\w]|\.\d)")
 #: Kinds of findings that differ in more than numbers, of which a line tells.
 _TOLD = 3
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something wrong, doubtful or worth knowing in a dataset, or something that could not be checked.
-
-    Attributes
-    ----------
-    level : str
-        `error` (the data cannot be trusted), `warning` (worth a look), `info` (true and worth knowing) or `unknown`
-        (could not be checked; `problem` says why).
-    rule : str
-        File name of the rule.
-    message : str
-        What was expected and what was found, with numbers.
-    episode, channel : str or None
-        Where; None where it is true of the set, or of the whole episode.
-    index : int or None
-        First row of the episode that shows it.
-    problem : str
-        The same in words without numbers: findings of one rule that share it are one line for people.
-    ranges : tuple of (float, float)
-        Times from the episode's first row that show it [s]; empty where it is the whole episode.
-    evidence : mapping of str to number or str
-        What was measured, a unit in each name.
-    remedy : str
-        What to do.
-    """
-
-    level: Level
-    rule: str
-    message: str
-    episode: str | None = None
-    channel: str | None = None
-    index: int | None = None
-    problem: str = ""
-    ranges: tuple[tuple[float, float], ...] = ()
-    evidence: Mapping[str, Evidence] = field(default_factory=dict)
-    remedy: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.checks._finding import Evidence, Finding, Level
+from candata.checks._evidence import Evidence, Finding, Level
 from candata.datasets import RawEpisode
 from candata.errors import UsageError
 from candata.schema.channels import CHANNELS, VALID_SUFFIX

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from candata.datasets import encode
 from candata.datasets.parts import write_part
-from candata.datasets.versions import index_of, newest_version, publish, read_dataset_file
-from candata.errors import DataError, UsageError, Where
+from candata.datasets.versions import index_of, is_new_episode, newest_version, publish, read_dataset_file
+from candata.errors import UsageError
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage, VersionFile
 
@@ -77,15 +77,7 @@ def _new_episodes(root: Path, episodes: Iterable[Episode], known_hashes: dict[st
     """Yield the episodes that are not in `known_hashes`, which grows with them."""
     for episode in episodes:
         digest, name = encode.content_hash(episode), episode.meta.id
-        if known_hashes.get(name, digest) != digest:
-            raise DataError(
-                "an episode with this id but another content is in the dataset",
-                expected=f"content {known_hashes[name][:12]}",
-                found=f"content {digest[:12]}",
-                where=Where(path=str(root), episode=name),
-                fix="give the new episode another id, or write to another dataset",
-            )
-        if name not in known_hashes:
+        if is_new_episode(root, known_hashes, name, digest):
             known_hashes[name] = digest
             yield episode
 

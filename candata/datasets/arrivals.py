@@ -16,7 +16,8 @@ from candata.datasets.clouds import get_cloud
 from candata.datasets.encode import RawEpisode, episode_row
 from candata.datasets.parts import EPISODES, EPISODES_PER_ROW_GROUP, MANIFEST, STEPS, UNREADABLE, RawPart, part_folder
 from candata.datasets.pull_plan import PullPlan
-from candata.datasets.remotes import Bar, Store, corrupted_error, object_key, version_key
+from candata.datasets.remotes import Bar, corrupted_error, object_key, version_key
+from candata.datasets.store import Store
 from candata.datasets.tags import read_tags, tag_path
 from candata.datasets.versions import DATASET, create_version, read_version
 from candata.errors import DataError, UsageError, Where
@@ -177,8 +178,7 @@ def keep(root: Path, plan: PullPlan) -> tuple[str, ...]:
     for cloud in plan.record.clouds:
         if (wait / cloud.path).is_file():
             durable.ensure_below(root, (root / cloud.path).parent)
-            (wait / cloud.path).replace(root / cloud.path)
-            durable.sync((root / cloud.path).parent)
+            durable.replace_synced(wait / cloud.path, root / cloud.path)
     part_ids = missing_part_ids(root, plan)
     for part_id in part_ids:
         _commit(root, part_id, plan.parts[part_id][0])

@@ -50,13 +50,9 @@ def put_cloud(path: str | Path, points: NDArray) -> str:
         if target.is_file():
             durable.touch(target)
             return name
-    durable.ensure_below(root, target.parent)
-    with durable.staging_folder(root) as folder:
-        table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
-        pq.write_table(table, folder / target.name, compression="zstd")
-        durable.sync(folder / target.name)
-        (folder / target.name).replace(target)
-    durable.sync(target.parent)
+    table = pa.table({axis: cloud[:, i] for i, axis in enumerate("xyz")})
+    with durable.replacing_staged(root, target) as draft:
+        pq.write_table(table, draft, compression="zstd")
     return name
 
 

@@ -219,10 +219,8 @@ def catalog_path(root: Path, digest: str) -> Path:
 def _keep(root: Path, path: Path, table: pa.Table) -> None:
     """Store a table that can be made again; a folder that cannot be written is no error."""
     try:
-        durable.ensure_below(root, path.parent)
-        with durable.staging_folder(root) as folder:
-            pq.write_table(table, folder / path.name, compression="zstd")
-            (folder / path.name).replace(path)
+        with durable.replacing_staged(root, path) as draft:
+            pq.write_table(table, draft, compression="zstd")
     except (OSError, SetupError):
         return
 

@@ -17,8 +17,13 @@ from candata.errors import UsageError, Where
 _DRAFT = re.compile(r"\..+\.candata-[0-9a-f]{32}", re.DOTALL)
 
 
+def is_draft(name: str) -> bool:
+    """Return whether a folder of this name is a draft, which goes with the next one beside it."""
+    return _DRAFT.fullmatch(name) is not None
+
+
 @contextmanager
-def draft_beside(out: Path) -> Iterator[Path]:
+def draft_beside(out: Path, parents: bool = True) -> Iterator[Path]:
     """Give an empty hidden folder beside `out`, which goes at the end; those that killed processes left there go first.
 
     The system releases the lock on a draft when its process ends, however it ends. Where folders cannot be locked,
@@ -27,9 +32,12 @@ def draft_beside(out: Path) -> Iterator[Path]:
     Parameters
     ----------
     out : Path
-        What is to be made; its parents are made when missing.
+        What is to be made.
+    parents : bool
+        Whether its parents are made when missing.
     """
-    out.parent.mkdir(parents=True, exist_ok=True)
+    if parents:
+        out.parent.mkdir(parents=True, exist_ok=True)
     _sweep(out.parent)
     folder, lock = _locked_draft(out)
     try:
@@ -88,7 +96,7 @@ def _locked_draft(out: Path) -> tuple[Path, int | None]:
 def _sweep(parent: Path) -> None:
     """Remove the drafts that no process holds."""
     with suppress(OSError):
-        for path in [path for path in parent.iterdir() if _DRAFT.fullmatch(path.name)]:
+        for path in [path for path in parent.iterdir() if is_draft(path.name)]:
             with suppress(OSError):
                 lock = _lock(path)
                 shutil.rmtree(path, ignore_errors=True)

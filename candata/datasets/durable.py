@@ -124,6 +124,31 @@ def staging_folder(root: Path) -> Iterator[Path]:
             raise
 
 
+def replace_synced(draft: Path, path: Path) -> None:
+    """Let a finished draft take the place of `path`; after a power loss the old file stands, or the new one, whole."""
+    sync(draft)
+    os.replace(draft, path)
+    sync(path.parent)
+
+
+@contextmanager
+def replacing_staged(root: Path, path: Path) -> Iterator[Path]:
+    """Give a draft in the staging folder of the dataset `root`, which takes the place of `path` at the end.
+
+    Its folder is made when missing. What a killed process left goes with the garbage of the dataset.
+
+    Raises
+    ------
+    SetupError
+        When there is no `root`.
+    """
+    ensure_below(root, path.parent)
+    with staging_folder(root) as folder:
+        draft = folder / path.name
+        yield draft
+        replace_synced(draft, path)
+
+
 @contextmanager
 def temporary_folder(folder: Path) -> Iterator[None]:
     """Remove a folder at the end of the block, and after a failure also what other threads still put there.

@@ -25,16 +25,8 @@ from candata.datasets.arrivals import (
 from candata.datasets.names import require_name
 from candata.datasets.parts import RawPart, part_folder
 from candata.datasets.pull_plan import PullPlan, number_of, plan_of
-from candata.datasets.remotes import (
-    Bar,
-    Store,
-    corrupted_error,
-    move,
-    no_bar,
-    object_key,
-    read_remote_version,
-    remote_numbers,
-)
+from candata.datasets.remotes import Bar, corrupted_error, move, no_bar, object_key, read_remote_version, remote_numbers
+from candata.datasets.store import Store
 from candata.datasets.versions import DATASET, newest_version, numbers, read_dataset_file, read_version, refuse_foreign
 from candata.errors import DataError, SetupError, UsageError, Where
 from candata.schema.manifest import VersionFile

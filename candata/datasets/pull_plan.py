@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from candata.datasets.names import is_name, require_files, require_hash, require_name, require_part
 from candata.datasets.parts import EPISODES, MANIFEST, STEPS, part_id_of
 from candata.datasets.remotes import (
-    Store,
     corrupted_error,
     object_key,
     parse,
@@ -18,6 +17,7 @@ from candata.datasets.remotes import (
     remote_numbers,
     version_key,
 )
+from candata.datasets.store import Store
 from candata.datasets.versions import DATASET, digest_of
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.schema.json_text import parse_json

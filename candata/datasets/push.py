@@ -15,9 +15,7 @@ from candata.datasets.deriving import clouds_of
 from candata.datasets.names import require_files, require_name
 from candata.datasets.parts import MANIFEST, RawPart
 from candata.datasets.remotes import (
-    CHUNK_BYTES,
     Bar,
-    Store,
     move,
     no_bar,
     object_key,
@@ -27,6 +25,7 @@ from candata.datasets.remotes import (
     remote_numbers,
     version_key,
 )
+from candata.datasets.store import CHUNK_BYTES, Store
 from candata.datasets.tags import read_tags
 from candata.datasets.versions import DATASET, numbers, read_dataset_file, read_version
 from candata.errors import DataError, UsageError, Where

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import fcntl
 import os
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.names import is_name, require_name
 from candata.datasets.versions import DATASET, read_dataset_file
-from candata.errors import CandataError, DataError, SetupError, UnknownNameError, UsageError, Where
+from candata.datasets.writing import refused, replacing
+from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.registry import REGISTRY_VERSION, RegistryFile, RemoteEntry
 from candata.schema.text_bounds import TextError, read_bounded
+
+#: What to do where the registry cannot be written.
+_FIX = "make its folder writable, or name another file in CANDATA_REGISTRY"
 
 
 def registry_path() -> Path:
@@ -83,35 +86,14 @@ def change_registry(change: Callable[[RegistryFile], RegistryFile], path: Path |
         When its folder cannot be written.
     """
     file = path or registry_path()
-    try:
+    with refused(file, "registry", _FIX):
         file.parent.mkdir(parents=True, exist_ok=True)
         with file.with_name(file.name + ".lock").open("a") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)  # released by the system, even when the process is killed
             registry = change(read_registry(file))
-            _replace(file, durable.encode_record(registry))
+            with replacing(file, "registry", _FIX) as draft:
+                draft.write_bytes(durable.encode_record(registry))
             return registry
-    except OSError as error:
-        raise SetupError(
-            "the registry cannot be written",
-            found=durable.reason(error),
-            where=Where(path=str(file)),
-            fix="make its folder writable, or name another file in CANDATA_REGISTRY",
-        ) from None
-
-
-def _replace(file: Path, data: bytes) -> None:
-    """Put a new file in the place of the old one, whole."""
-    handle, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
-    try:
-        with os.fdopen(handle, "wb") as draft:
-            draft.write(data)
-            draft.flush()
-            os.fsync(draft.fileno())
-        os.replace(name, file)
-    except BaseException:  # Ctrl-C too
-        Path(name).unlink(missing_ok=True)
-        raise
-    durable.sync(file.parent)
 
 
 def add_dataset(name: str, folder: str | Path) -> RegistryFile:

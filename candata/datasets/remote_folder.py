@@ -9,7 +9,7 @@ from pathlib import Path
 
 from candata.datasets import durable
 from candata.datasets.gc import collect_staging
-from candata.datasets.remotes import CHUNK_BYTES
+from candata.datasets.store import CHUNK_BYTES
 from candata.errors import SetupError, Where
 
 
@@ -75,13 +75,9 @@ class FolderStore:
         self._require_there(key)
         try:
             durable.ensure_folder(target.parent)
-            with durable.staging_folder(self._dataset(key)) as folder:
-                with (folder / target.name).open("wb") as draft:
-                    for chunk in chunks:
-                        draft.write(chunk)
-                durable.sync(folder / target.name)
-                (folder / target.name).replace(target)
-            durable.sync(target.parent)
+            with durable.replacing_staged(self._dataset(key), target) as draft, draft.open("wb") as file:
+                for chunk in chunks:
+                    file.write(chunk)
         except OSError as error:
             raise self._failure(error, key) from None
         self._require_there(key)

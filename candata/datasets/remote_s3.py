@@ -9,7 +9,7 @@ from datetime import timedelta
 from typing import Any
 from urllib.parse import urlsplit
 
-from candata.datasets.remotes import CHUNK_BYTES
+from candata.datasets.store import CHUNK_BYTES
 from candata.errors import MissingExtraError, SetupError, Where
 from candata.schema.registry import RemoteEntry
 

@@ -11,15 +11,16 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from threading import Event
-from typing import Protocol, TypeVar
+from typing import TypeVar
 from urllib.parse import unquote, urlsplit
 
 from candata.datasets import durable
+from candata.datasets.store import Store
 from candata.errors import DataError, UsageError, Where
 from candata.schema.record import Record
 from candata.schema.registry import RemoteEntry, RemoteVersion
@@ -27,7 +28,6 @@ from candata.schema.registry import RemoteEntry, RemoteVersion
 #: Most bytes of one JSON file that are read. Source: measured, the worst of them take 54 times as much once parsed, and
 #: a version that names 85,000 parts is smaller.
 LIMIT_BYTES = 16 * 2**20
-CHUNK_BYTES = 2**20
 #: Files that are moved at the same time: small ones wait for the network most of the time.
 MOVERS = 4
 
@@ -78,32 +78,6 @@ def move(tasks: Callable[[Callable[[int], None]], Iterable[Callable[[], object]]
 
 class _TransferEnded(Exception):
     """Ends a task beside one that failed; nobody hears it."""
-
-
-class Store(Protocol):
-    """What push and pull need of a place; keys are made of checked names alone."""
-
-    @property
-    def url(self) -> str:
-        """Address of the remote, for messages; holds no credential."""
-
-    def folders(self) -> list[str]:
-        """Return the names of the folders at its root, sorted."""
-
-    def sizes(self, prefix: str) -> dict[str, int]:
-        """Return the files in the folder `prefix` by name, with their size in bytes."""
-
-    def read(self, key: str) -> Iterator[bytes]:
-        """Yield the bytes of a file; raises FileNotFoundError where there is none."""
-
-    def write(self, key: str, chunks: Iterable[bytes], size: int) -> None:
-        """Keep a file, whole or not at all; one that stands is replaced. What `chunks` raises is passed on."""
-
-    def create(self, key: str, data: bytes) -> bool:
-        """Keep a file unless one stands; return whether this call made it."""
-
-    def tidy(self, name: str) -> None:
-        """Remove what killed pushes of the dataset `name` left and nobody can still be writing."""
 
 
 def open_remote(entry: RemoteEntry) -> Store:

@@ -60,18 +60,9 @@ def _set(root: Path, name: str, version: int | str | None, move: bool) -> TagFil
             fix="move it with --move",
         )
     if existing_tag != tag:
-        _replace(root, name, data)
+        with durable.replacing_staged(root, tag_path(root, name)) as draft:
+            draft.write_bytes(data)
     return tag
-
-
-def _replace(root: Path, name: str, data: bytes) -> None:
-    """Put a new file in the place of a tag's, whole."""
-    with durable.staging_folder(root) as folder:
-        draft = folder / f"{name}.json"
-        draft.write_bytes(data)
-        durable.sync(draft)
-        draft.replace(tag_path(root, name))
-    durable.sync(root / "tags")
 
 
 def delete_tag(path: str | Path, name: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from candata.datasets import durable
@@ -342,17 +342,28 @@ def _new_episodes(root: Path, entry: PartEntry, index: dict[str, str]) -> dict[s
     """Return the episodes of a part that `index` lacks; refuse one that stands with another content."""
     new_episodes = {}
     for name, digest in RawPart(root, entry).manifest().episodes:
-        if index.get(name, digest) != digest:
-            raise DataError(
-                "an episode with this id but another content is in the dataset",
-                expected=f"content {index[name][:12]}",
-                found=f"content {digest[:12]}",
-                where=Where(path=str(root), episode=name),
-                fix="give the new episode another id, or write to another dataset",
-            )
-        if name not in index:
+        if is_new_episode(root, index, name, digest):
             new_episodes[name] = digest
     return new_episodes
+
+
+def is_new_episode(root: Path, known: Mapping[str, str], name: str, digest: str) -> bool:
+    """Return whether an episode is not among the `known` ones, whose ids lead to hashes of their content.
+
+    Raises
+    ------
+    DataError
+        When it is, with another content.
+    """
+    if known.get(name, digest) != digest:
+        raise DataError(
+            "an episode with this id but another content is in the dataset",
+            expected=f"content {known[name][:12]}",
+            found=f"content {digest[:12]}",
+            where=Where(path=str(root), episode=name),
+            fix="give the new episode another id, or write to another dataset",
+        )
+    return name not in known
 
 
 def pending_parts(path: str | Path) -> tuple[PartFile, ...]:

@@ -8,6 +8,7 @@ import urllib.request
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from candata.datasets.writing import replacing
 from candata.errors import DataError, SetupError, Where
 
 _CHUNK_BYTES = 1 << 16
@@ -75,21 +76,19 @@ def download(url: str, target: Path, say: Callable[[str], None], timeout_s: floa
     SetupError
         When the address cannot be reached or the connection breaks.
     """
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(target.name + ".part")
     say(f"downloading {url}")
-    try:
-        with urllib.request.urlopen(url, timeout=timeout_s) as answer, part.open("wb") as file:
-            _copy(answer, file, say)
-    except (OSError, http.client.HTTPException) as error:
-        part.unlink(missing_ok=True)
-        raise SetupError(
-            "the download failed",
-            expected=f"an answer from {url}",
-            found=str(error) or type(error).__name__,
-            fix="connect to the network and run it again, or read a prepared copy: --from FOLDER",
-        ) from None
-    return part.replace(target)
+    with replacing(target, "download") as draft:
+        try:
+            with urllib.request.urlopen(url, timeout=timeout_s) as answer, draft.open("wb") as file:
+                _copy(answer, file, say)
+        except (OSError, http.client.HTTPException) as error:
+            raise SetupError(
+                "the download failed",
+                expected=f"an answer from {url}",
+                found=str(error) or type(error).__name__,
+                fix="connect to the network and run it again, or read a prepared copy: --from FOLDER",
+            ) from None
+    return target
 
 
 def _copy(answer, file, say: Callable[[str], None]) -> None:  # type: ignore[no-untyped-def]

@@ -8,17 +8,93 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
-from candata.fetch._files import download, git_tree_hash
+from candata.fetch import FetchedEpisodes
+from candata.fetch._files import download, git_tree_hash, require_sha256
+from candata.formats.table import episodes, map_digest, read_mapped
+from candata.schema.scene import TableMap
 
 #: sha256 of the repository's licence file.
 LICENCE_SHA256 = "ed2d040c164ceff95257da3b9c4e2a7134c93310488947871b95e8ac90f91b52"
 RATE_HZ = 148.0
+
+
+@dataclass(frozen=True)
+class TossFolder:
+    """A folder of tosses in the repository, as its originals and as a table that was prepared from them.
+
+    Attributes
+    ----------
+    revision, folder : str
+        Of the repository, and the folder at that revision.
+    tree : str
+        Name git gives the folder: pins all its files and their names.
+    table_sha256 : str
+        Of the prepared table.
+    mapping : TableMap
+        What the table's columns are.
+    columns : callable
+        Returns the table's columns from the original files.
+    """
+
+    revision: str
+    folder: str
+    tree: str
+    table_sha256: str
+    mapping: TableMap
+    columns: Callable[[Mapping[str, bytes]], dict[str, NDArray]]
+
+    @property
+    def origin(self) -> str:
+        """Where it is published, with the revision."""
+        return f"github.com/DAIRLab/dair_pll, {self.folder} at {self.revision[:8]}"
+
+    def from_folder(self, folder: Path) -> FetchedEpisodes:
+        """Return the tosses in a prepared folder: the table and `LICENSE.txt`, hashes checked.
+
+        Raises
+        ------
+        DataError
+            When a file is missing or is not the published one.
+        """
+        licence, table = Path(folder) / "LICENSE.txt", Path(folder) / self.mapping.file
+        require_sha256(licence, LICENCE_SHA256, f"put the LICENSE of {self.origin} beside the data")
+        require_sha256(table, self.table_sha256, "get the folder again, or download: leave out --from")
+        notice = licence.read_text(encoding="utf-8")
+        return FetchedEpisodes(read_mapped(self.mapping, table), map_digest(self.mapping, self.tree), notice)
+
+    def from_archive(
+        self, archive: Path, tree: str | None = None, licence_sha256: str = LICENCE_SHA256
+    ) -> FetchedEpisodes:
+        """Return the tosses in an archive of the repository, checked against git's hash of the folder.
+
+        Raises
+        ------
+        DataError
+            When the archive is damaged, lacks the licence, or holds other data.
+        """
+        tree = tree or self.tree
+        tosses, notice = checked_tosses(archive, self.folder, tree, licence_sha256)
+        tossed = episodes(self.mapping, self.columns(tosses), Path(self.mapping.file))
+        return FetchedEpisodes(tossed, map_digest(self.mapping, tree), notice)
+
+    def download(self, cache: Path, say: Callable[[str], None]) -> FetchedEpisodes:
+        """Return the tosses from their public repository; an archive that is in the cache is not asked for again.
+
+        Raises
+        ------
+        SetupError
+            When the repository cannot be reached.
+        DataError
+            When what came is not the published data.
+        """
+        return self.from_archive(archive_of(cache, self.revision, say))
 
 
 def checked_tosses(archive: Path, folder: str, tree: str, licence_sha256: str) -> tuple[dict[str, bytes], str]:
@@ -45,8 +121,8 @@ def checked_tosses(archive: Path, folder: str, tree: str, licence_sha256: str) -
     return {name.removesuffix(".pt"): content for name, content in tosses.items()}, licence.decode()
 
 
-def archive_of(cache: Path, revision: str, say: Callable[[str], None], url: str) -> Path:
-    """Return the archive of a revision, downloaded unless it is in the cache.
+def archive_of(cache: Path, revision: str, say: Callable[[str], None]) -> Path:
+    """Return the archive of a revision; one that is in the cache is not asked for again.
 
     Raises
     ------
@@ -57,7 +133,7 @@ def archive_of(cache: Path, revision: str, say: Callable[[str], None], url: str)
     if archive.is_file():
         say(f"using {archive}")
     else:
-        download(url, archive, say)
+        download(f"https://codeload.github.com/DAIRLab/dair_pll/tar.gz/{revision}", archive, say)
     return archive
 
 

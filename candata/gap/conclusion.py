@@ -46,6 +46,7 @@ from candata.schema.report import (
     Symptom,
     Verdict,
 )
+from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 #: Share of what is possible within which a number counts as at its bound. Chosen.
@@ -254,7 +255,7 @@ def ranked(first: Stage, scene: Scene, rng: np.random.Generator) -> tuple[Ranked
     out = []
     for fit, s in zip(first.fits, backing, strict=True):
         gain = fit.evidence.gain
-        picks = rng.integers(len(gain), size=(500, len(gain)))
+        picks = resamples(rng, len(gain), 500)
         low, high = np.quantile(gain[picks].mean(1), (0.05, 0.95))
         c, u = fit.members[0]
         out.append(

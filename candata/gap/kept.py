@@ -8,11 +8,13 @@ import io
 import os
 import shutil
 import time
-import uuid
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from candata.datasets.writing import replacing
+from candata.errors import SetupError
 
 #: Size of the cache from which the sets used longest ago are removed [bytes].
 LIMIT_BYTES = 4_000_000_000
@@ -32,16 +34,9 @@ def keep(file: Path | None, **arrays: NDArray) -> None:
     archive = io.BytesIO()
     np.savez(archive, allow_pickle=False, **arrays)
     content = archive.getbuffer()
-    draft = file.with_name(f".{file.name}.{uuid.uuid4().hex[:8]}")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with draft.open("wb") as out:
-            out.write(content)
-            out.write(hashlib.sha256(content).digest())
-        draft.replace(file)
-    except OSError:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
+    with contextlib.suppress(SetupError), replacing(file, "cache") as draft, draft.open("wb") as out:
+        out.write(content)
+        out.write(hashlib.sha256(content).digest())
 
 
 def read(file: Path | None) -> dict[str, NDArray] | None:

@@ -13,6 +13,7 @@ from candata.gap.finding import Finding
 from candata.gap.lagged import Drives, Lagged, at_best, centred, drives, lagged, own_lag
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
+from candata.statistics import noise_sd
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -72,11 +73,7 @@ class Paired:
     @property
     def quiet(self) -> Array:
         """`(S,)` spread of each joint's readings from row to row, by second differences (white noise: its sd)."""
-        bend = np.abs(np.diff(self.joint, 2, axis=1)).reshape(-1, self.joint.shape[2])
-        seen = np.isfinite(bend).any(0)
-        out = np.zeros(bend.shape[1])
-        out[seen] = np.nanmedian(bend[:, seen], axis=0) / 0.6745 / np.sqrt(6)
-        return out
+        return noise_sd(self.joint, 1, over=(0, 1))
 
 
 def paired(scene: Scene, recs: Recordings) -> Paired | None:

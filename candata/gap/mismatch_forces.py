@@ -17,6 +17,7 @@ from candata.gap.mismatch_sensors import TOUCH_N, TOUCH_ROWS, free_spread, tare
 from candata.gap.mismatch_swaps import AT_LEAST, cycles, in_episodes, some_of
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
+from candata.statistics import noise_sd
 from candata.units import TO_SI
 
 Array = NDArray[np.float64]
@@ -134,7 +135,9 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
 def _noise(real: Array, force: Array) -> Array:
     """Return `(F,)` the noise of each fingertip: of a free one where motions begin, else what bends from row to row."""
     tips = range(real.shape[2])
-    return np.array([free_spread(real[:, :, [f]], force[:, :, [f]]) or _bend(real[:, :, [f]]) for f in tips])
+    return np.array(
+        [free_spread(real[:, :, [f]], force[:, :, [f]]) or float(noise_sd(real[:, :, [f]], 1)) for f in tips]
+    )
 
 
 def _nearest(times: float) -> str:
@@ -167,23 +170,12 @@ def _noise_factor(scene: Scene, recs: Recordings, force: Array) -> float | None:
     What is held from the start leaves none free: then the noise is at most what readings bend from row to row.
     """
     noise, real = scene.file.noise, recs.readings["fingertip_force"]
-    spread = free_spread(real, force) or _bend(real)
+    spread = free_spread(real, force) or float(noise_sd(real, 1))
     if noise is None or not spread:
         return None
     # Rounding to steps of a width has a spread of width / sqrt(12) (Widrow and Kollar 2008, chapter 4).
     declared = float(np.hypot(noise.fingertip_force, noise.force_step / np.sqrt(12)))
     return spread / declared if declared > 0 else None
-
-
-def _bend(real: Array) -> float:
-    """Return the spread of readings from row to row, by second differences (white noise: its standard deviation).
-
-    Source: second differences of white noise have six times its variance; 0.6745 is the median of |x| for a unit normal
-    (Rousseeuw and Croux 1993, eq. 1.3).
-    """
-    bend = np.abs(np.diff(real, 2, axis=1))
-    seen = np.isfinite(bend)
-    return float(np.median(bend[seen]) / 0.6745 / np.sqrt(6)) if seen.any() else 0.0
 
 
 def _unit(times: float, unit: str) -> Finding:

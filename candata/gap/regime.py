@@ -18,6 +18,7 @@ from candata.gap.search import Problem
 from candata.scenes import Scene
 from candata.schema.contact import fingertip_contact
 from candata.schema.report import Symptom
+from candata.statistics import noise_sd
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -86,9 +87,7 @@ def _pulled(scene: Scene, recs: Recordings, count: int, rows: int) -> Flags:
 
 def _noise(joint: Array, rows: int) -> float:
     """Return the standard deviation that noise of a joint `(E, T)` has in a block's mean; 0 where nothing was seen."""
-    bend = np.abs(np.diff(joint, 2, axis=1))
-    # White noise of sd s: second differences of sd s sqrt(6), means of n rows of sd s / sqrt(n).
-    return float(np.nanmedian(bend)) / 0.6745 / np.sqrt(6 * rows) if np.isfinite(bend).any() else 0.0
+    return float(noise_sd(joint, 1) / np.sqrt(rows))
 
 
 def motion(joint: Array, count: int, rows: int) -> dict[str, Flags]:

@@ -21,6 +21,7 @@ from candata.rotation import difference, rotate
 from candata.scenes import Scene
 from candata.scenes.assemble import subtree
 from candata.simulate import rollout
+from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 #: Fewest rows of flight that say more than where and how fast it began.
@@ -156,7 +157,7 @@ def scale_from_flight(scene: Scene, recs: Recordings, begin: Starts, rng: np.ran
     if len(sums) < FEWEST:
         return None
     products = np.array(sums)
-    picks = rng.integers(len(products), size=(RESAMPLES, len(products)))
+    picks = resamples(rng, len(products), RESAMPLES)
     many = products[picks].sum(1)
     return _scale(products[:, 0].sum() / products[:, 1].sum(), many[:, 0] / many[:, 1], len(products))
 
@@ -185,7 +186,7 @@ def scale_from_rest(scene: Scene, recs: Recordings, rng: np.random.Generator) ->
     if stands.sum() < FEWEST or (settled[stands, 2] <= 0).any():
         return None
     ratio = recorded[stands, 2] / settled[stands, 2]
-    picks = rng.integers(len(ratio), size=(RESAMPLES, len(ratio)))
+    picks = resamples(rng, len(ratio), RESAMPLES)
     return _scale(ratio.mean(), ratio[picks].mean(1), len(ratio))
 
 

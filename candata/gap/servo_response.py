@@ -16,6 +16,7 @@ from scipy.signal import lfilter
 from candata.errors import DataError
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
+from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 #: Parts of a recorded row in which delays are tried, and the longest delay [s].
@@ -182,8 +183,8 @@ def _fits(grid: _Grid, motion: Array, rng: np.random.Generator) -> list[tuple]:
     best = _best(grid, np.ones(count))
     lags = np.stack(
         [
-            _lag(grid, *_best(grid, np.bincount(rng.integers(count, size=count), minlength=count).astype(float)))
-            for _ in range(RESAMPLES)
+            _lag(grid, *_best(grid, np.bincount(picks, minlength=count).astype(float)))
+            for picks in resamples(rng, count, RESAMPLES)
         ]
     )
     low, high = np.quantile(lags, ENDS, axis=0)

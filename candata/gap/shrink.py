@@ -21,6 +21,7 @@ from candata.gap.search import Fit, Problem
 from candata.gap.shortlist import taken
 from candata.rotation import difference
 from candata.schema.report import Gap
+from candata.statistics import resamples
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -107,7 +108,7 @@ def gap(before: Array, after: Array, rng: np.random.Generator, gap_left: bool, i
     """
     if not gap_left:
         return Gap(before=round(float(before.mean()), 4), after=round(float(before.mean()), 4))
-    picks = rng.integers(len(before), size=(RESAMPLES, len(before)))
+    picks = resamples(rng, len(before), RESAMPLES)
     many = _closed(before[picks].mean(1), after[picks].mean(1))
     low, high = np.quantile(many, ENDS)
     odd, rest = _outlying(before, after) if len(ids) else (NONE, NONE)
@@ -149,9 +150,8 @@ def intervals(problem: Problem, fit: Fit) -> tuple[Array, Array]:
     if isinstance(fit.response, Plane) and len(own) <= MOST_CURVED:
         low, high = _curved(problem, fit, own)
         return low - slack, high + slack
-    count = len(problem.recs)
     refit = fit.response.fitter(problem.score)
-    found = [refit(problem.rng.integers(count, size=count)) for _ in range(REFITS)]
+    found = [refit(picks) for picks in resamples(problem.rng, len(problem.recs), REFITS)]
     low, high = np.quantile(np.array(found), ENDS, axis=0)
     grid = fit.response.resolution(own) / 2 if isinstance(fit.response, Curve) else 0.0
     wider = 1.0 if isinstance(fit.response, Curve) else LOOSE
@@ -284,7 +284,7 @@ def support(first: Sequence[Fit], base: Array, rng: np.random.Generator) -> Arra
     The nominal scene takes part, so the shares need not add up to 1.
     """
     losses = np.stack([base, *(f.evidence.loss for f in first)])
-    picks = rng.integers(losses.shape[1], size=(RESAMPLES, losses.shape[1]))
+    picks = resamples(rng, losses.shape[1], RESAMPLES)
     winner = losses[:, picks].mean(2).argmin(0)
     return np.bincount(winner, minlength=len(losses))[1:] / RESAMPLES
 
@@ -303,7 +303,7 @@ def shares(
         return [(1.0, float("nan"))]
     own = problem.score.loss(fit.plane.z)
     whole = max(float((problem.score.loss(problem.nominal) - own).mean()), 1e-9)
-    picks = rng.integers(len(own), size=(RESAMPLES, len(own)))
+    picks = resamples(rng, len(own), RESAMPLES)
     out = []
     for label, z in zip(fit.labels, problem.without_each(fit.members), strict=True):
         rise = problem.score.loss(z) - own

@@ -133,12 +133,12 @@ def open_cache(
     """
     name = f"windows-{_key(dataset, channels)}"
     homes = [folder] if folder else [dataset.path / "cache", user_cache()]
-    cache = next((candidate for home in homes if (candidate := _read(home / name))), None)
-    if cache is None:
+    candidate = next((candidate for home in homes if (candidate := _read(home / name))), None)
+    if candidate is None:
         home = homes[0] if folder or os.access(dataset.path, os.W_OK) else homes[-1]
         shapes = row_shapes(dataset, None if channels is None else [n for n in channels if n != POINT_CLOUD])
         try:
-            cache = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
+            candidate = _make(dataset, shapes, POINT_CLOUD in (channels or ()), home / name, progress)
         except OSError as error:
             raise SetupError(
                 "the cache cannot be written",
@@ -147,7 +147,7 @@ def open_cache(
                 where=Where(path=str(home)),
                 fix="free space, or name another folder: windows(..., cache=FOLDER)",
             ) from None
-    return cache
+    return candidate
 
 
 def reopen(folder: Path) -> Cache:

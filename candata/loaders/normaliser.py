@@ -13,13 +13,10 @@ from candata.errors import DataError, UnknownNameError, UsageError
 from candata.loaders.increments import increments
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.record import Record
+from candata.statistics import MAD_TO_SD
 
 Method = Literal["robust", "std", "quantile"]
 METHODS = ("robust", "std", "quantile")
-
-#: A standard deviation in MADs of a normal distribution, 1 / Phi^-1(3/4).
-#: Source: F. R. Hampel, "The influence curve and its role in robust estimation", JASA 69 (1974).
-MAD_TO_STD = 1.4826
 
 #: Tails of a channel that lie outside the range below, and half that range in standard deviations of a normal
 #: distribution, Phi^-1(1 - TAIL). A force that is zero most of the time has a MAD of zero; the range still says how
@@ -159,7 +156,7 @@ def _centre_and_scale(values: NDArray, method: Method) -> tuple[NDArray, NDArray
     if method == "quantile":
         return (low + high) / 2, np.maximum((high - low) / 2, CHANNEL_FLOOR)
     centre = np.median(values, 0)
-    scale = np.maximum(MAD_TO_STD * np.median(np.abs(values - centre), 0), (high - low) / (2 * TAIL_STD))
+    scale = np.maximum(MAD_TO_SD * np.median(np.abs(values - centre), 0), (high - low) / (2 * TAIL_STD))
     return centre, np.maximum(scale, CHANNEL_FLOOR)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from candata.align import grid, period_ns, resample
+from candata.datasets.writing import replacing
 from candata.errors import DataError, UsageError, Where
 from candata.formats._columns import numbers, read_columns
 from candata.policies._contract import Array, Motion, Plan
@@ -64,6 +64,11 @@ def write_motions(path: str | Path, scene: Scene, motions: Sequence[Motion]) -> 
     scene : Scene
         For names, units, rate and digest.
     motions : sequence of Motion
+
+    Raises
+    ------
+    SetupError
+        When it cannot be written.
     """
     path = Path(path)
     lengths = [len(m.commands) for m in motions]
@@ -86,10 +91,8 @@ def write_motions(path: str | Path, scene: Scene, motions: Sequence[Motion]) -> 
         "object_shift_m": [[float(v) for v in m.object_shift_m] for m in motions],
     }
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={_KEY: json.dumps(metadata)}))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part_path = path.with_name(f".{path.name}.part")
-    pq.write_table(table, part_path, compression="zstd")
-    os.replace(part_path, path)
+    with replacing(path, "motion") as draft:
+        pq.write_table(table, draft, compression="zstd")
     return path
 
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from candata.errors import SetupError, UsageError, Where
+from candata.datasets.drafts import draft_beside, place, refuse_standing
+from candata.datasets.durable import sync
+from candata.datasets.writing import refused
 from candata.formats._mcap_scan import Scan
 
 
@@ -63,22 +64,10 @@ def recover(log: Path, out: Path | None = None) -> RecoveredLog:
     """
     scan = Scan(log)
     out = out or log.with_name(f"{log.stem}.recovered.mcap")
-    if out.exists():
-        raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
-    draft = out.with_name(f".{out.name}.{os.getpid()}")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        counts, duration_s = _copy(scan, draft)
-        draft.rename(out)
-    except OSError as error:
-        raise SetupError(
-            "the recovered log cannot be written",
-            found=error.strerror or str(error),
-            where=Where(path=str(out)),
-            fix="choose another --out",
-        ) from None
-    finally:
-        draft.unlink(missing_ok=True)
+    refuse_standing(out)
+    with refused(out, "recovered log", "choose another --out"), draft_beside(out) as folder:
+        counts, duration_s = _copy(scan, folder / out.name)
+        place(folder / out.name, out)
     size = log.stat().st_size
     return RecoveredLog(str(log), str(out), not scan.whole, scan.damaged_chunks, counts, duration_s, scan.end, size)
 
@@ -98,8 +87,7 @@ def _copy(scan: Scan, draft: Path) -> tuple[dict[str, int], float]:
                 last_ns = max(last_ns, record.log_time)
                 counts[topic] = counts.get(topic, 0) + 1
         copy.finish()
-        file.flush()
-        os.fsync(file.fileno())
+    sync(draft)
     return counts, (last_ns - first_ns) / 1e9
 
 

@@ -9,36 +9,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import active, effect, flatten, parameters_on, setting
-from candata.repair.fields import OPTIONS, differences, read
+from candata.repair.fields import DIRECT_FIELDS, OPTIONS, differences, read
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
 from candata.simulate.world import build_worlds
 
 Array = NDArray[np.float64]
-#: Model array -> (kind of spec element, attribute) that a parameter of the toolbox can write.
-SPEC = {
-    "geom_friction": ("geom", "friction"),
-    "geom_solref": ("geom", "solref"),
-    "geom_solimp": ("geom", "solimp"),
+#: Whole numbers of a model, which no fit moves.
+WHOLE_NUMBERS = ("geom_condim", "geom_priority", "pair_dim")
+#: Model array -> (kind of spec element, attribute) of what a parameter of the toolbox can write.
+SPEC = {array: place for array, place in DIRECT_FIELDS.items() if array not in WHOLE_NUMBERS} | {
     "geom_size": ("geom", "size"),
     "geom_pos": ("geom", "pos"),
-    "pair_friction": ("pair", "friction"),
-    "pair_solref": ("pair", "solref"),
-    "pair_solimp": ("pair", "solimp"),
-    "dof_damping": ("joint", "damping"),
-    "dof_frictionloss": ("joint", "frictionloss"),
-    "dof_armature": ("joint", "armature"),
     "actuator_gainprm": ("actuator", "gainprm"),
     "actuator_biasprm": ("actuator", "biasprm"),
-    "actuator_forcerange": ("actuator", "forcerange"),
     "body_mass": ("body", "mass"),
     "body_inertia": ("body", "inertia"),
     "body_ipos": ("body", "ipos"),
 }
-#: Attributes whose model array holds the first number only: damping may grow with speed.
+#: Attributes of which the model's array is the first number only: damping may grow with speed.
 FIRST_NUMBER_ONLY = ("damping",)
-#: Largest distance from a straight line that still counts as one, as a share of the largest change.
+#: How far from a straight line still counts as one, of the largest change.
 STRAIGHT = 1e-9
 
 
@@ -78,7 +70,7 @@ def free_parameters(
     effects : sequence of EffectSetting
         All effects, at their start values.
     effect_number : int
-        Index of the effect whose parameters are asked for.
+        Index of the one asked for.
     names : mujoco.MjModel
         A model of the same elements in which each that matters has a name.
     """
@@ -122,7 +114,7 @@ def _places(
     bounds: tuple[float, float],
     names: mujoco.MjModel,
 ) -> list[ParameterTarget] | None:
-    """Return the numbers that one component moves along straight lines; None where none can be written."""
+    """Return what one component moves; None where that is not a straight line, or nothing that can be written."""
     s = effects[effect_number]
     models, values = [], [bounds[0] + share * (bounds[1] - bounds[0]) for share in (0.25, 0.5, 0.8)]
     for value in values:

@@ -12,6 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.datasets import Dataset
+from candata.datasets.drafts import draft_beside
+from candata.datasets.durable import encode_record, replace_synced, sync
+from candata.datasets.writing import refused
 from candata.effects import Parameter, effect, effect_names, setting
 from candata.errors import DataError, UsageError, Where
 from candata.scenes import Scene
@@ -22,6 +25,8 @@ from candata.schema.text_bounds import TextError
 
 ANY_EFFECT = "any"
 SALT_BYTES = 32
+#: Rights of a sealed file: its owner reads and writes it.
+_OWNER_ALONE = 0o600
 
 
 class Seal(Record):
@@ -224,23 +229,20 @@ def secret_number(seed: int, salt: str, purpose: str) -> int:
 
 
 def write_once(path: Path, seal: Record) -> None:
-    """Write the sealed file whole, mode 0600, synced with its folder; who came first wins."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
-    handle = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write((seal.model_dump_json(indent=1) + "\n").encode())
-            file.flush()
-            os.fsync(file.fileno())
+    """Write the sealed file whole, for its owner alone; who came first wins.
+
+    Raises
+    ------
+    SetupError
+        When it cannot be written.
+    """
+    with refused(path, "seal"), draft_beside(path) as folder:
+        draft = folder / path.name
+        draft.touch(_OWNER_ALONE)
+        draft.write_bytes(encode_record(seal))
+        sync(draft)
         _link(draft, path)
-    finally:
-        draft.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+        sync(path.parent)
 
 
 def _link(draft: Path, path: Path) -> None:
@@ -250,4 +252,4 @@ def _link(draft: Path, path: Path) -> None:
     except FileExistsError:
         return
     except OSError:
-        draft.replace(path)
+        replace_synced(draft, path)

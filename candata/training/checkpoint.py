@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
-from candata.datasets.durable import sync
 from candata.errors import DataError, UsageError, Where
 from candata.schema.json_text import parse_json
+from candata.training.runs import run_file
 from candata.training.settings import Progress, Run
 
 SUFFIX = ".safetensors"
@@ -59,31 +59,22 @@ class Checkpoint:
 
 
 def save(path: Path, run: Run, progress: Progress, groups: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
-    """Write a checkpoint whole or not at all: staged, synced, renamed.
+    """Write a checkpoint whole or not at all.
 
     Raises
     ------
-    OSError
+    SetupError
         When the disk is full or cannot be written; what stood at `path` is unharmed.
     """
     tensors: dict[str, torch.Tensor] = {}
     for group, group_tensors in groups.items():
         tensors |= {f"{group}/{name}": value for name, value in _separate_copies(group_tensors).items()}
     header = {"run": run.model_dump_json(), "progress": progress.model_dump_json()}
-    part_path = path.with_name(f".{path.name}.part")
-    try:
-        part_path.touch()
-        mode = part_path.stat().st_mode
+    with run_file(path) as draft:
         try:
-            save_file(tensors, part_path, header)
+            save_file(tensors, draft, header)
         except SafetensorError as error:  # what it makes of a full disk
             raise OSError(str(error)) from None
-        part_path.chmod(mode)  # safetensors gives a file to its owner alone
-        sync(part_path)
-        os.replace(part_path, path)
-        sync(path.parent)
-    finally:
-        part_path.unlink(missing_ok=True)
 
 
 def _separate_copies(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
@@ -100,15 +91,11 @@ def _separate_copies(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Ten
 
 def copy(source: Path, target: Path) -> None:
     """Give the checkpoint `source` a second name; checkpoints are replaced, never changed."""
-    part_path = target.with_name(f".{target.name}.part")
-    part_path.unlink(missing_ok=True)
-    try:
-        os.link(source, part_path)
-    except OSError:  # a file system without hard links
-        part_path.write_bytes(source.read_bytes())
-        sync(part_path)
-    os.replace(part_path, target)
-    sync(target.parent)
+    with run_file(target) as draft:
+        try:
+            draft.hardlink_to(source)
+        except OSError:  # a file system without hard links
+            shutil.copyfile(source, draft)
 
 
 def read(path: Path) -> Checkpoint:

@@ -1,4 +1,4 @@
-"""Scores of forecasts: ADD-S and its AUC, energy score, F1, Wilson interval."""
+"""Scores of forecasts: ADD-S and its AUC, energy score, F1."""
 
 from __future__ import annotations
 
@@ -16,8 +16,6 @@ Array = NDArray[np.float64]
 ADDS_LIMIT_M = 0.1
 #: A final position this near the true one is a success. Source: arXiv 2601.12796, section on evaluation.
 SUCCESS_M = 0.05
-#: Two-sided 95 % quantile of the standard normal distribution.
-Z_95 = 1.959963984540054
 #: Distances that are found at once: half a megabyte of them stays in a core's cache.
 _DISTANCES = 1 << 16
 #: Poses whose points are moved at once.
@@ -148,16 +146,3 @@ def f1(predicted: NDArray, truth: NDArray) -> dict[str, float | None]:
         "recall": hits / true_count if true_count else None,
         "f1": 2 * hits / (predicted_count + true_count) if predicted_count + true_count else None,
     }
-
-
-def wilson(successes: int, total: int, z: float = Z_95) -> tuple[float, float]:
-    """Return the interval `(low, high)` of a share, 95 % by default; (0, 1) for no trials.
-
-    Source: E. B. Wilson, "Probable Inference, the Law of Succession, and Statistical Inference", JASA 22(158), 1927.
-    """
-    if total == 0:
-        return 0.0, 1.0
-    share, square = successes / total, z * z / total
-    centre = (share + square / 2) / (1 + square)
-    half_width = z / (1 + square) * math.sqrt(share * (1 - share) / total + square / (4 * total))
-    return max(0.0, centre - half_width), min(1.0, centre + half_width)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
-from candata.datasets.durable import encode_record, ensure_folder, exclusive_lock, sync
-from candata.errors import SetupError, UsageError, Where
+from candata.datasets.drafts import is_draft
+from candata.datasets.durable import encode_record, ensure_folder, exclusive_lock
+from candata.datasets.writing import refused, replacing
+from candata.errors import UsageError, Where
 from candata.loaders import Split, split_digest
 from candata.schema.json_text import MOST_BYTES, parse_json
 from candata.schema.record import Record
@@ -19,6 +20,7 @@ from candata.training.settings import Run
 FILE = "run.json"
 #: Who trains, validates and tests, beside it.
 SPLIT = "split.json"
+_FIX = "free space or choose another --out; the same command goes on from the last checkpoint"
 
 
 class Splits(Record):
@@ -67,7 +69,7 @@ def refuse_foreign(folder: Path) -> None:
     if not folder.is_dir() or (folder / FILE).is_file():
         return
     file_names = sorted(p.name for p in folder.iterdir())
-    if set(file_names) - {SPLIT, f".{SPLIT}.part", f".{FILE}.part"}:
+    if any(name != SPLIT and not is_draft(name) for name in file_names):
         raise UsageError(
             "the output folder holds something that is no run",
             expected=f"a new folder, or one with {FILE}",
@@ -90,25 +92,19 @@ def writing(folder: Path) -> Iterator[None]:
     """
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"--out {folder} is a file", expected="a folder", found="a file", fix="name another folder")
-    try:
-        with exclusive_lock(ensure_folder(folder), "another process trains into this folder"):
-            yield
-    except OSError as error:
-        raise SetupError(
-            "the run cannot be written",
-            found=error.strerror or str(error),
-            where=Where(path=str(folder)),
-            fix="free space or choose another --out; the same command goes on from the last checkpoint",
-        ) from None
+    with refused(folder, "run", _FIX), exclusive_lock(ensure_folder(folder), "another process trains into this folder"):
+        yield
+
+
+def run_file(path: Path) -> AbstractContextManager[Path]:
+    """Return the draft of a file of the run, which takes its place; a folder that was moved away is not made anew."""
+    return replacing(path, "run", _FIX, parents=False)
 
 
 def _write(path: Path, record: Record) -> None:
     """Write a record whole or not at all."""
-    part_path = path.with_name(f".{path.name}.part")
-    part_path.write_bytes(encode_record(record))
-    sync(part_path)
-    os.replace(part_path, path)
-    sync(path.parent)
+    with run_file(path) as draft:
+        draft.write_bytes(encode_record(record))
 
 
 def read_run(folder: Path) -> Run:

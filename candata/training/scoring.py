@@ -7,9 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import binomtest
 
 from candata.loaders import Windows
 from candata.loaders.increments import integrate
+from candata.statistics import resamples
 from candata.training import metrics
 from candata.training.forecasters import Forecaster
 from candata.training.poses import mean_pose, position_error, rotation_error
@@ -175,7 +177,7 @@ def _closed_loop_scores(course: Course, errors: _Errors) -> ClosedLoopScores:
     is_valid, final = course.valid, _final(course, errors.position)
     truth = None if course.contact is None else course.contact[:, course.observed.shape[1] :]
     count, total = int((final <= metrics.SUCCESS_M).sum()), len(final)
-    low, high = metrics.wilson(count, total)
+    low, high = map(float, binomtest(count, total).proportion_ci(0.95, "wilson"))
     return ClosedLoopScores(
         adds_auc=metrics.auc(errors.adds[is_valid]) if errors.adds is not None else None,
         adds_m=float(errors.adds[is_valid].mean()) if errors.adds is not None else None,
@@ -200,8 +202,8 @@ def _auc_gain(course: Course, model: _Errors, reference: _Errors, seed: int) -> 
     value = float((sums[0] - sums[1]).sum() / counts.sum())
     if len(counts) < LEAST_EPISODES:
         return Gain(value=value, low=None, high=None)
-    resampled_indices = np.random.default_rng([seed, 3]).integers(0, len(counts), (RESAMPLES, len(counts)))
-    gains = (sums[0] - sums[1])[resampled_indices].sum(1) / counts[resampled_indices].sum(1)
+    picks = resamples(np.random.default_rng([seed, 3]), len(counts), RESAMPLES)
+    gains = (sums[0] - sums[1])[picks].sum(1) / counts[picks].sum(1)
     low, high = np.quantile(gains, (0.025, 0.975))
     return Gain(value=value, low=float(low), high=float(high))
 

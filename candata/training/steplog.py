@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 from candata.schema.json_text import parse_json
+from candata.training.runs import run_file
 
 NAME = "log.jsonl"
 
@@ -20,9 +20,8 @@ class StepLog:
     def __init__(self, folder: Path, step: int) -> None:
         self._path = folder / NAME
         earlier_lines = [line for line in read_log(folder) if line["step"] <= step]
-        part_path = self._path.with_name(f".{NAME}.part")
-        part_path.write_text("".join(_line(line) for line in earlier_lines))
-        os.replace(part_path, self._path)
+        with run_file(self._path) as draft:
+            draft.write_text("".join(_line(line) for line in earlier_lines))
         self._file = self._path.open("a")
 
     def write(self, **values: Any) -> None:

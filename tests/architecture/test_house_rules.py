@@ -20,6 +20,9 @@ UNBOUNDED = {
     *("checks/defects.py", "datasets/filtering.py", "record/reader.py", "record/reader_link.py", "repair/script.py"),
     *("reports/offscreen.py", "scenes/first_load.py", "schema/json_text.py", "schema/yaml_text.py"),
 }
+#: Modules that rename files over others: the one atomic write, a link that leads to a port, a trial of the disk, and
+#: a pull, which syncs its folders once when all files have come.
+REPLACING = {"datasets/durable.py", "datasets/probe.py", "datasets/pull.py", "record/emulate_line.py"}
 PICKLES = {"pickle", "cPickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
 
 Definition = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef
@@ -70,6 +73,23 @@ def test_everything_public_has_a_docstring(path):
     tree = tree_of(path)
     assert ast.get_docstring(tree) or not tree.body, "the module says nothing of itself"
     assert not [node.name for node in public(tree.body) if not ast.get_docstring(node)]
+
+
+def replaces_files(path: Path) -> bool:
+    """Whether a module calls `os.replace(draft, path)` or `draft.replace(path)`; texts and records take two values."""
+    calls = [node for node in ast.walk(tree_of(path)) if isinstance(node, ast.Call)]
+    return any(
+        ast.unparse(node.func) == "os.replace"
+        or (
+            (isinstance(node.func, ast.Attribute) and node.func.attr == "replace" and not node.keywords)
+            and len(node.args) == 1
+        )
+        for node in calls
+    )
+
+
+def test_files_are_replaced_in_one_place():
+    assert {str(path.relative_to(ROOT / "candata")) for path in LIBRARY if replaces_files(path)} == REPLACING
 
 
 @pytest.mark.parametrize("path", SOURCE, ids=ids(SOURCE))

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 #: Rooms from the top down; rooms of one row are of one level.
 LAYERS = (
-    ("errors", "units", "plugins", "rotation", "lfs", "user_folders"),
+    ("errors", "units", "plugins", "rotation", "lfs", "user_folders", "statistics"),
     ("schema",),
     ("align",),
     ("datasets",),

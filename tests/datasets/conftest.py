@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from candata.datasets import append, create_dataset, open_dataset, put_cloud
-from candata.datasets.remotes import Store, open_remote
+from candata.datasets.remotes import open_remote
+from candata.datasets.store import Store
 from candata.datasets.tagging import set_tag
 from candata.loaders.splits import make_split, save_split
 from candata.schema.episode import Episode

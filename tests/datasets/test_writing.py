@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -42,3 +43,33 @@ def test_a_folder_that_is_none_is_said(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(SetupError, match="the page cannot be written"):
         write_text(tmp_path / "file" / "page.html", "new")
+
+
+def test_a_file_has_the_rights_of_new_files_whatever_its_writer_gave(tmp_path):
+    umask = os.umask(0o027)
+    try:
+        with replacing(tmp_path / "page.html") as draft:
+            draft.touch(0o600)
+    finally:
+        os.umask(umask)
+    assert (tmp_path / "page.html").stat().st_mode & 0o777 == 0o640
+
+
+def test_ctrl_c_leaves_the_old_file_and_no_draft(tmp_path):
+    path = write_text(tmp_path / "page.html", "old")
+
+    def stop():
+        with replacing(path) as draft:
+            draft.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stop()
+    assert path.read_text() == "old"
+    assert [one.name for one in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_a_folder_that_was_moved_away_is_not_made_anew(tmp_path):
+    with pytest.raises(SetupError, match="the page cannot be written"), replacing(tmp_path / "a/page", parents=False):
+        pass
+    assert list(tmp_path.iterdir()) == []

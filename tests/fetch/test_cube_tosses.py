@@ -11,7 +11,7 @@ import yaml
 
 from candata.errors import DataError
 from candata.fetch._files import git_tree_hash
-from candata.fetch.cube_tosses import FOLDER, MAP, SOURCE, from_archive, from_folder, toss_columns
+from candata.fetch.cube_tosses import FOLDER, MAP, SOURCE, TOSSES, toss_columns
 from candata.formats._mapping import read_map
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cube_tosses"
@@ -51,7 +51,7 @@ SHA256_OF_TEXT = "982d9e3eb996f559e633f4d194def3761d909f5a3b647d1a851fead67c32c9
 
 def test_an_archive_gives_the_tosses_in_the_order_of_their_numbers(archive):
     path, tree = archive
-    fetched = from_archive(path, tree, SHA256_OF_TEXT)
+    fetched = TOSSES.from_archive(path, tree, SHA256_OF_TEXT)
     episodes = list(fetched.episodes)
     assert [(e.meta.id, len(e)) for e in episodes] == [("tosses-2", 4), ("tosses-10", 3)]
     assert fetched.notice == "text"
@@ -62,13 +62,13 @@ def test_an_archive_gives_the_tosses_in_the_order_of_their_numbers(archive):
 def test_an_archive_with_other_data_or_licence_is_refused(archive):
     path, tree = archive
     with pytest.raises(DataError, match="is not the published folder") as caught:
-        from_archive(path)
+        TOSSES.from_archive(path)
     assert caught.value.found == f"git tree {tree}, 2 files"
     with pytest.raises(DataError, match="the licence file is missing or another one"):
-        from_archive(path, tree)
+        TOSSES.from_archive(path, tree)
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(DataError, match="the archive cannot be read") as caught:
-        from_archive(path, tree)
+        TOSSES.from_archive(path, tree)
     assert caught.value.fix == "delete the file and fetch again"
 
 
@@ -97,11 +97,11 @@ def test_a_toss_that_is_no_archive_is_named():
 
 def test_a_folder_without_the_licence_or_with_another_table_is_refused(tmp_path, shared):
     with pytest.raises(DataError, match=r"LICENSE.txt is missing"):
-        from_folder(tmp_path)
+        TOSSES.from_folder(tmp_path)
     (tmp_path / "LICENSE.txt").write_bytes((shared / "realdata/cube_tosses/LICENSE.txt").read_bytes())
     (tmp_path / "tosses.parquet").write_bytes(b"PAR1")
     with pytest.raises(DataError, match=r"tosses.parquet is not the published file"):
-        from_folder(tmp_path)
+        TOSSES.from_folder(tmp_path)
 
 
 def test_the_example_s_map_is_the_source_s():
@@ -125,7 +125,7 @@ def test_the_example_s_scene_is_the_cube_of_the_recordings():
 
 
 def test_the_prepared_tosses(shared):
-    episodes = list(from_folder(shared / "realdata" / "cube_tosses").episodes)
+    episodes = list(TOSSES.from_folder(shared / "realdata" / "cube_tosses").episodes)
     assert len(episodes) == 550
     assert sum(map(len, episodes)) == 58_362
     lengths = [len(episode) for episode in episodes]

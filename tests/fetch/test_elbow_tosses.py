@@ -13,7 +13,7 @@ import pytest
 
 from candata.errors import DataError
 from candata.fetch._files import git_tree_hash
-from candata.fetch.elbow_tosses import FOLDER, MAP, from_archive, from_folder, toss_columns
+from candata.fetch.elbow_tosses import FOLDER, MAP, TOSSES, toss_columns
 from candata.formats._mapping import read_map
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "elbow_tosses"
@@ -52,9 +52,9 @@ def test_another_archive_is_refused(tmp_path):
             member.size = len(content)
             tar.addfile(member, io.BytesIO(content))
     with pytest.raises(DataError, match="is not the published folder"):
-        from_archive(path)
+        TOSSES.from_archive(path)
     with pytest.raises(DataError, match="the licence file is missing or another one"):
-        from_archive(path, git_tree_hash(tosses))
+        TOSSES.from_archive(path, git_tree_hash(tosses))
 
 
 def test_the_example_s_map_is_the_source_s():
@@ -70,7 +70,7 @@ def test_the_example_s_links_are_those_of_the_recordings():
 
 
 def test_the_prepared_tosses(shared):
-    episodes = list(from_folder(shared / "realdata" / "elbow_tosses").episodes)
+    episodes = list(TOSSES.from_folder(shared / "realdata" / "elbow_tosses").episodes)
     assert len(episodes) == 541
     assert {len(e) for e in episodes} == {121}
     assert episodes[0].meta.joint_names == ("hinge",)

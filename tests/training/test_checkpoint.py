@@ -10,7 +10,7 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from candata.errors import DataError, UsageError
+from candata.errors import DataError, SetupError, UsageError
 from candata.training import checkpoint, ema, steplog
 from candata.training.loop import train
 
@@ -81,7 +81,7 @@ def test_a_save_that_fails_leaves_the_old_one(tmp_path, job, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(checkpoint, "save_file", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(SetupError, match="No space"):
         checkpoint.save(path, made.run, checkpoint.read(path).progress, {})
     assert path.read_bytes() == before
     assert not list(tmp_path.glob(".*"))
@@ -97,7 +97,7 @@ def test_a_full_disk_leaves_the_old_one(tmp_path, job):
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, old[1]))
     try:
-        with pytest.raises(OSError, match="too large"):
+        with pytest.raises(SetupError, match="too large"):
             checkpoint.save(
                 path, job().run, checkpoint.read(path).progress, {"weights": checkpoint.read(path).tensors("weights")}
             )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
-from scipy.stats import binomtest
 
 from candata.rotation import exp, multiply, normalise, rotate
 from candata.training import metrics
@@ -101,16 +100,6 @@ def test_f1():
     found = metrics.f1(np.array([1, 1, 0, 0, 1]), np.array([1, 0, 1, 0, 1]))
     assert found == {"precision": 2 / 3, "recall": 2 / 3, "f1": 2 / 3}
     assert metrics.f1(np.zeros(3), np.zeros(3)) == {"precision": None, "recall": None, "f1": None}
-
-
-@pytest.mark.parametrize(("successes", "total"), [(0, 7), (14, 19), (200, 200), (1, 1)])
-def test_the_wilson_interval_is_that_of_scipy(successes, total):
-    known = binomtest(successes, total).proportion_ci(method="wilson")
-    assert metrics.wilson(successes, total) == pytest.approx((known.low, known.high), abs=1e-12)
-
-
-def test_no_trials_leave_every_share_open():
-    assert metrics.wilson(0, 0) == (0.0, 1.0)
 
 
 def test_turned_and_moved_together_nothing_changes(rng):

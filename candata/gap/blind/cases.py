@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
-from candata.datasets.durable import temporary_folder
+from candata.datasets.drafts import draft_beside, place
 from candata.errors import DataError, UsageError, Where
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
@@ -181,17 +181,16 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
         for i in range(episodes)
     ]
     made = hidden_world(scene, label, plans, duration_s)
-    draft = path.with_name(f".{path.name}")
-    shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
     case = CaseFile(
         name=path.name, scene=_seen_from(scene_name, path), scene_digest=scene.digest, episodes=episodes, sealed=sealed
     )
-    with temporary_folder(draft):
+    with draft_beside(path) as drafts:
+        draft = drafts / path.name
         create_dataset(draft, path.name)
         append(draft, made, Lineage(operation="blind case", sealed=sealed))
         (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
-        draft.replace(path)
+        place(draft, path)
     return path.name
 
 

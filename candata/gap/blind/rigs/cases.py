@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from candata.datasets import append, create_dataset
-from candata.datasets.durable import temporary_folder
+from candata.datasets.drafts import draft_beside, place
 from candata.gap.blind.cases import CASE, CASES, LABELS, missing_cases, standing_labels
 from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
@@ -190,16 +190,15 @@ def write_rig_case(path: Path, label: Label, sealed: str, number: int, duration_
     read = [
         noisy(rig, episode_reading(world, log, one.lead), rng) for log, one in zip(played, drawn.outlines, strict=True)
     ]
-    draft = path.with_name(f".{path.name}")
-    shutil.rmtree(draft, ignore_errors=True)
     shutil.rmtree(path, ignore_errors=True)
     case = CaseFile(name=path.name, scene="scene.yaml", episodes=number, sealed=sealed)
-    with temporary_folder(draft):
+    with draft_beside(path) as drafts:
+        draft = drafts / path.name
         create_dataset(draft, path.name)
         append(draft, episodes(rig, drawn.outlines, read), Lineage(operation="blind case", sealed=sealed))
         (draft / "scene.xml").write_text(rig.xml + "\n")
         vouch(draft / "scene.xml")
         (draft / "scene.yaml").write_text(rig.yaml)
         (draft / CASE).write_text(case.model_dump_json(indent=1) + "\n")
-        draft.replace(path)
+        place(draft, path)
     return drawn

@@ -1,0 +1,56 @@
+"""No modules of the library import one another in a circle, not even for types or inside functions."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from graphlib import CycleError, TopologicalSorter
+
+import pytest
+
+from tests.architecture.test_layers import LIBRARY, ROOT, modules_imported
+
+#: Modules of the diagnosis whose circles still stand.
+STANDING = {f"candata.gap.{name}" for name in ("compare", "local", "refine", "screen", "search", "shortlist", "stage")}
+
+
+def imports() -> dict[str, set[str]]:
+    """Return what each module imports; a name from a package counts as its module, or else as the package."""
+    dotted_names = {path: ".".join(path.relative_to(ROOT).with_suffix("").parts) for path in LIBRARY}
+    modules = {name.removesuffix(".__init__"): path for path, name in dotted_names.items()}
+    graph: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        names = modules_imported(path, ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        targets = {name if name in modules else name.rpartition(".")[0] for name in names}
+        graph[module] = targets & modules.keys() - {module}
+    return graph
+
+
+def circle(graph: Mapping[str, set[str]]) -> list[str]:
+    """Return the modules of one circle; none where there is none."""
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def test_no_modules_import_one_another_in_a_circle():
+    graph = imports()
+    assert len(graph) == len(LIBRARY)
+    assert circle({name: graph[name] - STANDING if name in STANDING else graph[name] for name in graph}) == []
+
+
+@pytest.mark.parametrize("module", sorted(STANDING))
+def test_what_is_excepted_is_still_in_a_circle(module):
+    graph = imports()
+    reached, waiting = set(), set(graph[module])
+    while waiting:
+        name = waiting.pop()
+        reached.add(name)
+        waiting |= graph[name] - reached
+    assert module in reached
+
+
+def test_the_rule_sees_a_circle():
+    assert circle({"a": {"b"}, "b": {"c"}, "c": {"a"}}) != []
