@@ -29,7 +29,7 @@ from candata.scenes import Scene, load_scene
 from candata.scenes.roles import builtin_scenes
 from candata.schema.bench import Label
 from candata.schema.manifest import Lineage
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: Episodes of a set: of a built-in scene, and of a random small one.
 SETS = {"built-in": 24, "random small": 12}
@@ -80,7 +80,7 @@ def _built_in(path: Path, number: int, seed: int) -> Scene:
     motions = scene.policies if rng.random() < 0.6 else rng.choice(scene.policies, 1).tolist()
     numbers = range(SETS["built-in"])
     first = int(rng.integers(2**31))
-    jobs = [Job(id=f"e{i:02d}", index=i, policy=motions[i % len(motions)], seed=first) for i in numbers]
+    jobs = [EpisodeJob(id=f"e{i:02d}", index=i, policy=motions[i % len(motions)], seed=first) for i in numbers]
     noise = scene.file.noise if rng.random() < 0.75 else None
     made = make_episodes(scene, jobs, duration_s=float(rng.choice(DURATIONS_S)), noise=noise)
     create_dataset(path)

@@ -34,7 +34,7 @@ from candata.gap.starts import starts
 from candata.policies import Motion
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 SCENE, DURATION_S, CLEAR_SE = "xhand_tabletop", 3.2, 2.0
 #: Points of the first grid of a fit, and evaluations after it.
@@ -68,7 +68,7 @@ TIES = {
 def record(scene: Scene, motion: Motion, world: EffectSet, count: int, seed: int) -> Problem:
     """Return the search problem of `count` noisy episodes of a motion in a world."""
     rng = np.random.default_rng(seed)
-    jobs = [Job(f"e{i}", i, motion.name, seed, world, hidden=True, motion=motion) for i in range(count)]
+    jobs = [EpisodeJob(f"e{i}", i, motion.name, seed, world, hidden=True, motion=motion) for i in range(count)]
     replayer = Replayer(scene)
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=DURATION_S, noise=scene.file.noise))
     begin = starts(scene, recs)

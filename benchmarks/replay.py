@@ -21,7 +21,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer, replay
 from candata.gap.starts import starts
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 TARGET = 0.8
 
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     args = parser.parse_args()
     scene = load_scene(args.scene)
-    jobs = [Job(f"e{i}", i, scene.policies[i % len(scene.policies)], 1) for i in range(args.episodes)]
+    jobs = [EpisodeJob(f"e{i}", i, scene.policies[i % len(scene.policies)], 1) for i in range(args.episodes)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=3.2, noise=scene.file.noise))
     begin = starts(scene, recs)
     delay = setting("actuation_delay", np.array([0.01]), scene)

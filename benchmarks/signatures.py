@@ -24,7 +24,7 @@ from candata.gap.wanted import Depth
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 SCENE = "xhand_tabletop"
 TRUTH = (EffectSetting(name="joint_damping", parameters={"damping_Nms_rad": 0.03}),)
@@ -43,7 +43,8 @@ class Cost(NamedTuple):
 def recorded(scene: Scene, folder: Path, episodes: int, duration_s: float) -> Path:
     """Return a dataset of the built-in hand with damped joints."""
     jobs = [
-        Job(f"e{i:03d}", i, scene.policies[i % len(scene.policies)], 1, TRUTH, hidden=True) for i in range(episodes)
+        EpisodeJob(f"e{i:03d}", i, scene.policies[i % len(scene.policies)], 1, TRUTH, hidden=True)
+        for i in range(episodes)
     ]
     create_dataset(folder, "real")
     append(

@@ -29,7 +29,7 @@ from candata.gap.blind.rigs.situations import TOUCHED
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import Label
 from candata.schema.episode import Episode
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: Episodes of a set, and their length [s] in built-in scenes.
 EPISODES, DURATION_S = 12, 2.4
@@ -67,7 +67,7 @@ class Sound(NamedTuple):
 def built_in(name: str, seed: int) -> Sound:
     """Return recordings of a built-in scene, all of its motions in turns."""
     scene = load_scene(name)
-    jobs = [Job(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], seed) for i in range(EPISODES)]
+    jobs = [EpisodeJob(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], seed) for i in range(EPISODES)]
     return Sound(name, scene, make_episodes(scene, jobs, duration_s=DURATION_S, noise=scene.file.noise))
 
 

@@ -157,11 +157,11 @@ def _simulated_episode(scene_name: str, policy: str | None, seed: int, duration_
     """Return a simulated episode with the scene's sensor noise."""
     from candata.scenes import load_scene
     from candata.simulate.episodes import make_episodes
-    from candata.simulate.jobs import Recipe, check, job, possible_policies
+    from candata.simulate.jobs import GenerationRecipe, check, job, possible_policies
 
     scene = load_scene(scene_name)
     policies = (policy,) if policy else possible_policies(scene)[:1]
-    recipe = Recipe(scene=scene_name, seed=seed, policies=policies, duration_s=duration_s, noise=True)
+    recipe = GenerationRecipe(scene=scene_name, seed=seed, policies=policies, duration_s=duration_s, noise=True)
     check(recipe, scene)
     return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
 

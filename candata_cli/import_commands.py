@@ -14,7 +14,7 @@ from candata_cli.outputs import check_output
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from candata.record.importing import ImportedLog, Recipe
+    from candata.record.importing import ImportedLog, ImportRecipe
     from candata.schema.episode import Episode
     from candata.schema.manifest import Lineage, VersionFile
 
@@ -238,7 +238,7 @@ def _import_logs(logs: list[Path], companions: list[Path], settings: dict, out: 
     _publish(out, append, episodes(), "import log", lineage, part_size=1)
 
 
-def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iterator[ImportedLog]:
+def _read_logs(logs: list[Path], companions: list[Path], recipe: ImportRecipe) -> Iterator[ImportedLog]:
     """Yield what each log becomes; only one is held."""
     from candata.record.companions import read_companion
     from candata.record.importing import import_log
@@ -253,16 +253,16 @@ def _read_logs(logs: list[Path], companions: list[Path], recipe: Recipe) -> Iter
         yield imported_log
 
 
-def _recipe(settings: dict) -> Recipe:
+def _recipe(settings: dict) -> ImportRecipe:
     """Return the recipe of an import, the scene's file read; it bears the file's name, not its path."""
-    from candata.record.importing import Recipe
+    from candata.record.importing import ImportRecipe
 
     if "scene" in settings:
         from candata.scenes import load_scene
 
         scene = load_scene(settings["scene"])
         settings = {**settings, "scene": Path(scene.name).name, "roles": scene.file}
-    return Recipe.parse({"episode": "", **settings}, "options")
+    return ImportRecipe.parse({"episode": "", **settings}, "options")
 
 
 @console.stoppable()

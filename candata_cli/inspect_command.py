@@ -12,7 +12,7 @@ from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.datasets import Dataset
-    from candata.datasets.compare import Comparison
+    from candata.datasets.compare import DatasetComparison
     from candata.datasets.summary import Summary
     from candata.schema.episode import EpisodeMeta
 
@@ -157,7 +157,7 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
 
 
-def _print_comparison(comparison: Comparison) -> None:
+def _print_comparison(comparison: DatasetComparison) -> None:
     """Print the rows that differ most for people."""
     from candata.reports.comparison import row_unit, verdict
     from candata.reports.inspection import units_of

@@ -15,7 +15,7 @@ from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.record.recorder_values import View
+    from candata.record.recorder_values import RecorderView
 
 _SHOW_S = 1.0
 
@@ -67,14 +67,14 @@ def record_real(
     """Record a real hand: listen, calibrate, log every byte and what it says, until Ctrl-C."""
     from candata.record.devices import device as device_named
     from candata.record.recorder import record
-    from candata.record.recorder_values import Settings
+    from candata.record.recorder_values import RecorderSettings
 
     check_output(out, "new")
     if duration is not None:
         _positive("duration", duration)
     stated_settings = {"newton_per_count": newton_per_count, "rate_hz": rate, "baud": baud}
     overrides = {name: _positive(name, value) for name, value in stated_settings.items() if value is not None}
-    settings = Settings(
+    settings = RecorderSettings(
         duration_s=duration,
         calibrate_s=0.0 if no_calibrate else calibrate_s,
         reconnect_s=reconnect,
@@ -178,7 +178,7 @@ def _until_signal() -> Iterator[Callable[[], bool]]:
 @contextmanager
 def _live_view(
     title: str, plain_text: bool, notes_only: bool
-) -> Iterator[tuple[Callable[[View], None], Callable[[str], None]]]:
+) -> Iterator[tuple[Callable[[RecorderView], None], Callable[[str], None]]]:
     """Yield `show(view)` and `say(text)`: a panel on a terminal, a line a second elsewhere; only notes when quiet."""
     import sys
     from contextlib import suppress
@@ -221,13 +221,13 @@ def _while_seen(tell: Callable[[Any], None]) -> Callable[[Any], None]:
     return tell_safely
 
 
-def _each_second() -> Callable[[View], None]:
+def _each_second() -> Callable[[RecorderView], None]:
     """Return a `show` that prints a line a second to stderr."""
     from candata.record.panel import line
 
     due = [_SHOW_S]
 
-    def show(view: View) -> None:
+    def show(view: RecorderView) -> None:
         if view.elapsed_s >= due[0]:
             due[0] = view.elapsed_s // _SHOW_S * _SHOW_S + _SHOW_S
             console.note(line(view))

@@ -15,7 +15,7 @@ from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.loaders import Mixture
-    from candata.training import Job, Progress, Report, Settings
+    from candata.training import Progress, TrainingJob, TrainingReport, TrainingSettings
 
 #: Shortest time between two lines of progress [s].
 _EVERY_S = {True: 0.5, False: 10.0}
@@ -146,7 +146,7 @@ def evaluate(
     console.note(f"page: {page}")
 
 
-def _tell_clipped(job: Job, stage: Callable[[str], None]) -> None:
+def _tell_clipped(job: TrainingJob, stage: Callable[[str], None]) -> None:
     """Tell how many values the normaliser clips."""
     if clip_counts := job.run.normaliser.get("clipped"):
         values = ", ".join(f"{name} {count:,}" for name, count in clip_counts.items())
@@ -203,21 +203,23 @@ def _settings(
     learning_rate: float | None,
     fine_tune: bool,
     noise: dict[str, float],
-) -> Settings:
+) -> TrainingSettings:
     """Return the settings of the run."""
     from candata.errors import UsageError
     from candata.loaders import Augmentation
-    from candata.training import Settings
+    from candata.training import TrainingSettings
     from candata.training.settings import FINE_TUNE_SHARE
 
-    defaults = Settings()
+    defaults = TrainingSettings()
     if learning_rate is None:
         learning_rate = defaults.learning_rate * (FINE_TUNE_SHARE if fine_tune else 1)
     if not 0 < learning_rate < 1:
         raise UsageError("--learning-rate is out of range", expected="between 0 and 1", found=f"{learning_rate:g}")
     length = steps if steps or minutes else defaults.steps
     augment = Augmentation.parse(noise, "noise of poses and commands")
-    return Settings(seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate, augment=augment)
+    return TrainingSettings(
+        seed=seed, batch=batch, steps=length, minutes=minutes, learning_rate=learning_rate, augment=augment
+    )
 
 
 def _yaml(path: Path | None) -> dict[str, Any] | None:
@@ -249,14 +251,14 @@ def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, handler)
 
 
-def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
+def _teller(stage: Callable[[str], None]) -> Callable[[TrainingReport], None]:
     """Return what turns reports into lines, not more of them than can be read."""
     import sys
     import time
 
     told_s = -1e9
 
-    def tell(report: Report) -> None:
+    def tell(report: TrainingReport) -> None:
         nonlocal told_s
         if time.monotonic() - told_s < _EVERY_S[sys.stderr.isatty()]:
             return
@@ -270,7 +272,7 @@ def _teller(stage: Callable[[str], None]) -> Callable[[Report], None]:
     return tell
 
 
-def _print_trained(job: Job, progress: Progress, out: Path, data: str, json: bool) -> None:
+def _print_trained(job: TrainingJob, progress: Progress, out: Path, data: str, json: bool) -> None:
     """Print what stands now."""
     from candata.loaders import share_report
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from candata.datasets.footer import Chunk, read_chunks
+from candata.datasets.footer import ColumnChunk, read_chunks
 from candata.errors import DataError, Where
 
 #: What may be unfolded at once from a file of any size [bytes]: half of the memory that a reader of untrusted data
@@ -80,7 +80,9 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None, group: int | 
     )
 
 
-def _decoded_bytes(chunks: Sequence[Chunk], leaves: Sequence[pq.ColumnSchema], columns: Sequence[str] | None) -> int:
+def _decoded_bytes(
+    chunks: Sequence[ColumnChunk], leaves: Sequence[pq.ColumnSchema], columns: Sequence[str] | None
+) -> int:
     """Return what a row group takes decoded, by its number of values and by its pages [bytes]."""
     total = 0
     for chunk, leaf in zip(chunks, leaves, strict=True):

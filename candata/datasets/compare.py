@@ -72,7 +72,7 @@ class ComparisonRow(ResultRecord):
     differs: bool | None
 
 
-class Comparison(ResultRecord):
+class DatasetComparison(ResultRecord):
     """What `candata inspect A --against B` prints; rows that differ first, then by `spreads`, the largest first.
 
     In units, `joint` stands for rad or m. `unmatched` says what only one side has, `notes` what else to know.
@@ -90,7 +90,7 @@ class Comparison(ResultRecord):
 class ComparisonResult:
     """A comparison, and the distributions behind its rows, in the same order."""
 
-    comparison: Comparison
+    comparison: DatasetComparison
     bars: tuple[Bars, ...]
 
 
@@ -135,7 +135,7 @@ def compare(dataset: Dataset, reference: Dataset, progress: Callable[[], None] =
     pools = [Pool.of(readers[0].found[key], readers[1].found[key], *sizes) for key in shared_keys]
     rows, bars = _rows(shared_keys, pools, *sizes)
     order = sorted(range(len(rows)), key=lambda i: (not rows[i].differs, -(rows[i].spreads or 0.0)))
-    comparison = Comparison(
+    comparison = DatasetComparison(
         this=readers[0].side(),
         against=readers[1].side(),
         step_s=step_s,

@@ -12,7 +12,7 @@ from candata.datasets.dataset import Dataset, EpisodePlace
 
 
 @dataclass(frozen=True)
-class Difference:
+class VersionDifference:
     """Episode ids, sorted, by what happened to them from the first version to the second.
 
     `changed` ids stand in both with different content; `same` counts those that are equal. `misstated` ids have a
@@ -36,7 +36,7 @@ def diff(
     second_version: Dataset,
     trust_manifests: bool = False,
     progress: Callable[[int], None] = lambda count: None,
-) -> Difference:
+) -> VersionDifference:
     """Return what leads from one version to another, of one dataset or two.
 
     Episodes of one id are read and hashed anew in both, but for those that lie in the same files.
@@ -70,7 +70,7 @@ def diff(
             claim[name] = digest
             progress(step)
     difference = _difference(*claims)
-    return Difference(
+    return VersionDifference(
         difference.added, difference.removed, difference.changed, difference.same, tuple(sorted(misstated_ids))
     )
 
@@ -101,11 +101,11 @@ def _same_files(first_folder: Path, second_folder: Path) -> bool:
     )
 
 
-def _difference(first_hashes: Mapping[str, str], second_hashes: Mapping[str, str]) -> Difference:
+def _difference(first_hashes: Mapping[str, str], second_hashes: Mapping[str, str]) -> VersionDifference:
     """Return what leads from one mapping of id to content hash to another."""
     common_ids = first_hashes.keys() & second_hashes.keys()
     changed_ids = {name for name in common_ids if first_hashes[name] != second_hashes[name]}
-    return Difference(
+    return VersionDifference(
         added=tuple(sorted(second_hashes.keys() - common_ids)),
         removed=tuple(sorted(first_hashes.keys() - common_ids)),
         changed=tuple(sorted(changed_ids)),

@@ -17,7 +17,7 @@ _MAGIC = b"PAR1"
 _ROW_GROUPS, _CHUNKS, _ROWS, _RECORD, _VALUES, _BYTES, _PATH = 4, 1, 3, 3, 5, 6, 3
 
 
-class Chunk(NamedTuple):
+class ColumnChunk(NamedTuple):
     """What a file claims of one column in one row group: its path, rows, values and size before compression."""
 
     column: str
@@ -26,7 +26,7 @@ class Chunk(NamedTuple):
     size_bytes: int
 
 
-def read_chunks(path: Path) -> list[list[Chunk]]:
+def read_chunks(path: Path) -> list[list[ColumnChunk]]:
     """Return what a file claims of each column of each row group.
 
     Raises
@@ -48,7 +48,7 @@ def read_chunks(path: Path) -> list[list[Chunk]]:
     try:
         return [
             [
-                Chunk(b".".join(record[_PATH]).decode(), group[_ROWS], record[_VALUES], record[_BYTES])
+                ColumnChunk(b".".join(record[_PATH]).decode(), group[_ROWS], record[_VALUES], record[_BYTES])
                 for record in (chunk[_RECORD] for chunk in group[_CHUNKS])
             ]
             for group in footer.struct()[_ROW_GROUPS]

@@ -27,12 +27,12 @@ class Origin:
     """
 
     dataset: str
-    steps: tuple[Step, ...]
+    steps: tuple[LineageStep, ...]
     known: bool = True
 
 
 @dataclass(frozen=True)
-class Step:
+class LineageStep:
     """One operation and the versions it took; `record` is its lineage without them."""
 
     record: Lineage
@@ -97,7 +97,9 @@ def _origin(label: str, lineage: Sequence[Lineage] | None) -> Origin:
     if lineage is None:
         return Origin(label, (), known=False)
     steps = [
-        Step(step.model_copy(update={"ancestry": {}}), tuple(_origin(p, step.ancestry.get(p)) for p in step.parents))
+        LineageStep(
+            step.model_copy(update={"ancestry": {}}), tuple(_origin(p, step.ancestry.get(p)) for p in step.parents)
+        )
         for step in lineage
     ]
     return Origin(label, tuple(steps))

@@ -24,7 +24,7 @@ from candata.scenes.assemble import Scene
 MAX_DELAY_S = 0.15
 
 
-class _Line(NamedTuple):
+class _CommandHistory(NamedTuple):
     """Past commands `(n, H, A)` one a physics step, delays in steps `(n, A)`."""
 
     commands: Array | None
@@ -32,7 +32,7 @@ class _Line(NamedTuple):
     history: int
 
 
-def _start(scene: Scene, x: Array, elements: Elements) -> _Line:
+def _start(scene: Scene, x: Array, elements: Elements) -> _CommandHistory:
     """Return an empty line; delays of joints that are not driven hinges are zero."""
     step = scene.model.opt.timestep
     steps = np.zeros((len(x), len(scene.actuator_ids)))
@@ -40,10 +40,10 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Line:
     for row, element in enumerate(elements):
         columns = [ids.index(a) for a in _select.servos(scene, element)]
         steps[row, columns] = x[row, 0] / step
-    return _Line(None, steps, int(np.ceil(MAX_DELAY_S / step)) + 2)
+    return _CommandHistory(None, steps, int(np.ceil(MAX_DELAY_S / step)) + 2)
 
 
-def _apply(line: _Line, u: Array) -> tuple[_Line, Array]:
+def _apply(line: _CommandHistory, u: Array) -> tuple[_CommandHistory, Array]:
     """Return the delayed commands `(n, S, A)`: the mean over each physics step of the shifted hold.
 
     A delay that is no whole number of steps mixes two commands by the share of the step each covers, so the

@@ -26,7 +26,7 @@ from candata.scenes.assemble import Scene
 MAX_LATENCY_S = 0.25
 
 
-class _Line(NamedTuple):
+class _PoseHistory(NamedTuple):
     """Past poses `(n, H, 7)` one a control step, latencies in control steps `(n,)`."""
 
     poses: Array | None
@@ -34,13 +34,13 @@ class _Line(NamedTuple):
     history: int
 
 
-def _start(scene: Scene, x: Array, elements: Elements) -> _Line:
+def _start(scene: Scene, x: Array, elements: Elements) -> _PoseHistory:
     """Return an empty line."""
     rate = scene.file.rate_hz
-    return _Line(None, x[:, 0] * rate, int(np.ceil(MAX_LATENCY_S * rate)) + 2)
+    return _PoseHistory(None, x[:, 0] * rate, int(np.ceil(MAX_LATENCY_S * rate)) + 2)
 
 
-def _apply(line: _Line, readings: dict[str, Array]) -> tuple[_Line, dict[str, Array]]:
+def _apply(line: _PoseHistory, readings: dict[str, Array]) -> tuple[_PoseHistory, dict[str, Array]]:
     """Return the readings with the pose of `latency` ago, interpolated between control steps."""
     pose = readings["object_pose"]
     earlier_poses = np.repeat(pose[:, None], line.history, axis=1) if line.poses is None else line.poses

@@ -16,7 +16,7 @@ _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 _HELD_BYTES = 256 << 20
 
 
-class Tally:
+class FeatureTally:
     """Statistics of a whole set, gathered episode by episode; rows that are not finite are left out.
 
     Quantiles are exact up to 256 MB of values; beyond, they are those of every k-th row.

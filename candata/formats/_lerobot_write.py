@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from candata.formats import Writing
 from candata.formats._lerobot_layout import BOOKKEEPING_COLUMNS, INFO, SIDECAR
 from candata.formats._lerobot_names import ACTION, PREFIX, STATE
-from candata.formats._lerobot_stats import Stats, Tally
+from candata.formats._lerobot_stats import FeatureTally, Stats
 from candata.formats._packing import (
     ColumnSurvey,
     as_matrix,
@@ -58,7 +58,7 @@ def write(episodes: Iterable[Episode], folder: Path, writing: Writing) -> None:
     column_survey = survey(episodes)
     features = _features(column_survey)
     layout: SetWriter = _PerEpisode(folder) if writing.variant == "v21" else _SharedFiles(folder, _schema(features))
-    tally = Tally(column_survey.rows, sum(int(feature["shape"][0]) for feature in features.values()))
+    tally = FeatureTally(column_survey.rows, sum(int(feature["shape"][0]) for feature in features.values()))
     tasks: dict[str, int] = {}
     sidecar_entries = []
     start = 0

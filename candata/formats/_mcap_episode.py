@@ -14,7 +14,7 @@ from candata.errors import DataError, UsageError, Where
 from candata.formats import Reading
 from candata.formats._assemble import checked_episode, derive_contact
 from candata.formats._mcap_bag import Recording, TopicRow
-from candata.formats._mcap_streams import Stream
+from candata.formats._mcap_streams import TopicStream
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.episode import Alignment, ContactRule, Episode, EpisodeMeta
 from candata.schema.topics import TopicMap
@@ -36,7 +36,7 @@ class Window:
 
 
 def episodes(
-    recording: Recording, streams: Sequence[Stream], marks: Sequence[TopicRow], mapping: TopicMap, reading: Reading
+    recording: Recording, streams: Sequence[TopicStream], marks: Sequence[TopicRow], mapping: TopicMap, reading: Reading
 ) -> Iterator[Episode]:
     """Yield the episodes of a recording.
 
@@ -52,7 +52,7 @@ def episodes(
         yield _episode(recording, streams, mapping, reading, window)
 
 
-def _common_span(recording: Recording, streams: Sequence[Stream]) -> tuple[int, int]:
+def _common_span(recording: Recording, streams: Sequence[TopicStream]) -> tuple[int, int]:
     """Return the first and last time that all streams cover [ns]."""
     start, end = max(int(s.time_ns[0]) for s in streams), min(int(s.time_ns[-1]) for s in streams)
     if start > end:
@@ -68,7 +68,12 @@ def _common_span(recording: Recording, streams: Sequence[Stream]) -> tuple[int, 
 
 
 def windows(
-    recording: Recording, streams: Sequence[Stream], marks: Sequence[TopicRow], mapping: TopicMap, start: int, end: int
+    recording: Recording,
+    streams: Sequence[TopicStream],
+    marks: Sequence[TopicRow],
+    mapping: TopicMap,
+    start: int,
+    end: int,
 ) -> list[Window]:
     """Return where the episodes of a recording begin and end, within what all streams cover.
 
@@ -126,7 +131,7 @@ def _between_marks(marks: Sequence[TopicRow], clock: str, start: int, end: int) 
 
 
 def _episode(
-    recording: Recording, streams: Sequence[Stream], mapping: TopicMap, reading: Reading, window: Window
+    recording: Recording, streams: Sequence[TopicStream], mapping: TopicMap, reading: Reading, window: Window
 ) -> Episode:
     """Return one episode, its gaps refused or marked."""
     identity = recording.name + window.suffix
@@ -151,7 +156,7 @@ def _episode(
     )
 
 
-def _rows(streams: Sequence[Stream], mapping: TopicMap, window: Window, location: Where) -> NDArray[np.int64]:
+def _rows(streams: Sequence[TopicStream], mapping: TopicMap, window: Window, location: Where) -> NDArray[np.int64]:
     """Return the times of the rows: those of the reference, or even ones."""
     if mapping.reference is None:
         if (window.end_ns - window.start_ns) * 1e-9 * mapping.rate_hz > MOST_ROWS:
@@ -185,7 +190,7 @@ def _rows(streams: Sequence[Stream], mapping: TopicMap, window: Window, location
 
 
 def _refuse_jumps(
-    streams: Sequence[Stream], mapping: TopicMap, rows_ns: NDArray[np.int64], reading: Reading, location: Where
+    streams: Sequence[TopicStream], mapping: TopicMap, rows_ns: NDArray[np.int64], reading: Reading, location: Where
 ) -> None:
     """Refuse, or tell of, steps between rows at which the reference itself has a gap."""
     if mapping.reference is None:
@@ -208,7 +213,7 @@ def _refuse_jumps(
 
 
 def _align_streams(
-    streams: Sequence[Stream], rows_ns: NDArray[np.int64], mapping: TopicMap
+    streams: Sequence[TopicStream], rows_ns: NDArray[np.int64], mapping: TopicMap
 ) -> tuple[dict[str, NDArray], dict[str, tuple[str, ...]]]:
     """Return every channel with its flags on the rows, and the names of its columns."""
     arrays: dict[str, NDArray] = {"time_ns": rows_ns}
@@ -231,7 +236,7 @@ def _align_streams(
     return arrays, names
 
 
-def _on_rows(stream: Stream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.ResampledStream:
+def _on_rows(stream: TopicStream, rows_ns: NDArray[np.int64], mapping: TopicMap) -> align.ResampledStream:
     """Return a stream on the rows."""
     role = stream.entry.role
     if role is None and stream.channel == "fingertip_force" and mapping.force == "instant":
@@ -272,7 +277,7 @@ def _trim_rows(arrays: dict[str, NDArray], location: Where) -> dict[str, NDArray
 
 
 def _gap(
-    arrays: Mapping[str, NDArray], invalid: Mapping[str, int], streams: Sequence[Stream], location: Where
+    arrays: Mapping[str, NDArray], invalid: Mapping[str, int], streams: Sequence[TopicStream], location: Where
 ) -> DataError:
     """Return the error of a gap."""
     channel = next(iter(invalid))
@@ -299,7 +304,7 @@ def _meta(
     reading: Reading,
     names: Mapping[str, tuple[str, ...]],
     rule: ContactRule | None,
-    streams: Sequence[Stream],
+    streams: Sequence[TopicStream],
     invalid: dict[str, int],
 ) -> EpisodeMeta:
     """Return who, what, when."""
@@ -321,7 +326,7 @@ def _meta(
     )
 
 
-def _alignment(mapping: TopicMap, streams: Sequence[Stream]) -> Alignment:
+def _alignment(mapping: TopicMap, streams: Sequence[TopicStream]) -> Alignment:
     """Return how the streams were put on one clock; offset and drift of the first that has both clocks."""
     parts = [
         f"{s.channel} from {s.entry.topic} by {s.entry.clock or mapping.clock}, {_role(s, mapping)}" for s in streams
@@ -337,7 +342,7 @@ def _alignment(mapping: TopicMap, streams: Sequence[Stream]) -> Alignment:
     return clock_stream.clocks.model_copy(update={"method": method})
 
 
-def _role(stream: Stream, mapping: TopicMap) -> str:
+def _role(stream: TopicStream, mapping: TopicMap) -> str:
     """Return a stream's role in words."""
     if stream.entry.role is not None:
         return stream.entry.role

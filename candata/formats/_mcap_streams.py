@@ -25,7 +25,7 @@ _FIT = "log time against header stamps"
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class TopicStream:
     """One topic's part of a channel.
 
     Attributes
@@ -150,7 +150,7 @@ def stream(
     recording: Recording,
     allow_gaps: bool,
     note: Callable[[str], None],
-) -> Stream:
+) -> TopicStream:
     """Return one entry's stream.
 
     Raises
@@ -183,8 +183,10 @@ def stream(
     shaped_values, names = _shape_values(channel, entry, values, rows, location)
     if CHANNELS[channel].dtype == "bool":
         is_read = np.isfinite(values).all(axis=1)
-        return Stream(channel, entry, names, time_ns[is_read], _flags(shaped_values[is_read], rows, location), clocks)
-    return Stream(channel, entry, names, time_ns, shaped_values, clocks)
+        return TopicStream(
+            channel, entry, names, time_ns[is_read], _flags(shaped_values[is_read], rows, location), clocks
+        )
+    return TopicStream(channel, entry, names, time_ns, shaped_values, clocks)
 
 
 def _stamps(

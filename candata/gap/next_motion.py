@@ -27,7 +27,7 @@ from candata.policies import Motion, command_limits, policy
 from candata.scenes import Scene
 from candata.schema.contact import fingertip_contact
 from candata.schema.scene import Noise
-from candata.simulate.episodes import Job, tried_episodes
+from candata.simulate.episodes import EpisodeJob, tried_episodes
 from candata.simulate.jobs import possible_policies
 
 Array = NDArray[np.float64]
@@ -214,7 +214,7 @@ def _played(
     """
     scene = rivals.replayer.scene
     jobs = [
-        Job(f"{m}-{k}", m * plays + k, motion.name, seed, world, motion=motion)
+        EpisodeJob(f"{m}-{k}", m * plays + k, motion.name, seed, world, motion=motion)
         for m, motion in enumerate(motions)
         for k in range(plays)
     ]

@@ -52,7 +52,7 @@ def trailing_times(train_steps: int, steps: int) -> list[int]:
 
 
 @dataclass(frozen=True)
-class Step:
+class SamplerStep:
     """One step of a sampler: signal left before and after it (alpha-bar; 1 after the last)."""
 
     signal_before: float
@@ -82,10 +82,10 @@ class Process:
         """Return the training times that `steps` sampling steps visit; see `trailing_times`."""
         return trailing_times(len(self.alpha_bars), steps)
 
-    def walk(self, steps: int) -> list[Step]:
+    def walk(self, steps: int) -> list[SamplerStep]:
         """Return the steps from noise to the clean value."""
         levels = [self.alpha_bars[t] for t in self.times(steps)]
-        return [Step(a, b) for a, b in zip(levels, [*levels[1:], 1.0], strict=True)]
+        return [SamplerStep(a, b) for a, b in zip(levels, [*levels[1:], 1.0], strict=True)]
 
     def clean(self, x: Tensor, output: Tensor, level: float) -> tuple[Tensor, Tensor]:
         """Return the clean value and the noise that the network's output means for x at alpha-bar `level`."""
@@ -94,7 +94,7 @@ class Process:
         value = (x - math.sqrt(1 - level) * output) / math.sqrt(level)
         return value.clamp(-1, 1), output
 
-    def advance(self, x: Tensor, output: Tensor, step: Step, noise: Tensor | None) -> Tensor:
+    def advance(self, x: Tensor, output: Tensor, step: SamplerStep, noise: Tensor | None) -> Tensor:
         """Return x after one step; `noise` (DDPM only) is standard normal, None for the last step."""
         value, epsilon = self.clean(x, output, step.signal_before)
         if self.sampler == "ddim":

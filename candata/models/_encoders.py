@@ -67,7 +67,7 @@ class PointNet(nn.Module):
         return features
 
 
-class Encoder(nn.Module):
+class HistoryEncoder(nn.Module):
     """All of the history as one vector z."""
 
     def __init__(self, config: DiffusionConfig, sizes: Sizes, reader: Reader) -> None:

@@ -20,7 +20,7 @@ def convolution(inputs: int, outputs: int, kernel: int, groups: int) -> nn.Seque
     )
 
 
-class Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two convolutions with a scale and shift between them, added to the input."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, groups: int) -> None:
@@ -41,8 +41,8 @@ class Level(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, kernel: int, groups: int) -> None:
         super().__init__()
-        self.first = Residual(inputs, outputs, kernel, groups)
-        self.second = Residual(outputs, outputs, kernel, groups)
+        self.first = ResidualBlock(inputs, outputs, kernel, groups)
+        self.second = ResidualBlock(outputs, outputs, kernel, groups)
 
     def forward(self, x: Tensor, film: Tensor) -> Tensor:
         """Return `(B, outputs, L)`; `film (B, 4 outputs)` is for the first block, then the second."""

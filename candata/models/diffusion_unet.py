@@ -9,7 +9,7 @@ from candata.loaders import Normaliser
 from candata.models._config import PRESETS, DiffusionConfig, check_sizes, parser
 from candata.models._contract import Batch, Forecast, Losses, Model, Sizes
 from candata.models._diffusion import Process, cosine_alpha_bars, normal
-from candata.models._encoders import Encoder
+from candata.models._encoders import HistoryEncoder
 from candata.models._inputs import Inputs, Reader, masked_mean
 from candata.models._seed import with_seed
 from candata.models._unet import UNet
@@ -27,7 +27,7 @@ class DiffusionUNet(nn.Module):
         self.register_buffer("alpha_bars", torch.tensor(self.process.alpha_bars), persistent=False)
         self.unit = config.epsilon_range if config.target == "epsilon" else 1.0
         self.reader = Reader(config, sizes, normaliser)
-        self.encoder = Encoder(config, sizes, self.reader)
+        self.encoder = HistoryEncoder(config, sizes, self.reader)
         self.unet = UNet(
             6 + self.reader.plan_size,
             6,

@@ -16,7 +16,7 @@ _FIX = "leave the hand at rest and untouched, then start again with another --ou
 
 
 @dataclass(frozen=True)
-class Limits:
+class CalibrationLimits:
     """What still counts as a resting, untouched hand.
 
     Attributes
@@ -73,7 +73,7 @@ def calibrate(
     fingertip_names: tuple[str, ...],
     newton_per_count: float,
     rate_hz: float,
-    limits: Limits | None = None,
+    limits: CalibrationLimits | None = None,
 ) -> Calibration:
     """Return the mean reading of a window in which the hand rested untouched.
 
@@ -97,7 +97,7 @@ def calibrate(
     SetupError
         When there are too few states, a joint moved or a fingertip was touched; names each of them.
     """
-    limits = limits or Limits()
+    limits = limits or CalibrationLimits()
     rows, expected = len(states.joint_position), rate_hz * duration_s
     if rows < max(2.0, limits.rows * expected):
         raise SetupError(
@@ -142,7 +142,7 @@ def from_metadata(values: Mapping[str, Any]) -> Calibration:
     )
 
 
-def _refuse_motion(travel: NDArray[np.float64], names: tuple[str, ...], limits: Limits) -> None:
+def _refuse_motion(travel: NDArray[np.float64], names: tuple[str, ...], limits: CalibrationLimits) -> None:
     """Refuse a hand of which a joint moved, naming the joints that did."""
     moved_joints = [
         f"{name} {x:.3f} rad" for name, x in zip(names, travel, strict=True) if not x <= limits.joint_range_rad
@@ -157,7 +157,7 @@ def _refuse_motion(travel: NDArray[np.float64], names: tuple[str, ...], limits: 
 
 
 def _refuse_touch(
-    spread_N: NDArray[np.float64], bias_N: NDArray[np.float64], names: tuple[str, ...], limits: Limits
+    spread_N: NDArray[np.float64], bias_N: NDArray[np.float64], names: tuple[str, ...], limits: CalibrationLimits
 ) -> None:
     """Refuse a hand of which a fingertip was touched, naming the fingertips that were."""
     level_N = np.abs(bias_N).sum(axis=1)

@@ -24,7 +24,7 @@ _NAMES = {"joint_position": "joint_names", "action": "actuator_names"}
 
 
 @dataclass(frozen=True, eq=False)
-class Stream:
+class RecordedStream:
     """One channel with stamps of its own.
 
     Attributes
@@ -67,7 +67,7 @@ class Companion:
     """
 
     name: str
-    streams: tuple[Stream, ...]
+    streams: tuple[RecordedStream, ...]
     digest: str
     left_out: tuple[str, ...] = ()
     scene: str | None = None
@@ -129,7 +129,7 @@ def _from_table(path: Path) -> Companion:
     return Companion(path.name, streams, table.digest(path), left_out, meta.scene, meta.object, meta.task)
 
 
-def _stream(channel: str, episodes: list[Episode], path: Path) -> Stream:
+def _stream(channel: str, episodes: list[Episode], path: Path) -> RecordedStream:
     """Return one channel of a table's episodes, in the order of time."""
     times, values = [], []
     for episode in episodes:
@@ -140,10 +140,10 @@ def _stream(channel: str, episodes: list[Episode], path: Path) -> Stream:
         times.append(time_ns)
         values.append(rows)
     names = getattr(episodes[0].meta, _NAMES.get(channel, ""), ())
-    return _check_stamps(Stream(channel, names, np.concatenate(times), np.concatenate(values), path.name), path)
+    return _check_stamps(RecordedStream(channel, names, np.concatenate(times), np.concatenate(values), path.name), path)
 
 
-def _check_stamps(stream: Stream, path: Path) -> Stream:
+def _check_stamps(stream: RecordedStream, path: Path) -> RecordedStream:
     """Return a stream whose stamps do not run back."""
     falling_rows = np.flatnonzero(np.diff(stream.time_ns) < 0)
     if len(falling_rows):
@@ -246,13 +246,15 @@ def _one_object(path: Path, topics: list[str]) -> None:
         )
 
 
-def _topic(path: Path, topic: str, schema: str, topic_rows: list[tuple[int, Any]]) -> Stream:
+def _topic(path: Path, topic: str, schema: str, topic_rows: list[tuple[int, Any]]) -> RecordedStream:
     """Return the stream of one topic; of joints, what is commanded bears `target` or `command` in its name."""
     topic_rows = sorted(topic_rows, key=lambda row: row[0])
     time_ns = np.array([stamp for stamp, _ in topic_rows], np.int64)
     origin = f"{path.name} {topic}"
     if schema == _POSE:
-        return Stream("object_pose", (), time_ns, _unit(np.array([row for _, row in topic_rows]), path, topic), origin)
+        return RecordedStream(
+            "object_pose", (), time_ns, _unit(np.array([row for _, row in topic_rows]), path, topic), origin
+        )
     names = tuple(topic_rows[0][1])
     for index, (_, row) in enumerate(topic_rows):
         if set(row) != set(names):
@@ -265,7 +267,7 @@ def _topic(path: Path, topic: str, schema: str, topic_rows: list[tuple[int, Any]
     values = np.array([[row[name] for name in names] for _, row in topic_rows], np.float64)
     topic_name = topic.rsplit("/", 1)[-1]
     channel = "action" if "target" in topic_name or "command" in topic_name else "joint_position"
-    return Stream(channel, names, time_ns, values, origin)
+    return RecordedStream(channel, names, time_ns, values, origin)
 
 
 def _unit(poses: NDArray[np.float64], path: Path, topic: str) -> NDArray[np.float64]:

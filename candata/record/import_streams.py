@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from candata import align
 from candata.errors import DataError, Where
 from candata.record.bursts import TIMER_S, seen_rate_hz
-from candata.record.companions import Companion, Stream
+from candata.record.companions import Companion, RecordedStream
 from candata.record.logs import Log
 from candata.schema.scene import SceneFile
 
@@ -44,7 +44,7 @@ def came_late(time_ns: NDArray[np.int64], max_gap_periods: float) -> NDArray[np.
     return is_late
 
 
-def gap_periods(stream: Stream, periods: float, in_bursts: bool) -> float:
+def gap_periods(stream: RecordedStream, periods: float, in_bursts: bool) -> float:
     """Return from how many median intervals on neighbours of a stream are the ends of a gap: `periods`.
 
     Of a wire that is read in bursts (`in_bursts`) that interval is the timer's, not the stream's; so many of its mean
@@ -68,21 +68,23 @@ def punctual(log: Log, max_gap_periods: float) -> tuple[Log, str]:
     return replace(log, **timely_arrays), f"left out, read late in a burst after a gap: {counts}"
 
 
-def wire_streams(log: Log, newton_per_count: float) -> list[Stream]:
+def wire_streams(log: Log, newton_per_count: float) -> list[RecordedStream]:
     """Return what the wire carries: joints, targets, calibrated forces [N] and raw taxels."""
     meta, bias = log.meta, 0.0 if log.calibration is None else log.calibration.force_bias_counts
-    streams = [Stream("joint_position", meta.joint_names, log.state_time_ns, log.joint_position, WIRE)]
+    streams = [RecordedStream("joint_position", meta.joint_names, log.state_time_ns, log.joint_position, WIRE)]
     if len(log.command_time_ns):
-        streams.append(Stream("action", meta.joint_names, log.command_time_ns, log.joint_target, WIRE))
+        streams.append(RecordedStream("action", meta.joint_names, log.command_time_ns, log.joint_target, WIRE))
     if meta.fingertip_names:
         force = (log.force_counts - bias) * newton_per_count
-        streams.append(Stream("fingertip_force", meta.fingertip_names, log.state_time_ns, force, WIRE))
+        streams.append(RecordedStream("fingertip_force", meta.fingertip_names, log.state_time_ns, force, WIRE))
     if log.taxel_counts is not None and log.taxel_counts.size:
-        streams.append(Stream("taxels", meta.fingertip_names, log.state_time_ns, log.taxel_counts, WIRE))
+        streams.append(RecordedStream("taxels", meta.fingertip_names, log.state_time_ns, log.taxel_counts, WIRE))
     return streams
 
 
-def merge_streams(wire: Sequence[Stream], companions: Sequence[Companion]) -> tuple[list[Stream], list[str]]:
+def merge_streams(
+    wire: Sequence[RecordedStream], companions: Sequence[Companion]
+) -> tuple[list[RecordedStream], list[str]]:
     """Return the streams of an import, a joint from one place only, and what was not taken, as lines for people.
 
     The wire comes before its companions, these in the order given.
@@ -103,7 +105,9 @@ def merge_streams(wire: Sequence[Stream], companions: Sequence[Companion]) -> tu
     return streams, notes
 
 
-def _new_columns(stream: Stream, present_streams: Sequence[Stream]) -> tuple[Stream | None, str]:
+def _new_columns(
+    stream: RecordedStream, present_streams: Sequence[RecordedStream]
+) -> tuple[RecordedStream | None, str]:
     """Return the columns that no standing stream has, and a line about the others."""
     if not present_streams:
         return stream, ""
@@ -125,10 +129,12 @@ def _new_columns(stream: Stream, present_streams: Sequence[Stream]) -> tuple[Str
     if not new_columns:
         return None, note
     names = tuple(stream.names[k] for k in new_columns)
-    return Stream(stream.channel, names, stream.time_ns, stream.values[:, new_columns], stream.origin), note
+    return RecordedStream(stream.channel, names, stream.time_ns, stream.values[:, new_columns], stream.origin), note
 
 
-def column_order(streams: Sequence[Stream], roles: SceneFile | None) -> tuple[NDArray[np.intp] | None, tuple[str, ...]]:
+def column_order(
+    streams: Sequence[RecordedStream], roles: SceneFile | None
+) -> tuple[NDArray[np.intp] | None, tuple[str, ...]]:
     """Return the order of the joined columns of one channel and their names; None where they stand in order.
 
     The scene's order where there is a scene, what it does not name behind; else companions first, then the wire.
@@ -180,7 +186,7 @@ def _scene_order(channel: str, roles: SceneFile | None) -> tuple[str, ...]:
     return by_channel.get(channel, ())
 
 
-def require_overlap(path: str, streams: Sequence[Stream]) -> None:
+def require_overlap(path: str, streams: Sequence[RecordedStream]) -> None:
     """Refuse a stream that ends before the wire's states begin, or begins after they end.
 
     Raises

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from candata import align
 from candata.errors import DataError, UsageError, Where
 from candata.record.bursts import WORDS, comes_in_bursts, remedy, seen_rate_hz
-from candata.record.companions import Companion, Stream
+from candata.record.companions import Companion, RecordedStream
 from candata.record.import_streams import (
     column_order,
     gap_periods,
@@ -53,7 +53,7 @@ SCALES = (0.5, 1.0, 2.0)
 RATES = 20
 
 
-class Recipe(Record):
+class ImportRecipe(Record):
     """Every setting of an import; null takes the log's, or the scene's, own.
 
     Attributes
@@ -110,7 +110,7 @@ class ImportedLog:
     notes: tuple[str, ...]
 
 
-def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[Companion] = ()) -> ImportedLog:
+def import_log(path: str | Path, log: Log, recipe: ImportRecipe, companions: Sequence[Companion] = ()) -> ImportedLog:
     """Return the episode in a log and the files recorded beside it.
 
     Parameters
@@ -157,7 +157,7 @@ def import_log(path: str | Path, log: Log, recipe: Recipe, companions: Sequence[
 
 def _meta(
     log: Log,
-    recipe: Recipe,
+    recipe: ImportRecipe,
     companions: Sequence[Companion],
     names: dict[str, tuple[str, ...]],
     rate_hz: float,
@@ -184,7 +184,7 @@ def _meta(
     )
 
 
-def _refuse(path: Path, log: Log, recipe: Recipe) -> None:
+def _refuse(path: Path, log: Log, recipe: ImportRecipe) -> None:
     """Refuse a log without states, and one without calibration unless it is asked for."""
     place = Where(path=str(path))
     if not len(log.state_time_ns):
@@ -218,7 +218,7 @@ def _refuse_rate(path: Path, log: Log, rate_hz: float) -> None:
         )
 
 
-def _grid(path: Path, log: Log, streams: Sequence[Stream], rate_hz: float) -> NDArray[np.int64]:
+def _grid(path: Path, log: Log, streams: Sequence[RecordedStream], rate_hz: float) -> NDArray[np.int64]:
     """Return the times that all streams cover, after the calibration."""
     states = log.state_time_ns
     calibrated_ns = int(states[0]) + (round(log.calibration.duration_s * 1e9) if log.calibration else 0)
@@ -250,7 +250,7 @@ def _on_beat(states: NDArray[np.int64], period_ns: float, earliest_ns: int) -> i
 
 
 def _align_streams(
-    streams: Sequence[Stream], grid_ns: NDArray[np.int64], recipe: Recipe, in_bursts: bool
+    streams: Sequence[RecordedStream], grid_ns: NDArray[np.int64], recipe: ImportRecipe, in_bursts: bool
 ) -> tuple[Arrays, dict[str, tuple[str, ...]]]:
     """Return every channel with its flags on the grid, and the names of their columns; `in_bursts`: read in bursts."""
     arrays: Arrays = {"time_ns": grid_ns}
@@ -286,7 +286,7 @@ def _from_first_command(arrays: Arrays) -> Arrays:
     return {name: values[begin:] for name, values in arrays.items()} if begin else arrays
 
 
-def _clock(log: Log, recipe: Recipe) -> Alignment:
+def _clock(log: Log, recipe: ImportRecipe) -> Alignment:
     """Return how the streams were aligned, with the wall clock against the log's over the recording."""
     method = (
         f"own stamps; states linear, commands held, forces the mean of the step, none over gaps of more than "
@@ -302,14 +302,14 @@ def _first_stated(values: Iterable[str | None]) -> str | None:
     return next((value for value in values if value is not None), None)
 
 
-def _digest(log: Log, recipe: Recipe, companions: Sequence[Companion]) -> str:
+def _digest(log: Log, recipe: ImportRecipe, companions: Sequence[Companion]) -> str:
     """Return the sha256 over everything that determines the episode."""
     text = "\n".join([recipe.model_dump_json(), log.sha256, *(c.digest for c in companions)])
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _details(
-    path: Path, log: Log, recipe: Recipe, companions: Sequence[Companion], episode: Episode, scale: float
+    path: Path, log: Log, recipe: ImportRecipe, companions: Sequence[Companion], episode: Episode, scale: float
 ) -> dict[str, Any]:
     """Return what the lineage keeps, as plain data."""
     time_ns, states = episode["time_ns"], log.state_time_ns

@@ -10,7 +10,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from candata.record.recorder_values import View
+from candata.record.recorder_values import RecorderView
 from candata.schema.contact import fingertip_contact
 
 #: Force at which a bar is full [N].
@@ -26,7 +26,7 @@ _PHASES = {
 }
 
 
-def panel(view: View, title: str, notes: Sequence[str] = ()) -> RenderableType:
+def panel(view: RecorderView, title: str, notes: Sequence[str] = ()) -> RenderableType:
     """Return the panel of a view: rate, losses, a bar and a contact light for each fingertip, the newest notes."""
     words, colour = _PHASES[view.phase]
     head = Text.assemble(
@@ -39,7 +39,7 @@ def panel(view: View, title: str, notes: Sequence[str] = ()) -> RenderableType:
     return Panel(Group(*parts), title=title, subtitle="Ctrl-C ends it and finishes the file", width=78, padding=(1, 2))
 
 
-def line(view: View) -> str:
+def line(view: RecorderView) -> str:
     """Return a view as one line of plain text."""
     force = " ".join(
         f"{name}={total:.1f}{'*' if is_touched else ''}"
@@ -53,7 +53,7 @@ def line(view: View) -> str:
     )
 
 
-def _rate(view: View) -> Text:
+def _rate(view: RecorderView) -> Text:
     is_full_rate = view.rate_hz >= 0.9 * view.nominal_hz
     return Text.assemble(
         "  ",
@@ -62,7 +62,7 @@ def _rate(view: View) -> Text:
     )
 
 
-def _fingertips(view: View) -> Table:
+def _fingertips(view: RecorderView) -> Table:
     """Return a row for each fingertip: its light, its force as a bar and in newton."""
     table = Table(box=None, padding=(0, 1), show_header=True, header_style="dim")
     for column in ("fingertip", "contact", "force", "N", "x", "y", "z"):
@@ -76,7 +76,7 @@ def _fingertips(view: View) -> Table:
     return table
 
 
-def _losses(view: View) -> Table:
+def _losses(view: RecorderView) -> Table:
     """Return the counts of what went wrong, the ones that happened in colour."""
     table = Table.grid(padding=(0, 1))
     loss_counts = {_WORDS.get(kind, kind): count for kind, count in view.losses.items()}
@@ -87,13 +87,13 @@ def _losses(view: View) -> Table:
     return table
 
 
-def _loss_text(view: View) -> str:
+def _loss_text(view: RecorderView) -> str:
     """Return the losses that happened, in words."""
     loss_texts = [f"{count} {kind.replace('_', ' ')}" for kind, count in view.losses.items() if count]
     return ", ".join(loss_texts) or "nothing lost"
 
 
-def _total_N(view: View) -> np.ndarray:
+def _total_N(view: RecorderView) -> np.ndarray:
     return np.abs(view.force_N).sum(axis=-1)
 
 

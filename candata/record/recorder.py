@@ -17,8 +17,8 @@ from candata.record.calibration import Calibration, calibrate
 from candata.record.devices._contract import Device, Frame, States
 from candata.record.logs import LogMeta, LogWriter, meta_of
 from candata.record.reader_link import Event, ReaderLink, port_error
-from candata.record.recorder_tally import Tally, join_states
-from candata.record.recorder_values import Phase, Report, Settings, View
+from candata.record.recorder_tally import RecorderTally, join_states
+from candata.record.recorder_values import Phase, RecorderSettings, RecorderView, RecordingReport
 
 _FLUSH_S, _STATISTICS_S, _SHOW_S, _SPACE_S = 0.25, 1.0, 0.2, 1.0
 
@@ -29,12 +29,12 @@ def record(
     out: Path,
     *,
     name: str,
-    settings: Settings | None = None,
+    settings: RecorderSettings | None = None,
     overrides: dict[str, Any] | None = None,
     stop: Callable[[], bool] = lambda: False,
-    show: Callable[[View], None] = lambda view: None,
+    show: Callable[[RecorderView], None] = lambda view: None,
     say: Callable[[str], None] = lambda text: None,
-) -> Report:
+) -> RecordingReport:
     """Listen to a port until told to stop, and return the report; not one byte is written to the port.
 
     Parameters
@@ -47,7 +47,7 @@ def record(
         Log to write; must not exist.
     name : str
         Registered name of the device.
-    settings : Settings, optional
+    settings : RecorderSettings, optional
         How to record.
     overrides : dict, optional
         Values of the log's metadata that replace the device's own, such as `newton_per_count`.
@@ -63,7 +63,7 @@ def record(
     SetupError
         When the port cannot be opened, the disk is full, or pyserial is missing. Later failures are in the report.
     """
-    settings = settings or Settings()
+    settings = settings or RecorderSettings()
     if out.exists():
         raise UsageError("the output exists already", where=Where(path=str(out)), fix="choose another --out")
     check_space(out, settings.reserve_bytes)
@@ -82,7 +82,7 @@ def record(
         finally:
             unwritten = session.close()
     failure = failure or unwritten
-    return Report(session.facts(port, out, failure), failure)
+    return RecordingReport(session.facts(port, out, failure), failure)
 
 
 def check_space(out: Path, reserve_bytes: int) -> None:
@@ -113,13 +113,13 @@ class _Session:
         device: Device,
         meta: LogMeta,
         writer: LogWriter,
-        settings: Settings,
+        settings: RecorderSettings,
         opened_ns: int,
         say: Callable[[str], None],
     ) -> None:
         self._device, self._meta, self._writer, self._settings = device, meta, writer, settings
         self._say, self._opened_ns = say, opened_ns
-        self._tally = Tally(meta)
+        self._tally = RecorderTally(meta)
         self._framer = device.framer()
         self._tally.use(self._framer)
         self._calibration: Calibration | None = None
@@ -134,7 +134,7 @@ class _Session:
         self._due = dict.fromkeys(("flush", "statistics", "show", "space"), opened_ns)
         self.ended = "failed"
 
-    def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[View], None]) -> None:
+    def run(self, link: ReaderLink, stop: Callable[[], bool], show: Callable[[RecorderView], None]) -> None:
         """Record until `stop` says so or the time is up; raises CandataError for what ends it badly."""
         while True:
             now_ns, end_ns = time.monotonic_ns(), self._end_ns()
@@ -280,7 +280,7 @@ class _Session:
         self._writer.calibration(self._calibration)
         self._say(f"calibrated over {self._calibration.rows} states")
 
-    def _tick(self, show: Callable[[View], None]) -> None:
+    def _tick(self, show: Callable[[RecorderView], None]) -> None:
         """Do what is due: flush, statistics with fsync, the view, the checks."""
         now_ns = time.monotonic_ns()
         if self._is_due("flush", now_ns, _FLUSH_S):
@@ -343,7 +343,7 @@ class _Session:
             fix="check --baud, --device and the wiring",
         )
 
-    def _view(self, now_ns: int) -> View:
+    def _view(self, now_ns: int) -> RecorderView:
         tally = self._tally
         phase: Phase = "recording"
         if self._unplugged:
@@ -352,7 +352,7 @@ class _Session:
             phase = "waiting"
         elif self._window is not None:
             phase = "calibrating"
-        return View(
+        return RecorderView(
             phase=phase,
             elapsed_s=(now_ns - self._opened_ns) / 1e9,
             rate_hz=tally.recent_rate_hz(now_ns),

@@ -19,7 +19,7 @@ GAP_PERIODS = 1.5
 _LOSSES = ("crc_failures", "garbage_bytes", "oversize")
 
 
-class Tally:
+class RecorderTally:
     """Running counts of a recording; feed it what was received, ask it for the numbers."""
 
     def __init__(self, meta: LogMeta) -> None:

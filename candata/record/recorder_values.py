@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import CandataError
-from candata.record.calibration import Limits
+from candata.record.calibration import CalibrationLimits
 
 Phase = Literal["waiting", "calibrating", "recording", "unplugged"]
 
 
 @dataclass(frozen=True)
-class Settings:
+class RecorderSettings:
     """How to record.
 
     Attributes
@@ -36,14 +36,14 @@ class Settings:
 
     duration_s: float | None = None
     calibrate_s: float = 3.0
-    limits: Limits = field(default_factory=Limits)
+    limits: CalibrationLimits = field(default_factory=CalibrationLimits)
     reconnect_s: float = 10.0
     reserve_bytes: int = 200_000_000
     patience_s: float = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RecorderView:
     """What can be seen of a recording while it runs.
 
     Attributes
@@ -78,7 +78,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Report:
+class RecordingReport:
     """What a recording came to; `failure` is the error that ended it, if one did."""
 
     facts: dict[str, Any]

@@ -40,7 +40,7 @@ WORDS = {
 
 
 @dataclass(frozen=True)
-class Difference:
+class FieldDifference:
     """One model array in which two models differ, and where.
 
     Attributes
@@ -64,7 +64,7 @@ def read(model: mujoco.MjModel, field: str) -> Array:
     )
 
 
-def differences(first_model: mujoco.MjModel, second_model: mujoco.MjModel, rtol: float = 0.0) -> list[Difference]:
+def differences(first_model: mujoco.MjModel, second_model: mujoco.MjModel, rtol: float = 0.0) -> list[FieldDifference]:
     """Return the fields in which two models differ by more than `rtol`, of a row's largest number.
 
     Fields of another shape differ in every row.
@@ -73,7 +73,7 @@ def differences(first_model: mujoco.MjModel, second_model: mujoco.MjModel, rtol:
     for field in (*FIELDS, *OPTIONS):
         first_values, second_values = read(first_model, field), read(second_model, field)
         if first_values.shape != second_values.shape:
-            out.append(Difference(field, tuple(range(max(len(first_values), len(second_values))))))
+            out.append(FieldDifference(field, tuple(range(max(len(first_values), len(second_values))))))
             continue
         size = np.maximum(np.abs(first_values), np.abs(second_values)).max(axis=1, initial=0.0)
         # A number that is zero but for rounding is compared with the largest number of its kind.
@@ -83,7 +83,7 @@ def differences(first_model: mujoco.MjModel, second_model: mujoco.MjModel, rtol:
             distance = np.minimum(distance, np.abs(first_values + second_values).max(axis=1, initial=0.0))
         rows = np.flatnonzero(distance > rtol * size)
         if len(rows):
-            out.append(Difference(field, tuple(rows.tolist())))
+            out.append(FieldDifference(field, tuple(rows.tolist())))
     return out
 
 

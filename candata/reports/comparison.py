@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from candata.datasets.compare import Comparison, ComparisonResult, ComparisonRow, Side, Spread
+from candata.datasets.compare import ComparisonResult, ComparisonRow, DatasetComparison, Side, Spread
 from candata.datasets.distance import Bars
 from candata.reports.chart import Axis, chart, join_markup, linear_axis
 from candata.reports.distributions import bars
@@ -87,7 +87,7 @@ def page(pair: ComparisonResult) -> str:
     )
 
 
-def verdict(comparison: Comparison) -> str:
+def verdict(comparison: DatasetComparison) -> str:
     """Return in one sentence how many statistics differ by more than luck."""
     if any(row.differs is None for row in comparison.rows):
         counts = f"{comparison.this.compared} beside {comparison.against.compared}"
@@ -105,7 +105,7 @@ def row_unit(row: ComparisonRow, units: Mapping[str, str]) -> str:
     return readable_unit(row.unit, row.element, units)
 
 
-def _answer(comparison: Comparison, group: str, title: str, units: Mapping[str, str]) -> tuple[str, str, str]:
+def _answer(comparison: DatasetComparison, group: str, title: str, units: Mapping[str, str]) -> tuple[str, str, str]:
     """Return the name of a group, how many of its statistics differ, and which differs most."""
     rows = [row for row in comparison.rows if row.group == group]
     if not rows:
@@ -171,7 +171,7 @@ def _side_words(side: Side) -> str:
     )
 
 
-def _method(comparison: Comparison) -> list[tuple[str, str]]:
+def _method(comparison: DatasetComparison) -> list[tuple[str, str]]:
     """Return what the words of the table mean."""
     derivatives = (
         f"By differences over {digits(1e3 * comparison.step_s)} ms on both sides, noise of the sensors included; noise "

@@ -45,7 +45,7 @@ class ClosedShareBar:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ReportAnswer:
     """A question with its answer: a few large words, which may be empty, a bar or None, and a sentence."""
 
     question: str
@@ -112,15 +112,15 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
     )
 
 
-def _answers(report: Report) -> list[Answer]:
+def _answers(report: Report) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
     closure = " ".join(filter(None, (words.closure_sentence(report), words.edit_sentence(report))))
     unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
     return [
-        Answer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
-        Answer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),
-        Answer("How far does it close?", "", _closed_share_bar(report), closure),
-        Answer("What is not known?", "", None, unknowns),
+        ReportAnswer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),
+        ReportAnswer("Which effect makes it?", words.cause_headline(report), None, words.cause_sentence(report)),
+        ReportAnswer("How far does it close?", "", _closed_share_bar(report), closure),
+        ReportAnswer("What is not known?", "", None, unknowns),
     ]
 
 

@@ -53,7 +53,7 @@ _LOG = logging.getLogger(__name__)
 _AT: dict[str, str] = {"read": "is read", "compile": "is compiled", "step": "is stepped for the first time"}
 
 
-class Limits(NamedTuple):
+class LoadLimits(NamedTuple):
     """What a first load may take: processor time, time by the clock, and memory."""
 
     cpu_s: float
@@ -116,10 +116,10 @@ def _remember(digest: str) -> None:
                 file.unlink(missing_ok=True)
 
 
-def _limits() -> Limits:
+def _limits() -> LoadLimits:
     """Return the limits, or those that the user sets."""
     cpu_s = _set_by_user(LIMIT_S_VARIABLE, LIMIT_S)
-    return Limits(cpu_s, CLOCK_RATIO * cpu_s, int(1e9 * _set_by_user(LIMIT_GB_VARIABLE, LIMIT_BYTES / 1e9)))
+    return LoadLimits(cpu_s, CLOCK_RATIO * cpu_s, int(1e9 * _set_by_user(LIMIT_GB_VARIABLE, LIMIT_BYTES / 1e9)))
 
 
 def _set_by_user(variable: str, default: float) -> float:
@@ -136,7 +136,7 @@ def _set_by_user(variable: str, default: float) -> float:
     return number
 
 
-def _in_process(path: Path, limits: Limits) -> bool:
+def _in_process(path: Path, limits: LoadLimits) -> bool:
     """Tell whether a model was loaded in a process of its own; False where MuJoCo refused it with an error."""
     code, lines, complaint = _run(path, limits)
     stages = [line for line in lines if line in _AT]
@@ -157,7 +157,7 @@ def _in_process(path: Path, limits: Limits) -> bool:
     return bool(ending == "loaded")
 
 
-def _run(path: Path, limits: Limits) -> tuple[int | None, list[str], str]:
+def _run(path: Path, limits: LoadLimits) -> tuple[int | None, list[str], str]:
     """Return how the process ended (None: it had to be ended), the lines that it said, and its last complaint."""
     # As this process finds its packages, so does that one: it may be isolated (-I), and have no folder to stand in.
     places = [str(Path(__file__).absolute().parents[2]), *(str(entry) for entry in sys.path if entry)]
@@ -189,7 +189,7 @@ def _run(path: Path, limits: Limits) -> tuple[int | None, list[str], str]:
     return code, out.decode(errors="replace").splitlines(), (err.decode(errors="replace").splitlines() or [""])[-1]
 
 
-def _crash_error(path: Path, code: int | None, stage_text: str, limits: Limits) -> SceneError:
+def _crash_error(path: Path, code: int | None, stage_text: str, limits: LoadLimits) -> SceneError:
     """Return the error of a model with which the process ended before its work."""
     if code is not None and -code == getattr(signal, "SIGPROF", 0):
         return _limit_error(path, f"than {limits.cpu_s:g} s of processor time", stage_text, LIMIT_S_VARIABLE)

@@ -24,7 +24,7 @@ PLAN_STREAM, NOISE_STREAM = 0, 1
 
 
 @dataclass(frozen=True)
-class Job:
+class EpisodeJob:
     """One episode to make.
 
     Attributes
@@ -62,7 +62,7 @@ class Job:
 
 def make_episodes(
     scene: Scene,
-    jobs: Sequence[Job],
+    jobs: Sequence[EpisodeJob],
     *,
     duration_s: float,
     noise: Noise | None = None,
@@ -108,7 +108,7 @@ def make_episodes(
 
 def tried_episodes(
     scene: Scene,
-    jobs: Sequence[Job],
+    jobs: Sequence[EpisodeJob],
     *,
     duration_s: float,
     noise: Noise | None = None,
@@ -140,20 +140,20 @@ def tried_episodes(
     return [_episode(scene, j, p, trajectory, i, settle, noise) for i, (j, p) in numbered_jobs], fails
 
 
-def _in_words(job: Job) -> str:
+def _in_words(job: EpisodeJob) -> str:
     """Return which effects act in a job, unless these are withheld."""
     if job.hidden:
         return "with what is withheld"
     return f"with {', '.join(e.name for e in job.effects)}" if job.effects else "without any effect"
 
 
-def _plan(scene: Scene, job: Job, duration_s: float) -> Plan:
+def _plan(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
     """Return the plan of one job."""
     rng = _rng(job, PLAN_STREAM)
     return motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
 
 
-def _rng(job: Job, stream: int) -> np.random.Generator:
+def _rng(job: EpisodeJob, stream: int) -> np.random.Generator:
     """Return the generator of one stream of a job."""
     noise_seed = job.noise_seed if stream == NOISE_STREAM else None
     return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream])
@@ -167,7 +167,7 @@ def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
 
 
 def _episode(
-    scene: Scene, job: Job, plan: Plan, trajectory: Trajectory, index: int, settle: int, noise: Noise | None
+    scene: Scene, job: EpisodeJob, plan: Plan, trajectory: Trajectory, index: int, settle: int, noise: Noise | None
 ) -> Episode:
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
@@ -185,7 +185,7 @@ def _episode(
     return Episode(_meta(scene, job, rule), arrays)
 
 
-def _meta(scene: Scene, job: Job, rule: ContactRule | None) -> EpisodeMeta:
+def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMeta:
     """Return who, what, when."""
     return EpisodeMeta(
         id=job.id,

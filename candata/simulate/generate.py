@@ -20,8 +20,8 @@ from candata.scenes.clouds import surface_cloud
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.simulate import seal as seals
-from candata.simulate.jobs import OPERATION, Recipe, check, chunks, episode_id, lineage, possible_policies
-from candata.simulate.pool import Chunk, producer, run_chunks
+from candata.simulate.jobs import OPERATION, GenerationRecipe, check, chunks, episode_id, lineage, possible_policies
+from candata.simulate.pool import EpisodeChunk, producer, run_chunks
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ def generate(
     """
     model = load_scene(scene)
     _check_count(episodes, seed, workers)
-    recipe = Recipe(
+    recipe = GenerationRecipe(
         scene=scene,
         seed=seed,
         effects=tuple(effects),
@@ -123,7 +123,7 @@ def generate(
 
 def _complete(
     root: Path,
-    recipe: Recipe,
+    recipe: GenerationRecipe,
     episodes: int,
     history: Lineage,
     workers: int | None,
@@ -136,7 +136,9 @@ def _complete(
     pending = [p for p in pending_parts(root) if p.producer == producer(config)]
     done_ids = present_ids | {name for part in pending for name, _ in part.episodes}
     numbers_left = [tuple(n for n in c if episode_id(recipe, n) not in done_ids) for c in chunks(episodes)]
-    chunks_left = [Chunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in numbers_left if numbers]
+    chunks_left = [
+        EpisodeChunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in numbers_left if numbers
+    ]
     done_count = episodes - sum(len(c.numbers) for c in chunks_left)
     if 0 < done_count < episodes:
         note(f"going on: {done_count} of {episodes} episodes stand already")
@@ -145,7 +147,7 @@ def _complete(
     return publish(root, [*(part.id for part in pending), *new_parts], history)
 
 
-def _with_file(recipe: Recipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> Recipe:
+def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> GenerationRecipe:
     """Return the recipe that plays the motions of a file."""
     if policies:
         raise UsageError("policies and a policy file at once", fix="leave one of them out")
@@ -154,7 +156,7 @@ def _with_file(recipe: Recipe, scene: Scene, path: str | Path, policies: Sequenc
     return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": motion_file.digest})
 
 
-def _with_secret(recipe: Recipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> Recipe:
+def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
     """Return the recipe with the drawn effect, its own random stream and its commitment."""
     if recipe.effects:
         raise UsageError("effects and a withheld effect at once", fix="leave one of them out")
@@ -185,7 +187,7 @@ def _index(root: Path) -> dict[str, str]:
     return index_of(root, version.parts) if version else {}
 
 
-def _refuse_other(root: Path, recipe: Recipe, episodes: int, history: Lineage) -> None:
+def _refuse_other(root: Path, recipe: GenerationRecipe, episodes: int, history: Lineage) -> None:
     """Refuse a dataset that holds one of our ids made from another configuration."""
     present_ids = _index(root)
     taken_id = next((i for n in range(episodes) if (i := episode_id(recipe, n)) in present_ids), None)

@@ -16,7 +16,7 @@ from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.schema.record import Record
-from candata.simulate.episodes import Job
+from candata.simulate.episodes import EpisodeJob
 from candata.simulate.world import build_worlds
 
 #: Episodes a chunk, and a part: fixed, so that who makes a chunk changes nothing in it.
@@ -24,7 +24,7 @@ CHUNK = 16
 OPERATION = "generate-sim"
 
 
-class Recipe(Record):
+class GenerationRecipe(Record):
     """What a set is made from; plain values, so that any process can be told.
 
     `scene` is what `load_scene` takes; `seed` feeds the episodes' random streams; `sealed` is null for a set
@@ -44,7 +44,7 @@ class Recipe(Record):
     sealed: str | None = None
 
 
-def check(recipe: Recipe, scene: Scene) -> None:
+def check(recipe: GenerationRecipe, scene: Scene) -> None:
     """Refuse what cannot be simulated in `scene`.
 
     Raises
@@ -76,10 +76,10 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
     return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
 
 
-def job(recipe: Recipe, index: int, motions: Sequence[Motion] = ()) -> Job:
+def job(recipe: GenerationRecipe, index: int, motions: Sequence[Motion] = ()) -> EpisodeJob:
     """Return the job of episode `index`; policies, or the motions of a file, take turns."""
     turn = index % len(recipe.policies)
-    return Job(
+    return EpisodeJob(
         id=episode_id(recipe, index),
         index=index,
         policy=recipe.policies[turn],
@@ -91,7 +91,7 @@ def job(recipe: Recipe, index: int, motions: Sequence[Motion] = ()) -> Job:
     )
 
 
-def motions_of(recipe: Recipe, scene: Scene) -> tuple[Motion, ...]:
+def motions_of(recipe: GenerationRecipe, scene: Scene) -> tuple[Motion, ...]:
     """Return the motions of the recipe's policy file; none without one.
 
     Raises
@@ -107,7 +107,7 @@ def motions_of(recipe: Recipe, scene: Scene) -> tuple[Motion, ...]:
     return motion_file.motions
 
 
-def episode_id(recipe: Recipe, index: int) -> str:
+def episode_id(recipe: GenerationRecipe, index: int) -> str:
     """Return `<scene>-s<seed>-000012`; `withheld-000012` for a withheld set."""
     prefix = "withheld" if recipe.sealed else f"{short_name(recipe.scene)}-s{recipe.seed}"
     return f"{prefix}-{index:06d}"
@@ -126,7 +126,7 @@ def chunks(episodes: int) -> list[range]:
     return [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
 
 
-def lineage(recipe: Recipe, scene: Scene, tools: dict[str, str]) -> Lineage:
+def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str]) -> Lineage:
     """Return how the set came to be; of a withheld set neither seed nor effects, only the commitment."""
     is_withheld = recipe.sealed is not None
     details = {

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any, NoReturn, TypeVar
 
 from candata.scenes import Scene, load_scene
-from candata.simulate.jobs import OPERATION, Recipe, job, motions_of
+from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
 
 T = TypeVar("T")
 Progress = Callable[[int], None]
@@ -24,7 +24,7 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
-class Chunk:
+class EpisodeChunk:
     """Episodes that one worker makes and writes as one part; plain values only.
 
     Attributes
@@ -56,7 +56,7 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
     from candata.datasets import write_part
     from candata.simulate.episodes import make_episodes
 
-    plan = Recipe.model_validate_json(recipe)
+    plan = GenerationRecipe.model_validate_json(recipe)
     scene = _scene(plan.scene)
     motions = motions_of(plan, scene)
     episodes = make_episodes(
@@ -73,7 +73,7 @@ def producer(config: str) -> dict[str, str]:
     return {"operation": OPERATION, "config": config}
 
 
-def run_chunks(chunks: Sequence[Chunk], workers: int, progress: Progress) -> list[str]:
+def run_chunks(chunks: Sequence[EpisodeChunk], workers: int, progress: Progress) -> list[str]:
     """Return the part ids of the chunks, in their order; `progress` hears of each one's episodes.
 
     Parameters

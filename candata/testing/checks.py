@@ -19,7 +19,7 @@ from candata.datasets import RawEpisode, open_dataset
 from candata.scenes import Scene, load_scene
 from candata.schema.channels import CHANNELS
 from candata.schema.episode import Episode
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.jobs import possible_policies
 from candata.testing._claims import registered_name, require, require_words
 
@@ -102,7 +102,7 @@ def _sound_episodes(name: str, count: int, duration_s: float) -> tuple[Scene, tu
     """Return a scene and episodes of its own policies in turn, with its declared noise."""
     scene = load_scene(name)
     motions = possible_policies(scene)
-    jobs = [Job(f"{motions[k % len(motions)]}-{k}", k, motions[k % len(motions)], 5) for k in range(count)]
+    jobs = [EpisodeJob(f"{motions[k % len(motions)]}-{k}", k, motions[k % len(motions)], 5) for k in range(count)]
     return scene, tuple(make_episodes(scene, jobs, duration_s=duration_s, noise=scene.file.noise))
 
 

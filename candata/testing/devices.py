@@ -192,7 +192,7 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
     from candata.record.emulate import play, wait_for_reader
     from candata.record.emulate_line import Line
     from candata.record.recorder import record
-    from candata.record.recorder_values import Settings
+    from candata.record.recorder_values import RecorderSettings
 
     emulation_over, recording_over = threading.Event(), threading.Event()
     with Line() as line:
@@ -204,7 +204,7 @@ def _record(device: Device, name: str, script: object, out: Path) -> None:
         sender = threading.Thread(target=send, daemon=True)
         sender.start()
         try:
-            settings = Settings(duration_s=None, calibrate_s=0.0, reserve_bytes=0)
+            settings = RecorderSettings(duration_s=None, calibrate_s=0.0, reserve_bytes=0)
             report = record(
                 device,
                 line.port,

@@ -11,7 +11,7 @@ from candata.policies import POLICIES, Plan, Policy
 from candata.policies._contract import Planner
 from candata.policies._drive import command_range
 from candata.scenes import Scene, load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.testing._claims import registered_name, require, require_words
 
 
@@ -72,7 +72,7 @@ class PolicyConformance:
         """An episode is what `candata generate-sim --policy` makes of it."""
         name = registered_name(POLICIES, self.policy)
         for scene in self._possible_scenes():
-            (episode,) = make_episodes(scene, [Job("played", 0, name, 1)], duration_s=self.duration_s)
+            (episode,) = make_episodes(scene, [EpisodeJob("played", 0, name, 1)], duration_s=self.duration_s)
             require(episode.meta.task == name, f"scene {scene.name}: the episode does not say what was played")
 
     def _plans(self, scene: Scene, seed: int) -> list[Plan]:

@@ -14,7 +14,7 @@ from candata.loaders import MixedWindows, Mixture, Split, Windows, find_split, m
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.training import runs
-from candata.training.settings import Source
+from candata.training.settings import TrainingSource
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class TrainingData:
         """Return the fields of a Run that say what was trained on."""
         shares = self.mixture.shares if self.mixture else dict.fromkeys(self.datasets, 1.0)
         sources = tuple(
-            Source(
+            TrainingSource(
                 name=name,
                 share=share,
                 dataset=self.datasets[name].name,

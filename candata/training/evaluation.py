@@ -17,7 +17,7 @@ from candata.training import checkpoint, feed, jobs, runs
 from candata.training.data import channels_for
 from candata.training.forecasters import BASELINES, Forecaster, TrainedModel
 from candata.training.results import Evaluation, Scores, Track
-from candata.training.scoring import Findings, chosen_windows, score
+from candata.training.scoring import EvaluationFindings, chosen_windows, score
 from candata.training.settings import Run
 
 #: Steps of a chunk in closed loop, half the default horizon.
@@ -181,7 +181,7 @@ def _reads_contact(run: Run) -> bool:
     return "contact" in find_model(run.model).channels and bool(run.config.get("contact_history", True))
 
 
-def _contact_from(run: Run, findings: Findings) -> str:
+def _contact_from(run: Run, findings: EvaluationFindings) -> str:
     """Return what the closed loop feeds the model as contact."""
     fingertips = bool(run.config.get("fingertip_contact", False))
     if not _reads_contact(run):
@@ -191,7 +191,9 @@ def _contact_from(run: Run, findings: Findings) -> str:
     return "predicted, fingertips recorded" if fingertips else "predicted"
 
 
-def _seen_count(checkpoint_read: checkpoint.Checkpoint, split: Split | None, findings: Findings) -> int | None:
+def _seen_count(
+    checkpoint_read: checkpoint.Checkpoint, split: Split | None, findings: EvaluationFindings
+) -> int | None:
     """Return how many of the episodes the model was trained on, by their ids; None where that is not known."""
     train = jobs.trained_on(checkpoint_read, split)
     return None if train is None else sum(scores.id in train for scores in findings.by_episode)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from candata.errors import SetupError
 from candata.loaders import Gather, MixedWindows, Windows, as_tensors, augment, noise
 from candata.models import Batch
-from candata.training.settings import Settings
+from candata.training.settings import TrainingSettings
 
 
 def tensors(batch: Mapping[str, NDArray], clouds: torch.Tensor, device: str) -> dict[str, torch.Tensor]:
@@ -25,7 +25,7 @@ def clouds_of(windows: Windows | MixedWindows, device: str) -> torch.Tensor:
     return torch.from_numpy(windows.clouds).to(device)
 
 
-def drawing(windows: Windows | MixedWindows, settings: Settings, device: str) -> Callable[[int], Batch]:
+def drawing(windows: Windows | MixedWindows, settings: TrainingSettings, device: str) -> Callable[[int], Batch]:
     """Return the function from step to batch; without replacement within an epoch, with the settings' noise.
 
     On a GPU the rows are resident there, where they fit.

@@ -21,7 +21,7 @@ _AT_ONCE = 256
 
 
 @dataclass(frozen=True)
-class Answer:
+class ForecastArrays:
     """Forecasts of B windows.
 
     Attributes
@@ -43,7 +43,7 @@ class Forecaster(Protocol):
     def summary(self) -> str:
         """What people call it."""
 
-    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
+    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the forecasts of a batch of `candata.loaders`; `seed` fixes the noise."""
 
 
@@ -53,9 +53,9 @@ class Stays:
 
     summary: str = "the object stays"
 
-    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
+    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> ForecastArrays:
         """Return increments of zero."""
-        return Answer(np.zeros((1, *batch["future_pad"].shape, 6)), _present_contact(batch))
+        return ForecastArrays(np.zeros((1, *batch["future_pad"].shape, 6)), _present_contact(batch))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class KeepsVelocity:
 
     summary: str = "the object keeps its velocity"
 
-    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> Answer:
+    def forecast(self, batch: Batch, seed: tuple[int, ...] = ()) -> ForecastArrays:
         """Return the last increment, at every step."""
         horizon, poses = batch["future_pad"].shape[1], batch["history/object_pose"]
         if poses.shape[1] < 2:
@@ -72,7 +72,7 @@ class KeepsVelocity:
         last_increment = increments(poses[:, -2:])
         has_no_row_before = np.asarray(batch["history_pad"][:, -2:].any(axis=1))
         last_increment = np.where(has_no_row_before[:, None, None], 0.0, last_increment)
-        return Answer(np.repeat(last_increment, horizon, axis=1)[None], _present_contact(batch))
+        return ForecastArrays(np.repeat(last_increment, horizon, axis=1)[None], _present_contact(batch))
 
 
 def _present_contact(batch: Batch) -> NDArray | None:
@@ -112,17 +112,17 @@ class TrainedModel:
     device: str = "cpu"
     summary: str = "the model"
 
-    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> Answer:
+    def forecast(self, batch: Batch, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the model's forecasts, a few hundred windows at a time."""
         count = len(batch["history_pad"])
         parts = [self._part(batch, slice(i, i + _AT_ONCE), (*seed, i)) for i in range(0, count, _AT_ONCE)]
         contacts = [part.contact for part in parts if part.contact is not None]
-        return Answer(
+        return ForecastArrays(
             np.concatenate([part.increments for part in parts], axis=1),
             np.concatenate(contacts) if contacts else None,
         )
 
-    def _part(self, batch: Batch, part: slice, seed: tuple[int, ...]) -> Answer:
+    def _part(self, batch: Batch, part: slice, seed: tuple[int, ...]) -> ForecastArrays:
         """Return the forecasts of some windows."""
         import torch
 
@@ -134,4 +134,4 @@ class TrainedModel:
         with torch.no_grad():
             forecast = module.forecast(device_batch, self.samples, self.steps, generator(self.device, *seed))
         contact = None if forecast.contact is None else forecast.contact.double().cpu().numpy()
-        return Answer(forecast.increments.double().cpu().numpy(), contact)
+        return ForecastArrays(forecast.increments.double().cpu().numpy(), contact)

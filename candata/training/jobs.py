@@ -22,8 +22,8 @@ from candata.schema.record import Record
 from candata.training import checkpoint, feed, runs
 from candata.training.checkpoint import Checkpoint
 from candata.training.data import TrainingData, find_data
-from candata.training.loop import Job
-from candata.training.settings import Run, Settings
+from candata.training.loop import TrainingJob
+from candata.training.settings import Run, TrainingSettings
 
 #: Windows when nothing is asked for.
 DEFAULT_SHAPE: Mapping[str, float] = {"history": 8, "horizon": 16, "rate_hz": 10.0}
@@ -70,8 +70,8 @@ class TrainRequest:
 
 
 def prepare(
-    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: Settings, device: str = "cpu"
-) -> Job:
+    data: Dataset | Mapping[str, Dataset], request: TrainRequest, settings: TrainingSettings, device: str = "cpu"
+) -> TrainingJob:
     """Return the job.
 
     Parameters
@@ -80,7 +80,7 @@ def prepare(
         What to train on; several datasets by name, with `ask.mixture`.
     request : TrainRequest
         What to train.
-    settings : Settings
+    settings : TrainingSettings
         How.
     device : str
         `cpu` or `cuda`.
@@ -114,7 +114,7 @@ def prepare(
     if validation_names := training_data.names_with_group("val"):
         held_out = training_data.feed(validation_names, "val", reads, window_options)
         batches = feed.held_out(held_out, settings.batch, HELD_OUT_BATCHES, device)
-    return Job(
+    return TrainingJob(
         run,
         module,
         feed.drawing(train, settings, device),
@@ -194,7 +194,7 @@ def _facts(windows: Windows | MixedWindows) -> dict[str, Any]:
     }
 
 
-def _model_config(request: TrainRequest, initial: Checkpoint | None, settings: Settings) -> tuple[str, Any]:
+def _model_config(request: TrainRequest, initial: Checkpoint | None, settings: TrainingSettings) -> tuple[str, Any]:
     """Return the model's name and its configuration."""
     name = request.model or (initial.run.model if initial else None)
     if name is None:
@@ -222,7 +222,7 @@ def _model_config(request: TrainRequest, initial: Checkpoint | None, settings: S
     return name, model.parse(initial.run.config)
 
 
-def _fresh_config(model: Model, request: TrainRequest, settings: Settings) -> Record:
+def _fresh_config(model: Model, request: TrainRequest, settings: TrainingSettings) -> Record:
     """Return the configuration of a new model: the preset, then what differs; the seed is the run's."""
     preset = request.preset or "small"
     if preset not in model.presets:
@@ -234,7 +234,7 @@ def _fresh_config(model: Model, request: TrainRequest, settings: Settings) -> Re
 def _run(
     data: TrainingData,
     request: TrainRequest,
-    settings: Settings,
+    settings: TrainingSettings,
     name: str,
     config: Record,
     train: Windows | MixedWindows,

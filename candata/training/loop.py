@@ -15,8 +15,8 @@ from candata.loaders import Effective
 from candata.models import Batch
 from candata.schema.record import Record
 from candata.training import checkpoint, ema, runs
-from candata.training.settings import Progress, Run, Settings
-from candata.training.state import State, generator, initial_state
+from candata.training.settings import Progress, Run, TrainingSettings
+from candata.training.state import TrainingState, generator, initial_state
 from candata.training.steplog import StepLog
 
 #: Second part of the key of a noise stream: each use has its own.
@@ -24,7 +24,7 @@ _NOISE, _HELD_OUT = 1, 2
 
 
 @dataclass(frozen=True)
-class Job:
+class TrainingJob:
     """What to train on what.
 
     Attributes
@@ -55,7 +55,7 @@ class Job:
 
 
 @dataclass(frozen=True)
-class Report:
+class TrainingReport:
     """What the loop tells after a few steps.
 
     Attributes
@@ -103,9 +103,9 @@ class _LogTally:
 
 
 def train(
-    job: Job,
+    job: TrainingJob,
     folder: Path,
-    tell: Callable[[Report], None] = lambda _report: None,
+    tell: Callable[[TrainingReport], None] = lambda _report: None,
     should_stop: Callable[[], bool] = lambda: False,
 ) -> Progress:
     """Train to the end of the run, going on from its last checkpoint, and return how far it has come.
@@ -134,7 +134,9 @@ def train(
         return _train(job, folder, tell, should_stop)
 
 
-def _train(job: Job, folder: Path, tell: Callable[[Report], None], should_stop: Callable[[], bool]) -> Progress:
+def _train(
+    job: TrainingJob, folder: Path, tell: Callable[[TrainingReport], None], should_stop: Callable[[], bool]
+) -> Progress:
     """Train to the end of the run, or until told to stop."""
     runs.begin(folder, job.run, job.split)
     state = initial_state(job.module, job.run.settings)
@@ -162,7 +164,7 @@ def _train(job: Job, folder: Path, tell: Callable[[Report], None], should_stop: 
     return state.progress
 
 
-def _step(job: Job, state: State, tally: _LogTally, folder: Path) -> None:
+def _step(job: TrainingJob, state: TrainingState, tally: _LogTally, folder: Path) -> None:
     """Take one step; one without a finite loss and gradient changes nothing but the counts."""
     settings, progress, began = job.run.settings, state.progress, time.perf_counter()
     batch = job.draw(progress.step)
@@ -191,11 +193,11 @@ def _step(job: Job, state: State, tally: _LogTally, folder: Path) -> None:
         raise _divergence_error(state.progress, settings, folder)
 
 
-def _report(job: Job, state: State, tally: _LogTally, log: StepLog) -> Report:
+def _report(job: TrainingJob, state: TrainingState, tally: _LogTally, log: StepLog) -> TrainingReport:
     """Return what to tell, and write the line of the log."""
     settings, progress = job.run.settings, state.progress
     spent_s = max(time.perf_counter() - tally.since_s, 1e-9)
-    report = Report(
+    report = TrainingReport(
         progress.step,
         settings.share(progress.step, progress.elapsed_s),
         tally.means(),
@@ -216,7 +218,7 @@ def _report(job: Job, state: State, tally: _LogTally, log: StepLog) -> Report:
 
 
 @torch.no_grad()
-def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
+def _validate(job: TrainingJob, state: TrainingState, folder: Path, log: StepLog) -> None:
     """Score the averaged weights on the held-out batches; the best so far is kept."""
     if not job.held_out:
         return
@@ -238,19 +240,19 @@ def _validate(job: Job, state: State, folder: Path, log: StepLog) -> None:
         state.advance(best_loss=means["loss"], best_step=state.progress.step)
 
 
-def _save(job: Job, state: State, folder: Path) -> None:
+def _save(job: TrainingJob, state: TrainingState, folder: Path) -> None:
     """Write the last checkpoint, which may be the best one too."""
     checkpoint.save(folder / checkpoint.LAST_FILE, job.run, state.progress, state.groups())
     _keep_best(state, folder)
 
 
-def _keep_best(state: State, folder: Path) -> None:
+def _keep_best(state: TrainingState, folder: Path) -> None:
     """Give the last checkpoint the name of the best one when it is that."""
     if state.progress.best_step == state.progress.step:
         checkpoint.copy(folder / checkpoint.LAST_FILE, folder / checkpoint.BEST_FILE)
 
 
-def _divergence_error(progress: Progress, settings: Settings, folder: Path) -> DataError:
+def _divergence_error(progress: Progress, settings: TrainingSettings, folder: Path) -> DataError:
     """Return the error for a run that finds no finite loss any more."""
     return DataError(
         "training has diverged",

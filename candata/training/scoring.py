@@ -37,7 +37,7 @@ TRACKS = 4
 
 
 @dataclass(frozen=True)
-class Findings:
+class EvaluationFindings:
     """What `score` found, by forecaster; the first one is the model.
 
     Attributes
@@ -80,7 +80,7 @@ def score(
     execute: int,
     seed: int,
     stage: Callable[[str], None] = lambda _name: None,
-) -> Findings:
+) -> EvaluationFindings:
     """Return the scores of all forecasters on the same windows and the same episodes.
 
     Parameters
@@ -107,7 +107,7 @@ def score(
         stage(f"{name}: {len(course_all.episodes)} episodes in closed loop")
         errors[name] = _errors(course_all, close_loop(course_all, forecaster, execute, seed), clouds)
     model, *other_names = forecasters
-    return Findings(
+    return EvaluationFindings(
         windows=window_results,
         closed_loop={name: _closed_loop_scores(course_all, loop_errors) for name, loop_errors in errors.items()},
         gain={

@@ -16,7 +16,7 @@ FINE_TUNE_SHARE = 0.1
 WARM_UP_SHARE = 0.1
 
 
-class Settings(Record):
+class TrainingSettings(Record):
     """How to train; equal settings on equal data give equal weights (on one CPU and one number of threads).
 
     Source: the defaults of optimiser, warm-up, decay and average are those of C. Chi et al., "Diffusion Policy",
@@ -88,7 +88,7 @@ class Settings(Record):
         return self.learning_rate * warm_up_factor * 0.5 * (1 + math.cos(math.pi * share))
 
 
-class Source(Record):
+class TrainingSource(Record):
     """One of the datasets trained on: its share of the windows, version, and who of it trained."""
 
     name: str
@@ -124,7 +124,7 @@ class Run(Record):
         Unit of each channel, as it is fed and forecast.
     normaliser : dict
         Centre and scale of each channel.
-    settings : Settings
+    settings : TrainingSettings
         How it was trained.
     init : dict or None
         For a fine-tuned model: dataset, digest and step of the checkpoint it began with, and all ids it had been
@@ -146,20 +146,20 @@ class Run(Record):
     version: int
     split: str
     split_digest: str
-    sources: tuple[Source, ...] = ()
+    sources: tuple[TrainingSource, ...] = ()
     rate_hz: float
     channels: tuple[str, ...]
     units: dict[str, str]
     normaliser: dict[str, Any]
-    settings: Settings
+    settings: TrainingSettings
     init: dict[str, Any] | None = None
     revision: str
 
     @property
-    def trained_on(self) -> tuple[Source, ...]:
+    def trained_on(self) -> tuple[TrainingSource, ...]:
         """The datasets trained on, one or those of the mixture."""
         dataset_fields = {name: getattr(self, name) for name in ("dataset", "digest", "version", "split_digest")}
-        return self.sources or (Source(name=self.dataset, share=1.0, **dataset_fields),)
+        return self.sources or (TrainingSource(name=self.dataset, share=1.0, **dataset_fields),)
 
 
 class Progress(ResultRecord):

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from candata.training import checkpoint, ema
-from candata.training.settings import Progress, Settings
+from candata.training.settings import Progress, TrainingSettings
 
 
 @dataclass
-class State:
+class TrainingState:
     """What a checkpoint keeps.
 
     Attributes
@@ -63,12 +63,12 @@ class State:
         self.progress = source.progress
 
 
-def initial_state(module: torch.nn.Module, settings: Settings) -> State:
+def initial_state(module: torch.nn.Module, settings: TrainingSettings) -> TrainingState:
     """Return the state at step 0 of a run that begins with the weights of `module`."""
     optimiser = torch.optim.AdamW(
         module.parameters(), lr=settings.learning_rate, betas=settings.betas, weight_decay=settings.weight_decay
     )
-    return State(module, ema.start_average(module.state_dict()), optimiser, Progress())
+    return TrainingState(module, ema.start_average(module.state_dict()), optimiser, Progress())
 
 
 def generator(device: str, *key: int) -> torch.Generator:

@@ -8,14 +8,15 @@ import pytest
 
 from candata.checks import check, rule_names
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 
 def simulated(scene, count, noise=True, seed=5, effects=(), duration_s=3.2):
     """Episodes of a scene's own policies in turn."""
     names = [scene.policies[i % len(scene.policies)] for i in range(count)]
     jobs = [
-        Job(id=f"{name}-{i}", index=i, policy=name, seed=seed, effects=tuple(effects)) for i, name in enumerate(names)
+        EpisodeJob(id=f"{name}-{i}", index=i, policy=name, seed=seed, effects=tuple(effects))
+        for i, name in enumerate(names)
     ]
     return make_episodes(scene, jobs, duration_s=duration_s, noise=scene.file.noise if noise else None)
 

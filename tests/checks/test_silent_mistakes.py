@@ -7,7 +7,7 @@ import pytest
 
 from candata.checks import check, defects
 from candata.datasets import open_dataset
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: Level and words of what is said of each mistake: the reading that fits better, with its error.
 SAID = {
@@ -53,7 +53,7 @@ def said(folder, episodes, mistake, scene):
 
 def motions(scene, policy, count=6):
     """Episodes of one motion of a scene with its declared noise."""
-    jobs = [Job(f"e{i}", i, policy, 3) for i in range(count)]
+    jobs = [EpisodeJob(f"e{i}", i, policy, 3) for i in range(count)]
     return make_episodes(scene, jobs, duration_s=1.5, noise=scene.file.noise)
 
 

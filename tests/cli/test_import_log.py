@@ -19,7 +19,7 @@ from candata.record.logs import LogWriter, meta_of
 from candata.scenes import load_scene
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.cli.command import exit_code
 
 SCENE = "xhand_tabletop"
@@ -49,7 +49,7 @@ class Sent:
 @pytest.fixture(scope="session")
 def played() -> Episode:
     """Five seconds of a squeeze, with contact."""
-    (found,) = make_episodes(load_scene(SCENE), [Job("e", 0, "squeeze", 3)], duration_s=5.0)
+    (found,) = make_episodes(load_scene(SCENE), [EpisodeJob("e", 0, "squeeze", 3)], duration_s=5.0)
     assert found["contact"].any()
     return found
 

@@ -9,7 +9,7 @@ import pytest
 
 from candata.checks import defects
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.cli.command import run
 
 SCENE = "gripper_tabletop"
@@ -19,7 +19,7 @@ SCENE = "gripper_tabletop"
 def sound():
     """Eight episodes in which three fingertips press on an object."""
     scene = load_scene(SCENE)
-    jobs = [Job(f"e{i}", i, ("grasp_lift_shake", "push")[i % 2], 5) for i in range(8)]
+    jobs = [EpisodeJob(f"e{i}", i, ("grasp_lift_shake", "push")[i % 2], 5) for i in range(8)]
     return make_episodes(scene, jobs, duration_s=1.5, noise=scene.file.noise)
 
 

@@ -16,7 +16,7 @@ from candata.gap.evidence import Evidence
 from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
 from candata.schema.report import DiagnosisData, EpisodeCount, Gap, Report
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.cli.test_diagnose import run
 from tests.effects.gripper import write_scene
 
@@ -51,7 +51,7 @@ def test_each_effect_of_the_file_runs(mine, which):
     assert done.code == 0, done.err
     made = [e["joint_position"] for e in open_dataset("set").episodes()]
     scene = load_scene(mine / "scene.yaml")
-    jobs = [Job(e.meta.id, i, "squeeze", 1) for i, e in enumerate(open_dataset("set").episodes())]
+    jobs = [EpisodeJob(e.meta.id, i, "squeeze", 1) for i, e in enumerate(open_dataset("set").episodes())]
     plain = [e["joint_position"] for e in make_episodes(scene, jobs, duration_s=0.5)]
     assert all(np.abs(a - b).max() > 1e-9 for a, b in zip(made, plain, strict=True))
 
@@ -61,7 +61,7 @@ def test_the_whole_file_runs_as_its_effects_do(mine):
     effects = EffectsFile.parse(yaml.safe_load(EFFECTS), "effects.yaml").effects
     scene = load_scene(mine / "scene.yaml")
     for i, episode in enumerate(open_dataset("set").episodes()):
-        job = Job(episode.meta.id, i, "squeeze", 1, effects)
+        job = EpisodeJob(episode.meta.id, i, "squeeze", 1, effects)
         (again,) = make_episodes(scene, [job], duration_s=0.5)
         assert np.array_equal(episode["joint_position"], again["joint_position"])
 

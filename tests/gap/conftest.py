@@ -22,7 +22,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
 from candata.simulate import at_rest, rollout
-from candata.simulate.episodes import Job, add_noise, make_episodes
+from candata.simulate.episodes import EpisodeJob, add_noise, make_episodes
 
 #: Rate of the arm's scene.
 ARM_HZ = 100.0
@@ -120,7 +120,7 @@ def played() -> Callable[..., list[Episode]]:
         noise: bool = True,
     ) -> list[Episode]:
         some = policies or scene.policies
-        jobs = [Job(f"e{i:03d}", i, some[i % len(some)], seed, effects, hidden=True) for i in range(count)]
+        jobs = [EpisodeJob(f"e{i:03d}", i, some[i % len(some)], seed, effects, hidden=True) for i in range(count)]
         return make_episodes(scene, jobs, duration_s=duration_s, noise=scene.file.noise if noise else None)
 
     return make

@@ -19,7 +19,7 @@ from candata.policies import Motion
 from candata.scenes import load_scene
 from candata.schema.bench import CaseResult
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, NextMotion, Report
-from candata.simulate.episodes import Job
+from candata.simulate.episodes import EpisodeJob
 from tests.gap.conftest import ARM, ROLES
 
 SMALL = {"seed": 3, "episodes": 2, "duration_s": 0.6}
@@ -88,7 +88,7 @@ def test_what_was_proposed_is_recorded_in_the_hidden_world_beside_the_rest(run, 
     assert np.ptp([e["joint_position"][30] for e in played], axis=0).max() > 0, "noise of its own"
     # The same motion in the nominal world goes elsewhere.
     plain = run.labels["case-0001"].model_copy(update={"effects": ()})
-    plans = [Job("nominal", 9, "jump", 3, motion=JUMP)]
+    plans = [EpisodeJob("nominal", 9, "jump", 3, motion=JUMP)]
     (nominal,) = hidden_world(load_scene(run.places[0].scene), plain, plans)
     assert np.abs(played[0]["joint_position"] - nominal["joint_position"]).max() > 0.02
 

@@ -8,14 +8,14 @@ import pytest
 from candata.errors import UnknownNameError
 from candata.gap.blind.outside import CAUSES, alter_with, draw_outside, possible_outside
 from candata.schema.bench import OutsideCause
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: Motions in which every cause shows; a push ends in a release.
 POLICIES = ("push", "grasp_lift_shake")
 
 
 def played(scene, outside, noise_seed=None):
-    jobs = [Job(f"e{i}", i, name, 1, noise_seed=noise_seed) for i, name in enumerate(POLICIES)]
+    jobs = [EpisodeJob(f"e{i}", i, name, 1, noise_seed=noise_seed) for i, name in enumerate(POLICIES)]
     noise = scene.file.noise if noise_seed is not None else None
     return make_episodes(scene, jobs, duration_s=1.6, noise=noise, alter=alter_with(scene, outside))
 
@@ -72,7 +72,7 @@ def test_a_cause_without_size_changes_nothing(hand, plain, name):
 def test_a_wind_pushes_the_object_with_its_force(cube):
     wind = OutsideCause(name="wind", acts_on="object", values={"x_N": 0.37, "y_N": 0.0})
     plain, made = (
-        make_episodes(cube, [Job("e", 0, "toss", 4)], duration_s=0.1, alter=alter_with(cube, o))[0]
+        make_episodes(cube, [EpisodeJob("e", 0, "toss", 4)], duration_s=0.1, alter=alter_with(cube, o))[0]
         for o in (None, wind)
     )
     t = (len(plain) - 1) / cube.file.rate_hz

@@ -7,7 +7,7 @@ import pytest
 from candata.reports.numbers import unit_of
 from candata.reports.terminal import summary
 from candata.scenes import Scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.effects.gripper import write_scene
 
 #: Two jaws with a motor each, under a lift and a wrist's hinge.
@@ -50,7 +50,7 @@ def gripper(tmp_path_factory) -> Scene:
 
 def recorded(scene, effects=()):
     names = [("grasp_lift_shake", "free_sweep")[i % 2] for i in range(8)]
-    jobs = [Job(id=f"{n}-{i}", index=i, policy=n, seed=3, effects=tuple(effects)) for i, n in enumerate(names)]
+    jobs = [EpisodeJob(id=f"{n}-{i}", index=i, policy=n, seed=3, effects=tuple(effects)) for i, n in enumerate(names)]
     return make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise)
 
 

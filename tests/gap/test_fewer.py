@@ -18,7 +18,7 @@ from candata.gap.refine import WIDTHS, around, divided, joint
 from candata.gap.replay import Replayer
 from candata.gap.search import Fit
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.gap.conftest import members, plant
 
 
@@ -99,7 +99,7 @@ def test_many_numbers_go_that_take_a_part_of_one_more_effect_unless_they_are_tru
     """Slopes do not tell: where the numbers stand, without them most of the gap is open however the others move."""
     scene = load_scene("gripper_tabletop")
     effects = (*planted(true, **value), *planted("object_mass", mass_scale=1.5))
-    jobs = [Job(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], 3, effects) for i in range(10)]
+    jobs = [EpisodeJob(f"e{i:02d}", i, scene.policies[i % len(scene.policies)], 3, effects) for i in range(10)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
     problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
     mass, size = members(scene, object_mass=0.4, object_size=-0.02)

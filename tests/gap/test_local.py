@@ -12,7 +12,7 @@ from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.stage import typical
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,9 @@ def test_without_a_fault_few_variants_are_simulated(variants):
 
 def test_a_fingertip_that_stands_out_brings_no_joint_of_its_name(hand):
     """In the built-in hand both are called index2: places for variants go to the joint and the tip that stand out."""
-    made = make_episodes(hand, [Job(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise)
+    made = make_episodes(
+        hand, [EpisodeJob(f"e{i}", i, "squeeze", 3) for i in range(8)], duration_s=0.5, noise=hand.file.noise
+    )
     problem = _problem(Replayer(hand), recordings(hand, made), np.random.default_rng(0), None, lambda stage: None)
     force = np.array([(c, e.split(" ")[0]) == ("fingertip_force", "index2") for c, e, _ in problem.plan.columns])
     own = np.tile(force, problem.plan.phase.shape[1])

@@ -20,7 +20,7 @@ from candata.gap.shrink import shares
 from candata.gap.stage import as_simulated, look
 from candata.gap.together import beside, sums
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.gap.conftest import ARM, ROLES, plant
 
 TRUE = {"joint_dry_friction", "actuation_delay"}
@@ -368,7 +368,7 @@ def test_an_alias_that_is_not_yet_fitted_is_refitted_before_it_is_judged(tmp_pat
     (tmp_path / "scene.yaml").write_text(ROLES)
     scene = load_scene(tmp_path / "scene.yaml")
     effects = (*plant("servo_damping", kv_scale=2.0), *plant("actuation_delay", delay_s=0.03))
-    jobs = [Job(f"e{i}", i, "free_sweep", 3, effects, hidden=True) for i in range(12)]
+    jobs = [EpisodeJob(f"e{i}", i, "free_sweep", 3, effects, hidden=True) for i in range(12)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.6, noise=scene.file.noise))
     problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
     servo, late, damped, dry = (

@@ -18,7 +18,7 @@ from candata.gap.replay import Replayer
 from candata.gap.shortlist import brief
 from candata.gap.stage import look
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.gap.conftest import members
 
 
@@ -193,7 +193,7 @@ def test_the_two_numbers_of_one_spring_and_damper_are_found_together(planted):
     scene = load_scene("gripper_tabletop")
     truth = {"contact_compliance": 0.05, "contact_damping": 0.4}
     effects = (*planted("contact_compliance", timeconst_s=0.05), *planted("contact_damping", dampratio=0.4))
-    jobs = [Job(f"e{i}", i, ("squeeze", "push")[i % 2], 3, effects) for i in range(6)]
+    jobs = [EpisodeJob(f"e{i}", i, ("squeeze", "push")[i % 2], 3, effects) for i in range(6)]
     recs = recordings(scene, make_episodes(scene, jobs, duration_s=1.2, noise=scene.file.noise))
     problem = _problem(Replayer(scene), recs, np.random.default_rng(0), None, lambda stage: None)
     both = [(candidate(name, scene), None) for name in effects_with("contact_spring")]

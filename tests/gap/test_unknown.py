@@ -27,7 +27,7 @@ from candata.scenes import load_scene
 from candata.schema.effect import EffectsFile
 from candata.schema.report import Symptom
 from candata.simulate import at_rest, rollout
-from candata.simulate.episodes import Job, add_noise, make_episodes
+from candata.simulate.episodes import EpisodeJob, add_noise, make_episodes
 from tests.effects.gripper import ROLES, grip, write_scene
 from tests.gap import hidden
 
@@ -216,7 +216,7 @@ def test_a_pull_on_what_is_dragged_and_not_lifted_is_found_by_playing_it(hiding)
     """The support takes it: all that a residual force shows of it is friction, which closes 0.07 of the gap."""
     scene = load_scene("gripper_tabletop")
     world = hiding(drawn_down(1.8, 0.02))
-    squeezes = make_episodes(scene, [Job(f"e{i}", i, "squeeze", 3, world) for i in range(8)], duration_s=2.4)
+    squeezes = make_episodes(scene, [EpisodeJob(f"e{i}", i, "squeeze", 3, world) for i in range(8)], duration_s=2.4)
     found = described(scene, recordings(scene, squeezes)).unknown
     assert (found.acts_on, found.depends_on) == ("object", ("nearness to the support",))
     assert "on the object towards -z that fades with its height above the table" in found.words

@@ -9,7 +9,7 @@ from candata.policies import policy, policy_names
 from candata.policies._drive import command_range
 from candata.policies.free_sweep import SWEEP_SHARE
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 EPISODES = 4
 
@@ -22,7 +22,7 @@ def hand(request):
 @pytest.fixture(scope="module")
 def episodes(hand):
     """Four episodes of each policy of the scene, without noise."""
-    jobs = [Job(f"{p}{i}", i, p, 11) for p in hand.policies for i in range(EPISODES)]
+    jobs = [EpisodeJob(f"{p}{i}", i, p, 11) for p in hand.policies for i in range(EPISODES)]
     made = make_episodes(hand, jobs, duration_s=3.2)
     return {p: [e for e in made if e.meta.task == p] for p in hand.policies}
 
@@ -77,7 +77,7 @@ def test_reversals_in_the_air_touch_nothing_and_the_carry_goes_far(hand):
     for name in ("free_sweep", "grasp_lift_shake"):
         for v in policy(name).variants:
             plan = v.plan(hand, np.random.default_rng(2), 3.2)
-            made[v.words] = Job(v.words, 0, v.words, 1, motion=Motion(v.words, plan.commands, np.zeros(3)))
+            made[v.words] = EpisodeJob(v.words, 0, v.words, 1, motion=Motion(v.words, plan.commands, np.zeros(3)))
     played = dict(zip(made, make_episodes(hand, list(made.values()), duration_s=3.2), strict=True))
     for words, e in played.items():
         if "air" in words:
@@ -147,7 +147,7 @@ def test_the_object_is_held_where_it_stands(episodes, name):
 
 def test_the_toss_flies_and_lands():
     scene = load_scene("cube_toss")
-    for e in make_episodes(scene, [Job(f"t{i}", i, "toss", 3) for i in range(4)], duration_s=0.8):
+    for e in make_episodes(scene, [EpisodeJob(f"t{i}", i, "toss", 3) for i in range(4)], duration_s=0.8):
         z = e["object_pose"][:, 2]
         assert z[0] > 0.1
         # It stands on a face, or is about to; the default contact is soft: it gives 17 mm on impact.

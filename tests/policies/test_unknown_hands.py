@@ -10,7 +10,7 @@ from candata.policies import policy
 from candata.policies._grasp import grasp
 from candata.policies._postures import postures
 from candata.scenes import load_scene
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.policies.unknown_hands import FOUR_FINGERS, JAWS, JAWS_ROLES, without_keyframes, write
 
 
@@ -21,7 +21,7 @@ def jaws(tmp_path_factory):
 
 def lifted(scene) -> list[float]:
     """How high two grasps raise the object, held by two fingertips or more [m]."""
-    made = make_episodes(scene, [Job(f"g{i}", i, "grasp_lift_shake", 11) for i in range(2)], duration_s=2.5)
+    made = make_episodes(scene, [EpisodeJob(f"g{i}", i, "grasp_lift_shake", 11) for i in range(2)], duration_s=2.5)
     middle = slice(len(made[0]) // 2, 2 * len(made[0]) // 3)
     assert all((e["fingertip_contact"][middle].mean(0) > 0.8).sum() >= 2 for e in made)
     return [float(np.ptp(e["object_pose"][:, 2])) for e in made]
@@ -58,7 +58,7 @@ def test_a_rail_that_points_down_lifts_by_going_back(jaws):
 
 def test_the_fingers_of_an_unknown_hand_sweep_free_of_the_object():
     scene = load_scene(FOUR_FINGERS)
-    for e in make_episodes(scene, [Job(f"s{i}", i, "free_sweep", 5) for i in range(2)], duration_s=2.0):
+    for e in make_episodes(scene, [EpisodeJob(f"s{i}", i, "free_sweep", 5) for i in range(2)], duration_s=2.0):
         assert not e["contact"].any()
         assert (e["action"][:, 1:].std(0) > 0.02).all(), "every joint moves, or its faults could not be seen"
 

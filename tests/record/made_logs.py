@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 
 from candata.record.calibration import Calibration
-from candata.record.companions import Companion, Stream
-from candata.record.importing import Recipe
+from candata.record.companions import Companion, RecordedStream
+from candata.record.importing import ImportRecipe
 from candata.record.logs import Log, LogMeta
 from candata.schema.scene import SceneFile
 
 START = 1_760_000_000_000_000_000
 TIPS, JOINTS = ("thumb", "index"), ("j0", "j1", "j2")
-RECIPE = Recipe(episode="run")
+RECIPE = ImportRecipe(episode="run")
 
 
 def make_log(seconds: float = 10.0, rate_hz: float = 83.0, reply_ns: int = 1_100_000, **changed) -> Log:
@@ -60,20 +60,22 @@ def swing(time_ns) -> np.ndarray:
 
 def pose_stream(
     rate_hz: float = 60.0, first_s: float = 0.0, last_s: float = 10.0, channel: str = "object_pose"
-) -> Stream:
+) -> RecordedStream:
     time_ns = START + np.round(np.arange(first_s, last_s, 1 / rate_hz) * 1e9).astype(np.int64)
     pose = np.zeros((len(time_ns), 7))
     pose[:, 0], pose[:, 3] = (time_ns - START) * 1e-9, 1.0
-    return Stream(channel, (), time_ns, pose, "poses.parquet")
+    return RecordedStream(channel, (), time_ns, pose, "poses.parquet")
 
 
-def beside(*streams: Stream) -> Companion:
+def beside(*streams: RecordedStream) -> Companion:
     return Companion("map.yaml", streams, "1" * 64)
 
 
-def wrist(channel: str = "joint_position", names=("w0", "w1")) -> Stream:
+def wrist(channel: str = "joint_position", names=("w0", "w1")) -> RecordedStream:
     time_ns = START + np.arange(0, 10_000, 10) * 1_000_000
-    return Stream(channel, names, time_ns, np.tile([5.0, 6.0], (len(time_ns), 1))[:, : len(names)], "wrist.parquet")
+    return RecordedStream(
+        channel, names, time_ns, np.tile([5.0, 6.0], (len(time_ns), 1))[:, : len(names)], "wrist.parquet"
+    )
 
 
 def scene(**changed) -> SceneFile:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from candata.errors import SetupError
-from candata.record.calibration import Limits, calibrate, from_metadata, to_metadata
+from candata.record.calibration import CalibrationLimits, calibrate, from_metadata, to_metadata
 from candata.record.devices._contract import States
 
 NAMES = {"joint_names": ("a", "b"), "fingertip_names": ("t", "u", "v"), "newton_per_count": 0.1, "rate_hz": 80.0}
@@ -65,7 +65,7 @@ def test_a_steady_touch_is_named(rest):
 
 def test_the_limits_are_settings(rest):
     rest.force_counts[:, 0, 2] += 20
-    assert calibrate(rest, 3.0, **NAMES, limits=Limits(force_level_N=5.0)).rows == 240
+    assert calibrate(rest, 3.0, **NAMES, limits=CalibrationLimits(force_level_N=5.0)).rows == 240
 
 
 def test_too_few_states_are_refused(rest):

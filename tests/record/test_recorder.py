@@ -20,10 +20,10 @@ from candata.record.emulate import play
 from candata.record.emulate_faults import parse_faults
 from candata.record.emulate_line import Line
 from candata.record.emulate_script import write_script
-from candata.record.importing import Recipe, import_log
+from candata.record.importing import ImportRecipe, import_log
 from candata.record.logs import read_log
 from candata.record.recorder import record
-from candata.record.recorder_values import Settings
+from candata.record.recorder_values import RecorderSettings
 from candata.schema.episode import Episode, EpisodeMeta
 
 DEVICE = plugins.load("candata.record.devices", "DEVICE", "xhand")
@@ -45,7 +45,7 @@ class Watcher:
 
 def run(port, out, watcher=None, device=DEVICE, stop=lambda: False, overrides=None, **settings):
     watcher = watcher or Watcher()
-    chosen = Settings(**{"calibrate_s": 0.0, "reserve_bytes": 0, **settings})
+    chosen = RecorderSettings(**{"calibrate_s": 0.0, "reserve_bytes": 0, **settings})
     report = record(
         device,
         port,
@@ -303,7 +303,7 @@ def test_bursts_of_an_adapter_are_told_with_the_remedy_while_they_last_and_in_th
     assert note.startswith("bytes come in bursts, every 16 ms, as a USB adapter's latency timer makes them: stamps are")
     assert remedy in note
     assert remedy in report.facts["bursts"]
-    found = import_log(log, read_log(log), Recipe(episode="run", rate_hz=rate_hz, uncalibrated=True))
+    found = import_log(log, read_log(log), ImportRecipe(episode="run", rate_hz=rate_hz, uncalibrated=True))
     (told,) = [note for note in found.notes if "in bursts" in note]
     assert "stamps are up to 16 ms late, half of that in the mean; do: echo 1 > " in told
     assert not any("read late in a burst after a gap" in note for note in found.notes)
@@ -313,7 +313,7 @@ def test_a_healthy_port_has_no_bursts(tmp_path):
     report, watcher, log = recorded_from(tmp_path, 83.0, "")
     assert report.facts["bursts"] is None
     assert not any("bursts" in note for note in watcher.notes)
-    found = import_log(log, read_log(log), Recipe(episode="run", uncalibrated=True))
+    found = import_log(log, read_log(log), ImportRecipe(episode="run", uncalibrated=True))
     assert not any("bursts" in note for note in found.notes)
 
 

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 
 from candata.record.panel import line, panel
-from candata.record.recorder_values import View
+from candata.record.recorder_values import RecorderView
 
 LOSSES = {"crc_failures": 0, "garbage_bytes": 0, "oversize": 0, "requests_without_reply": 0}
 
 
-def view_of(**changes) -> View:
+def view_of(**changes) -> RecorderView:
     fields = {
         "phase": "recording",
         "elapsed_s": 83.4,
@@ -28,10 +28,10 @@ def view_of(**changes) -> View:
         "gaps": 0,
         "size_bytes": 36_900_000,
     }
-    return View(**(fields | changes))
+    return RecorderView(**(fields | changes))
 
 
-def drawn(view: View, notes=()) -> str:
+def drawn(view: RecorderView, notes=()) -> str:
     console = Console(file=io.StringIO(), width=80)
     console.print(panel(view, "a title", notes))
     return console.file.getvalue()

@@ -17,7 +17,7 @@ from candata.repair import export_sysid
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.world import build_worlds
 from tests.repair.rig import EDITS, drawn
 
@@ -31,7 +31,7 @@ DELAY = EffectSetting(name="actuation_delay", parameters={"delay_s": 0.02})
 
 def dataset(scene, folder, effects=TRUE, count: int = 3):
     """Recordings of free motions in a world with effects."""
-    jobs = [Job(f"e{i}", i, "free_sweep", 3, tuple(effects), hidden=True) for i in range(count)]
+    jobs = [EpisodeJob(f"e{i}", i, "free_sweep", 3, tuple(effects), hidden=True) for i in range(count)]
     create_dataset(folder)
     append(folder, make_episodes(scene, jobs, duration_s=1.0), Lineage(operation="test"))
     return open_dataset(folder)
@@ -133,7 +133,7 @@ def test_the_toolbox_loads_it_and_its_rollout_is_the_recording(exported):
 
 def test_a_model_without_actuators_gives_tosses(tmp_path):
     scene = load_scene("cube_toss")
-    jobs = [Job(f"e{i}", i, "toss", 3, (), hidden=True) for i in range(2)]
+    jobs = [EpisodeJob(f"e{i}", i, "toss", 3, (), hidden=True) for i in range(2)]
     create_dataset(tmp_path / "real")
     append(tmp_path / "real", make_episodes(scene, jobs, duration_s=0.6), Lineage(operation="test"))
     export_sysid(scene, [drawn("sliding_friction", scene)], open_dataset(tmp_path / "real"), tmp_path / "out")

@@ -15,7 +15,7 @@ from candata.policies import policy
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from tests.policies.unknown_hands import JAWS, JAWS_ROLES, write
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -91,7 +91,7 @@ def test_what_the_shadow_hand_lacks_is_no_candidate():
 def test_the_shadow_hand_touches_its_block_and_couples_its_joints():
     scene = loaded("shadow_hand")
     assert (len(scene.file.joints), len(scene.actuator_ids), len(scene.driven_hinges)) == (24, 20, 20)
-    made = make_episodes(scene, [Job(f"s{i}", i, "squeeze", 11) for i in range(2)], duration_s=2.0)
+    made = make_episodes(scene, [EpisodeJob(f"s{i}", i, "squeeze", 11) for i in range(2)], duration_s=2.0)
     for e in made:
         assert e["fingertip_contact"].any(), "a fingertip reaches the block"
         assert not e["contact"][0], "an episode begins before contact"
@@ -105,7 +105,7 @@ def test_bodies_need_no_names(tmp_path):
     """Sensors refer to names: bodies that have none get one, and read the same."""
     bare = JAWS.replace('<body name="rail"', "<body").replace('<body name="left"', "<body")
     plain, unnamed = (write(folder, xml, JAWS_ROLES) for folder, xml in folders(tmp_path, JAWS, bare))
-    made = [make_episodes(s, [Job("g", 0, "grasp_lift_shake", 1)], duration_s=1.0)[0] for s in (plain, unnamed)]
+    made = [make_episodes(s, [EpisodeJob("g", 0, "grasp_lift_shake", 1)], duration_s=1.0)[0] for s in (plain, unnamed)]
     assert made[0]["contact"].any()
     for channel in ("object_pose", "fingertip_force"):
         assert np.array_equal(made[0][channel], made[1][channel])

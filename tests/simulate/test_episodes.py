@@ -10,11 +10,11 @@ from candata.datasets import content_hash
 from candata.errors import DataError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
-from candata.simulate.episodes import Job, make_episodes, tried_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes, tried_episodes
 
 POLICIES = ("grasp_lift_shake", "free_sweep", "push")
 EFFECTS = ((), (EffectSetting(name="pose_latency", parameters={"latency_s": 0.03}),))
-JOBS = [Job(f"e{i}", i, POLICIES[i % 3], 4, EFFECTS[i % 2]) for i in range(6)]
+JOBS = [EpisodeJob(f"e{i}", i, POLICIES[i % 3], 4, EFFECTS[i % 2]) for i in range(6)]
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_noise_does_not_change_the_plan(hand, together):
 def test_an_episode_says_who_and_what(hand, together):
     meta = together[1].meta
     assert (meta.task, meta.seed, meta.effects, meta.scene) == ("free_sweep", 4, EFFECTS[1], "xhand_tabletop")
-    hidden = make_episodes(hand, [Job("w", 0, "push", 4, EFFECTS[1], hidden=True)], duration_s=0.1)[0]
+    hidden = make_episodes(hand, [EpisodeJob("w", 0, "push", 4, EFFECTS[1], hidden=True)], duration_s=0.1)[0]
     assert hidden.meta.seed is None
     assert hidden.meta.effects is None
 
@@ -95,8 +95,8 @@ def test_an_unstable_simulation_is_an_error_that_names_it(stiff, tmp_path, capfd
         EffectSetting(name="servo_damping", parameters={"kv_scale": 8.0}),
     )
     scene = stiff(1.0)
-    assert len(make_episodes(scene, [Job("a", 0, "free_sweep", 1, (fine,))], duration_s=0.5)) == 1
-    jobs = [Job("a", 0, "free_sweep", 1, (fine,)), Job("b", 1, "free_sweep", 1, (wild,))]
+    assert len(make_episodes(scene, [EpisodeJob("a", 0, "free_sweep", 1, (fine,))], duration_s=0.5)) == 1
+    jobs = [EpisodeJob("a", 0, "free_sweep", 1, (fine,)), EpisodeJob("b", 1, "free_sweep", 1, (wild,))]
     with pytest.raises(DataError, match="unstable") as caught:
         make_episodes(scene, jobs, duration_s=0.5)
     assert caught.value.where.episode == "b"
@@ -116,11 +116,11 @@ def test_an_unstable_simulation_is_an_error_that_names_it(stiff, tmp_path, capfd
 def test_what_is_withheld_stays_so_in_an_error(stiff):
     wild = EffectSetting(name="servo_damping", parameters={"kv_scale": 8.0})
     with pytest.raises(DataError, match="unstable") as caught:
-        make_episodes(stiff(1.0), [Job("b", 1, "free_sweep", 1, (wild,), hidden=True)], duration_s=0.5)
+        make_episodes(stiff(1.0), [EpisodeJob("b", 1, "free_sweep", 1, (wild,), hidden=True)], duration_s=0.5)
     assert "servo_damping" not in str(caught.value)
 
 
 def test_a_simulation_that_is_unstable_without_any_effect_says_so(stiff):
     with pytest.raises(DataError, match="unstable") as caught:
-        make_episodes(stiff(12.0), [Job("b", 1, "free_sweep", 1)], duration_s=0.5)
+        make_episodes(stiff(12.0), [EpisodeJob("b", 1, "free_sweep", 1)], duration_s=0.5)
     assert "without any effect" in caught.value.found

@@ -7,7 +7,7 @@ import pytest
 
 from candata.scenes import load_scene
 from candata.simulate import at_rest, rollout
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: MuJoCo's default gravity [m/s^2].
 G = 9.81
@@ -94,7 +94,7 @@ def test_what_parts_of_one_fingertip_exert_on_one_another_is_no_force_from_outsi
 def test_episodes_of_a_scene_without_an_object_hold_forces_and_flags(scene):
     servos = "".join(f'<position name="{n}" joint="{n}" kp="200" kv="5"/>' for n in ("left", "right", "down"))
     world = scene(f"{HEAD}{JAWS}</worldbody><actuator>{servos}</actuator></mujoco>", ROLES)
-    (episode,) = make_episodes(world, [Job("e", 0, "free_sweep", 1)], duration_s=0.5)
+    (episode,) = make_episodes(world, [EpisodeJob("e", 0, "free_sweep", 1)], duration_s=0.5)
     assert episode["fingertip_force"].shape[1:] == (3, 3)
     assert episode["fingertip_contact"].any()
     assert np.array_equal(episode["contact"], episode["fingertip_contact"].any(1))

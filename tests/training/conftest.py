@@ -13,8 +13,8 @@ from candata.datasets import Dataset, append, create_dataset, open_dataset, put_
 from candata.rotation import exp
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.manifest import Lineage
-from candata.training.loop import Job
-from candata.training.settings import Run, Settings
+from candata.training.loop import TrainingJob
+from candata.training.settings import Run, TrainingSettings
 
 
 class Line(torch.nn.Module):
@@ -55,17 +55,17 @@ def make_run(**changes: object) -> Run:
         channels=("joint_position",),
         units={"joint_position": "joint"},
         normaliser={},
-        settings=Settings.model_validate(settings | changes),
+        settings=TrainingSettings.model_validate(settings | changes),
         revision="0",
     )
 
 
-def make_job(draw=make_batch, **changes: object) -> Job:
+def make_job(draw=make_batch, **changes: object) -> TrainingJob:
     run = make_run(**changes)
     with torch.random.fork_rng():
         torch.manual_seed(run.settings.seed)
         module = Line()
-    return Job(run, module, draw, (make_batch(0, seed=1), make_batch(1, seed=1)))
+    return TrainingJob(run, module, draw, (make_batch(0, seed=1), make_batch(1, seed=1)))
 
 
 @pytest.fixture

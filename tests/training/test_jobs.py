@@ -16,9 +16,9 @@ from candata.training import checkpoint, evaluation, jobs
 from candata.training.evaluation import EvaluationSettings, evaluate
 from candata.training.jobs import TrainRequest, prepare
 from candata.training.loop import train
-from candata.training.settings import Settings
+from candata.training.settings import TrainingSettings
 
-SETTINGS = Settings(steps=6, batch=8, validate_every=3, log_every=2)
+SETTINGS = TrainingSettings(steps=6, batch=8, validate_every=3, log_every=2)
 SMALL = {"latent": 16, "temporal_width": 16, "widths": (16, 16), "time_features": 8, "point_widths": (8, 16)}
 MLP = TrainRequest("mlp", config={"width": 16, "layers": 1}, history=4, horizon=6)
 DIFFUSION = TrainRequest("contact_diffusion", config=SMALL, history=4, horizon=6)

@@ -18,7 +18,7 @@ from safetensors import safe_open
 from candata.errors import DataError, SetupError, UsageError
 from candata.training import checkpoint
 from candata.training.loop import train
-from candata.training.settings import Settings
+from candata.training.settings import TrainingSettings
 from candata.training.steplog import StepLog, read_log
 
 WORKER = Path(__file__).with_name("train_worker.py")
@@ -183,7 +183,7 @@ def test_validation_leaves_the_training_as_it_is(tmp_path, job):
 
 
 def test_the_rate_warms_up_and_decays_to_nothing():
-    settings = Settings(steps=1000, warm_up=50, learning_rate=1.0)
+    settings = TrainingSettings(steps=1000, warm_up=50, learning_rate=1.0)
     assert settings.rate(0, 0.0) == pytest.approx(1 / 50)
     assert settings.rate(49, 0.0) == pytest.approx(1.0, abs=0.01)
     assert settings.rate(500, 0.0) == pytest.approx(0.5)
@@ -191,7 +191,7 @@ def test_the_rate_warms_up_and_decays_to_nothing():
 
 
 def test_minutes_bound_a_run():
-    settings = Settings(steps=None, minutes=2.0, warm_up=500, learning_rate=1.0)
+    settings = TrainingSettings(steps=None, minutes=2.0, warm_up=500, learning_rate=1.0)
     assert settings.share(10**6, 60.0) == 0.5
     assert settings.rate(10, 60.0) == pytest.approx(0.5)
     assert settings.share(3, 121.0) == 1.0
@@ -199,7 +199,7 @@ def test_minutes_bound_a_run():
 
 def test_a_run_must_end():
     with pytest.raises(ValueError, match="a run needs a length"):
-        Settings(steps=None)
+        TrainingSettings(steps=None)
 
 
 def test_a_torn_log_is_whole_again(tmp_path):

@@ -14,7 +14,7 @@ from candata.loaders.increments import increments
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from candata.training import metrics, scoring
-from candata.training.forecasters import BASELINES, Answer, KeepsVelocity, Stays
+from candata.training.forecasters import BASELINES, ForecastArrays, KeepsVelocity, Stays
 from candata.training.poses import position_error
 from candata.training.rollout import close_loop, course, evenly_ranked
 
@@ -31,7 +31,7 @@ class Oracle:
     def forecast(self, batch, seed):
         self.seen.append(batch)
         poses = np.concatenate([batch["history/object_pose"][:, -1:], batch["future/object_pose"]], axis=1)
-        return Answer(increments(poses)[None], batch["future/contact"].astype(float))
+        return ForecastArrays(increments(poses)[None], batch["future/contact"].astype(float))
 
 
 @dataclass
@@ -45,7 +45,7 @@ class Drifts:
         self.seen.append({name: np.array(value) for name, value in batch.items()})
         steps = np.zeros((2, *batch["future_pad"].shape, 6))
         steps[:, ..., 0] = np.array([0.0005, 0.0015])[:, None, None]
-        return Answer(steps, np.full(batch["future_pad"].shape, 0.9))
+        return ForecastArrays(steps, np.full(batch["future_pad"].shape, 0.9))
 
 
 @pytest.fixture
@@ -125,7 +125,10 @@ def test_shorter_episodes_leave_the_loop_earlier(glide):
 def test_without_a_forecast_the_recorded_contact_is_fed(glide):
     road = course(glide)
     spy = Oracle()
-    spy.forecast = lambda batch, seed: (spy.seen.append(batch), Answer(Stays().forecast(batch).increments, None))[1]
+    spy.forecast = lambda batch, seed: (
+        spy.seen.append(batch),
+        ForecastArrays(Stays().forecast(batch).increments, None),
+    )[1]
     loop = close_loop(road, spy, execute=3, seed=0)
     assert loop.contact is None
     np.testing.assert_array_equal(spy.seen[4]["history/contact"], road.contact[:, 12:16])

@@ -30,7 +30,7 @@ from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode
 from candata.schema.json_text import parse_json, read_json
 from candata.schema.manifest import Lineage
-from candata.simulate.episodes import Job, make_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.jobs import possible_policies
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
@@ -177,7 +177,9 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     label = Label.parse(parse_json(text), path)
     policies = possible_policies(scene)
     plans = [
-        Job(f"episode-{i:04d}", i, policies[i % len(policies)], seed, label.effects, hidden=True, noise_seed=label.seed)
+        EpisodeJob(
+            f"episode-{i:04d}", i, policies[i % len(policies)], seed, label.effects, hidden=True, noise_seed=label.seed
+        )
         for i in range(episodes)
     ]
     made = hidden_world(scene, label, plans, duration_s)
@@ -194,7 +196,7 @@ def make_case(folder: str, scene_name: str, text: str, sealed: str, seed: int, e
     return path.name
 
 
-def hidden_world(scene: Scene, label: Label, plans: Sequence[Job], duration_s: float = 0.0) -> list[Episode]:
+def hidden_world(scene: Scene, label: Label, plans: Sequence[EpisodeJob], duration_s: float = 0.0) -> list[Episode]:
     """Return recordings of a case's world: what the real rig is to a robot.
 
     Parameters

@@ -19,7 +19,7 @@ from candata.scenes import Scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.manifest import Lineage
 from candata.schema.report import Report
-from candata.simulate.episodes import Job
+from candata.simulate.episodes import EpisodeJob
 
 FOLLOWED, FOLDER, METHOD = "followed.jsonl", "followed", "followed up"
 
@@ -87,7 +87,7 @@ def again(
         return found.report
     turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]
     plans = [
-        Job(
+        EpisodeJob(
             f"next-{i:04d}",
             len(case) + i,
             motion.name,

@@ -15,7 +15,7 @@ from candata.policies import command_limits
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
-from candata.simulate.episodes import Job, make_episodes, tried_episodes
+from candata.simulate.episodes import EpisodeJob, make_episodes, tried_episodes
 from candata.simulate.jobs import possible_policies
 
 #: A joint is moved where its command spans more than this share of its range. Command noise alone, 0.004 of the range
@@ -97,9 +97,9 @@ def check_scene(scene: Scene, *, seed: int, duration_s: float, only: Sequence[st
     return found
 
 
-def _jobs(policies: Sequence[str], world: tuple[EffectSetting, ...], seed: int) -> list[Job]:
+def _jobs(policies: Sequence[str], world: tuple[EffectSetting, ...], seed: int) -> list[EpisodeJob]:
     """Return one episode of each policy in a world."""
-    return [Job(f"check-{i}", i, name, seed, world) for i, name in enumerate(policies)]
+    return [EpisodeJob(f"check-{i}", i, name, seed, world) for i, name in enumerate(policies)]
 
 
 def _following(scene: Scene, episode: Episode) -> list[tuple[float, str]]:
@@ -120,7 +120,7 @@ def _correlation(target: NDArray[np.float64], read: NDArray[np.float64], lags: r
     return max(float(np.corrcoef(target[: len(target) - k], read[k:])[0, 1]) for k in lags)
 
 
-def _moved(scene: Scene, nominal: list[Episode], jobs: Sequence[Job], duration_s: float) -> float:
+def _moved(scene: Scene, nominal: list[Episode], jobs: Sequence[EpisodeJob], duration_s: float) -> float:
     """Return the largest change of a compared channel in a world; 0 where MuJoCo gives it up."""
     other, fails = tried_episodes(scene, jobs, duration_s=duration_s)
     if np.isfinite(fails).any():

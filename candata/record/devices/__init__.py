@@ -2,7 +2,7 @@
 
 from candata.plugins import Registry
 from candata.record.devices._contract import Commands, Device, Encoder, Frame, Framer, States
-from candata.record.devices._wire import HeadFramer, Layout
+from candata.record.devices._wire import FrameLayout, HeadFramer
 
 DEVICES = Registry("devices", "candata.record.devices", "DEVICE", Device, "summary")
 
@@ -12,9 +12,9 @@ __all__ = [
     "Device",
     "Encoder",
     "Frame",
+    "FrameLayout",
     "Framer",
     "HeadFramer",
-    "Layout",
     "States",
     "device",
     "device_names",

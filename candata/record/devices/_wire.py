@@ -14,7 +14,7 @@ BITS_A_BYTE = 10
 
 
 @dataclass(frozen=True)
-class Layout:
+class FrameLayout:
     """How the frames of a wire look.
 
     Attributes
@@ -58,7 +58,7 @@ class HeadFramer:
     wait at the end of a stream. At most `layout.longest - 1` bytes are held.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: FrameLayout) -> None:
         """Begin with nothing held."""
         self._layout = layout
         self._held = bytearray()

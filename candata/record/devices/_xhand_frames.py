@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from candata.errors import UsageError
-from candata.record.devices._wire import Layout
+from candata.record.devices._wire import FrameLayout
 
 BAUD = 3_000_000
 HEAD = b"\x55\xaa"
@@ -82,7 +82,7 @@ def _checksum_ok(frame: bytes) -> bool:
     return crc_hqx(memoryview(frame)[:-CHECK], 0) == frame[-2] | frame[-1] << 8
 
 
-LAYOUT = Layout(
+LAYOUT = FrameLayout(
     head=HEAD,
     prefix=PREFIX,
     size=_size,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.record.devices import Commands, Device, Encoder, HeadFramer, Layout, States
+from candata.record.devices import Commands, Device, Encoder, FrameLayout, HeadFramer, States
 
 HEAD, COMMAND, STATE = b"\xa5\x5a", 1, 2
 BAUD, RATE_HZ, NEWTON_PER_COUNT = 1_000_000, 100.0, 0.01
@@ -27,7 +27,7 @@ def _checksum(body: bytes) -> bytes:
     return (sum(body) % 65536).to_bytes(2, "little")
 
 
-LAYOUT = Layout(
+LAYOUT = FrameLayout(
     head=HEAD,
     prefix=3,
     size=lambda prefix: SIZES.get(prefix[2], 2**16),  # longer than any frame: no frame
