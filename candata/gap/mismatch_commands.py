@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.lagged import Drives, Lagged, at_best, centred, drives, lagged, own_lag
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
@@ -90,7 +90,7 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
     return Paired(drive, names, target, joint, lagged(joint, target, lags))
 
 
-def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
+def unit_findings(scene: Scene, p: Paired) -> list[RecordingMismatch]:
     """Return joints that follow their command at the factor of another unit."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
     follows = (r2 > FOLLOWS) & _moves(p)
@@ -105,7 +105,7 @@ def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
     return out
 
 
-def slope_findings(p: Paired, nominal: Array) -> list[Finding]:
+def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that follow their command by a multiple of it, or against its sign, where the scene's do not.
 
     A weak joint that contact or its neighbours carry along may run against its command in the scene as well.
@@ -138,10 +138,10 @@ def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> b
     return bool((limited & (size > 2 * (high - low) + np.maximum(np.abs(low), np.abs(high)))).any())
 
 
-def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> Finding:
+def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> RecordingMismatch:
     """Return the finding that a channel is in another unit."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "command_unit" if channel == "action" else "joint_unit", True,
         f"{channel} looks like {unit}", "rad, or m for slides: a joint moves by about 1 when its command does",
         f"it moves by {np.median(slope[some]):.3g} ({_listed(names)}), as if {channel} were {UNITS[unit]:.4g} times "
@@ -150,27 +150,27 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
     )  # fmt: skip
 
 
-def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints move by a multiple of their commands."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "command_unit", True, "commands are not in the joints' unit", "about 1 rad of motion for 1 rad of command",
         f"{np.median(slope[some]):.3g} ({_listed(names)})", "scale the commands to joint targets in rad (m for slides)",
         "action", names,
     )  # fmt: skip
 
 
-def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints run against their commands."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "reversed_commands", True, "joints run against their commands", "one sign for command and joint",
         f"a joint moves by {np.median(slope[some]):.2g} when its command moves by 1 ({_listed(names)})",
         "turn the sign of the command or of the joint", "action", names,
     )  # fmt: skip
 
 
-def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
+def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
     slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
     flat = (p.joint - nominal).reshape(-1, len(p.names))
@@ -185,7 +185,7 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     for some, definite in ((moves, True), (far & ~moves, False)):
         names = _named(p, some)
         if names:
-            out.append(Finding(
+            out.append(RecordingMismatch(
                 "zero", definite, "joints stay far from their commands",
                 f"at most {ZERO_RAD:g} rad from where the scene's joints go",
                 ", ".join(f"{n} {s:+.2f} rad" for n, s in zip(names[:6], shift[some], strict=False)),
@@ -194,7 +194,7 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
-def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
+def still_findings(recs: Recordings, p: Paired) -> list[RecordingMismatch]:
     """Return that nothing moves, where neither commands nor joints nor the object do."""
     commanded = within(p.target) > 1e-3
     moved = "object_pose" in recs.readings and bool(
@@ -202,13 +202,13 @@ def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
     )
     if commanded.any() or _moves(p).any() or moved or recs.lengths.max() < TOLD_ROWS:
         return []
-    return [Finding(
+    return [RecordingMismatch(
         "still", False, "nothing moves in these recordings", "commands that move the joints",
         "constant commands, still joints", "record motions, several of each", "action",
     )]  # fmt: skip
 
 
-def following_findings(p: Paired, nominal: Array) -> list[Finding]:
+def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that do not follow their commands, in the recording or in the scene.
 
     Parameters
@@ -226,14 +226,14 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     out = []
     if both.any():
         names = _named(p, both)
-        out.append(Finding(
+        out.append(RecordingMismatch(
             "scene_still", False, "neither the recorded joints nor the scene's follow their commands",
             "joints that move when commanded", f"still: {_listed(names)}",
             "look at ranges, gains and links that collide; these joints tell nothing", "joint_position", names,
         ))  # fmt: skip
     if stuck.any():
         names = _named(p, stuck)
-        out.append(Finding(
+        out.append(RecordingMismatch(
             "scene_stuck", True, "joints of the scene do not follow their commands",
             "the scene's joints move as the recorded ones do", f"still: {_listed(names)}",
             "look at the model: limits, gains, links that collide, equalities", "joint_position", names,
@@ -241,7 +241,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     if dead.any():
         names = _named(p, dead)
         most = bool(2 * dead.sum() > commanded.sum())
-        out.append(Finding(
+        out.append(RecordingMismatch(
             "dead_joint", most, "recorded joints do not follow their commands", "joints that move when commanded",
             f"still: {_listed(names)}",
             "look at motor, wire and encoder" if most else "held where they were read and left out, not identifiable",
@@ -250,7 +250,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
-def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[Finding]:
+def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[RecordingMismatch]:
     """Return that MuJoCo cannot step the nominal scene through the recordings: it simulates nothing then.
 
     Parameters
@@ -267,7 +267,7 @@ def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float
     if not len(bad):
         return []
     when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
-    return [Finding(
+    return [RecordingMismatch(
         "scene_unstable", len(bad) >= many * len(recs),
         "the nominal simulation is unstable under the recorded commands",
         f"a finite state after every step of {1000 * scene.model.opt.timestep:g} ms",
