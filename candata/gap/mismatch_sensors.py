@@ -238,8 +238,14 @@ def touches(scene: Scene, recs: Recordings, force: Array) -> Touches | None:
 
 
 def tare(recorded: Array, nominal: Array) -> Array:
-    """Return `(F, 3)` what the fingertips read while the scene touches nothing [N]."""
-    free = np.linalg.norm(nominal, axis=-1) < 1e-6
+    """Return `(F, 3)` what the fingertips read while the scene touches nothing [N].
+
+    Rows next to a touch do not count: a contact may begin or end a moment earlier in the recording.
+    """
+    touch = np.linalg.norm(nominal, axis=-1) >= 1e-6
+    free = ~touch
+    free[:, 1:] &= ~touch[:, :-1]
+    free[:, :-1] &= ~touch[:, 1:]
     out = np.zeros(recorded.shape[2:])
     for tip in range(len(out)):
         rows = recorded[:, :, tip][free[:, :, tip]]
