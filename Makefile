@@ -34,8 +34,8 @@ test-hard: $(VENV)/test.stamp
 	$(BIN)/python benchmarks/kills.py --kills 42
 	$(BIN)/python benchmarks/hard_models.py
 	$(BIN)/python benchmarks/mutated_inputs.py --inputs 20000
-#	$(BIN)/python benchmarks/clean_checks.py --episodes 96
-#	$(BIN)/python benchmarks/silent_mistakes.py --scenes gripper_tabletop --random 1
+	$(BIN)/python benchmarks/clean_checks.py --episodes 96
+	$(BIN)/python benchmarks/silent_mistakes.py --scenes gripper_tabletop --random 1
 
 check: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -91,7 +91,7 @@ def random_small(folder: Path, seed: int) -> Sound:
 def validated(folder: Path, sound: Sound, mistake: str | None) -> tuple[Finding, ...]:
     """Return the findings of recordings with a mistake in all of them, contact derived as an import does."""
     rng = np.random.default_rng(0)
-    raws = [defects.stored(e) if mistake is None else defects.damaged(e, mistake, rng) for e in sound.episodes]
+    raws = [defects.as_stored(e) if mistake is None else defects.with_defect(e, mistake, rng) for e in sound.episodes]
     root = defects.write(folder / f"{sound.name}-{mistake}", map(defects.with_derived_flags, raws))
     return check(open_dataset(root), scene=sound.scene)
 

@@ -118,9 +118,9 @@ def _record(data: Dataset, findings: Sequence[Finding], scene: str | None, deep:
 
 def _print(episodes: int, findings: Sequence[Finding]) -> None:
     """Print one line a group of findings, then what could not be checked."""
-    from candata.checks import grouped
+    from candata.checks import group_findings
 
-    groups = grouped(findings)
+    groups = group_findings(findings)
     shown_groups = [group for group in groups if group.level != "unknown"]
     if not shown_groups:
         console.out(f"{episodes} episode{'s' * (episodes != 1)}, no findings")

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from candata.checks._finding import LEVELS, Finding, Group, Level, Rule, grouped
-from candata.checks._view import View
+from candata.checks._finding import LEVELS, Finding, Group, Level, Rule, group_findings
+from candata.checks._view import EpisodeView
 from candata.errors import DataError
 from candata.plugins import Registry
 
@@ -19,14 +19,26 @@ if TYPE_CHECKING:
     from candata.datasets import Dataset, RawPart
     from candata.scenes import Scene
 
-__all__ = ["LEVELS", "RULES", "Finding", "Group", "Level", "Rule", "View", "check", "grouped", "meanings", "rule_names"]
+__all__ = [
+    "LEVELS",
+    "RULES",
+    "EpisodeView",
+    "Finding",
+    "Group",
+    "Level",
+    "Rule",
+    "check",
+    "group_findings",
+    "meanings",
+    "rule_names",
+]
 
-#: The file of this folder that is no rule: it makes what rules must find.
+#: The file of this folder that is no rule: it makes the defects that rules must find.
 NOT_PLUGINS = ("defects",)
 RULES = Registry("checks", "candata.checks", "RULE", Rule, "meaning")
 #: Episodes that are kept whole for rules that play the scene. Chosen: an exchange in a tenth of them shows in two of 48
 #: with a chance of 0.96, and 48 episodes of a hand take some 10 MB.
-DRAWN = 48
+SAMPLE_SIZE = 48
 
 
 def rule_names() -> tuple[str, ...]:
@@ -73,71 +85,77 @@ def check(
     PluginError
         When a rule that is asked for comes from another package and cannot be used.
     """
-    chosen = RULES.load_all() if rules is None else {name: RULES.load(name) for name in rules}
-    gathered: dict[str, list[Any]] = defaultdict(list)
-    looked: set[str] = set()
-    found: list[Finding] = []
-    drawn = _Drawn(np.random.default_rng(0)) if scene is not None and any(r.sample for r in chosen.values()) else None
+    rules_by_name = RULES.load_all() if rules is None else {name: RULES.load(name) for name in rules}
+    gathered_values: dict[str, list[Any]] = defaultdict(list)
+    gathering_rules: set[str] = set()
+    findings: list[Finding] = []
+    sample = (
+        _EpisodeSample(np.random.default_rng(0))
+        if scene is not None and any(r.sample for r in rules_by_name.values())
+        else None
+    )
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         # Statistics of rows without a value are NaN, which no comparison takes for a finding.
         warnings.simplefilter("ignore", RuntimeWarning)
         for part, views in _views(dataset, deep, scene):
-            for rule in chosen.values():
-                found += rule.part(part, deep)
+            for rule in rules_by_name.values():
+                findings += rule.part(part, deep)
             try:
                 for view in views:
-                    found += _look(view, chosen, gathered, looked)
-                    if drawn is not None:
-                        drawn.add(view)
+                    findings += _look(view, rules_by_name, gathered_values, gathering_rules)
+                    if sample is not None:
+                        sample.add(view)
                     progress()
             except DataError as error:
-                if "hashes" in chosen:
-                    found.append(_unreadable(part, error))
-        for rule in chosen.values():
-            if rule.sample is not None and drawn is not None and scene is not None and drawn.views:
-                found += rule.sample(drawn.views, scene)
-        for name, rule in chosen.items():
-            if rule.judge is not None and gathered[name]:
-                found += rule.judge(gathered[name])
-            elif rule.judge is not None and rule.idle and name in looked:
-                found.append(Finding("unknown", name, rule.idle, problem=rule.idle))
-    return tuple(sorted(_unknown_once(found), key=lambda f: LEVELS.index(f.level)))
+                if "hashes" in rules_by_name:
+                    findings.append(_unreadable(part, error))
+        for rule in rules_by_name.values():
+            if rule.sample is not None and sample is not None and scene is not None and sample.views:
+                findings += rule.sample(sample.views, scene)
+        for name, rule in rules_by_name.items():
+            if rule.judge is not None and gathered_values[name]:
+                findings += rule.judge(gathered_values[name])
+            elif rule.judge is not None and rule.idle_reason and name in gathering_rules:
+                findings.append(Finding("unknown", name, rule.idle_reason, problem=rule.idle_reason))
+    return tuple(sorted(_unknown_once(findings), key=lambda f: LEVELS.index(f.level)))
 
 
-class _Drawn:
+class _EpisodeSample:
     """Episodes drawn at random from those that pass by, each as likely as any other (Vitter 1985, algorithm R)."""
 
     def __init__(self, rng: np.random.Generator) -> None:
-        self.views: list[View] = []
+        self.views: list[EpisodeView] = []
         self._rng, self._seen = rng, 0
 
-    def add(self, view: View) -> None:
-        """Keep the episode, in the place of another where there are `DRAWN`; or not."""
+    def add(self, view: EpisodeView) -> None:
+        """Keep the episode or not; it takes the place of another once there are `SAMPLE_SIZE`."""
         self._seen += 1
-        if len(self.views) < DRAWN:
+        if len(self.views) < SAMPLE_SIZE:
             self.views.append(view)
-        elif (place := int(self._rng.integers(self._seen))) < DRAWN:
+        elif (place := int(self._rng.integers(self._seen))) < SAMPLE_SIZE:
             self.views[place] = view
 
 
-def _views(dataset: Dataset, deep: bool, scene: Scene | None) -> Iterator[tuple[RawPart, Iterator[View]]]:
+def _views(dataset: Dataset, deep: bool, scene: Scene | None) -> Iterator[tuple[RawPart, Iterator[EpisodeView]]]:
     """Yield each part with its episodes as far as they belong to the version, each id once."""
     left_out = set(dataset.file.exclusions)
     for part in dataset.raw_parts():
-        yield part, _of_part(part, left_out, deep, scene)
+        yield part, _part_views(part, left_out, deep, scene)
 
 
-def _of_part(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None) -> Iterator[View]:
+def _part_views(part: RawPart, left_out: set[str], deep: bool, scene: Scene | None) -> Iterator[EpisodeView]:
     """Yield the episodes of a part that are not left out, and leave them out from there on."""
     rows = part.rows()
     for number in sorted({row["row_group"] for row in rows}):
         for raw in part.group(number, rows):
             if raw.id not in left_out:
                 left_out.add(raw.id)
-                yield View(part.with_dense(raw) if deep else raw, scene, deep)
+                yield EpisodeView(part.with_dense(raw) if deep else raw, scene, deep)
 
 
-def _look(view: View, rules: Mapping[str, Rule], gathered: dict[str, list[Any]], looked: set[str]) -> Iterator[Finding]:
+def _look(
+    view: EpisodeView, rules: Mapping[str, Rule], gathered_values: dict[str, list[Any]], gathering_rules: set[str]
+) -> Iterator[Finding]:
     """Yield what the rules find in one episode, and keep what they gather."""
     for name, rule in rules.items():
         reason = _obstacle(view, rule)
@@ -146,44 +164,47 @@ def _look(view: View, rules: Mapping[str, Rule], gathered: dict[str, list[Any]],
             continue
         yield from rule.episode(view)
         if rule.gather is not None:
-            looked.add(name)
+            gathering_rules.add(name)
             value = rule.gather(view)
             if value is not None:
-                gathered[name].append(value)
+                gathered_values[name].append(value)
 
 
-def _obstacle(view: View, rule: Rule) -> str:
+def _obstacle(view: EpisodeView, rule: Rule) -> str:
     """Return why a rule cannot look at an episode; nothing where it can."""
     if rule.scene and view.scene is None:
         return "no scene was given (--scene)"
-    missing = [name for name in rule.needs if name not in view.raw.arrays]
-    if missing:
-        return f"no {' and no '.join(missing)}"
+    missing_channels = [name for name in rule.needs if name not in view.raw.arrays]
+    if missing_channels:
+        return f"no {' and no '.join(missing_channels)}"
     if rule.needs and view.time_s is None:
         return "time does not increase"
-    unusable = [name for name in rule.needs if name != "time_ns" and view.whole(name) is None]
+    unusable = [name for name in rule.needs if name != "time_ns" and view.complete_values(name) is None]
     return f"no valid rows of {' and '.join(unusable)}" if unusable else ""
 
 
 def _unreadable(part: RawPart, error: DataError) -> Finding:
     """Return the finding that a part cannot be read; the rule on files speaks of what it can tell itself."""
     return Finding(
-        "error", "hashes", f"{part.relative(error.where.path)}: {error.found}", problem="a file cannot be read",
+        "error",
+        "hashes",
+        f"{part.relative(error.where.path)}: {error.found}",
+        problem="a file cannot be read",
         remedy="restore the file from a copy",
-    )  # fmt: skip
+    )
 
 
-def _unknown_once(found: Sequence[Finding]) -> Iterator[Finding]:
+def _unknown_once(findings: Sequence[Finding]) -> Iterator[Finding]:
     """Yield findings, with one for all episodes that a rule could not look at for the same reason."""
     counts: dict[tuple[str, str], int] = defaultdict(int)
-    for finding in found:
+    for finding in findings:
         if finding.level == "unknown":
             counts[finding.rule, finding.problem] += finding.episode is not None
         else:
             yield finding
     for (rule, reason), episodes in counts.items():
-        about = f" in {episodes} episode{'s' * (episodes != 1)}" if episodes else ""
+        extent = f" in {episodes} episode{'s' * (episodes != 1)}" if episodes else ""
         yield replace(
-            Finding("unknown", rule, f"not checked{about}: {reason}", problem=reason),
+            Finding("unknown", rule, f"not checked{extent}: {reason}", problem=reason),
             evidence={"episodes": episodes} if episodes else {},
         )

@@ -1,20 +1,20 @@
-"""Which command drives which joint, as far as names tell."""
+"""Pairs of a joint and the command that drives it, as far as names tell."""
 
 from __future__ import annotations
 
-from candata.checks._view import View
+from candata.checks._view import EpisodeView
 
 
-def pairs(view: View) -> tuple[tuple[int, int], ...]:
+def pairs(view: EpisodeView) -> tuple[tuple[int, int], ...]:
     """Return `(column of joint_position, column of action)` of each driven joint.
 
     By name; by place where an episode has as many commands as joints and names neither, or both alike. Only position
     servos, where the scene is known: what motors and velocity servos are told is no place.
     """
-    return tuple((j, a) for j, a in _named(view) if _is_place(view, a))
+    return tuple((j, a) for j, a in _columns_by_name(view) if _is_place(view, a))
 
 
-def _is_place(view: View, column: int) -> bool:
+def _is_place(view: EpisodeView, column: int) -> bool:
     """Tell whether a command says where a joint is to go, as far as is known."""
     scene, names = view.scene, view.elements("action")
     if scene is None or names[column] not in scene.file.actuator_names:
@@ -23,7 +23,7 @@ def _is_place(view: View, column: int) -> bool:
     return bool(scene.model.actuator_biasprm[actuator, 1] != 0)
 
 
-def _named(view: View) -> tuple[tuple[int, int], ...]:
+def _columns_by_name(view: EpisodeView) -> tuple[tuple[int, int], ...]:
     """Return `(column of joint_position, column of action)` of each joint and the command of its name or place."""
     if not {"joint_position", "action"} <= view.raw.arrays.keys() or view.meta is None:
         return ()
@@ -33,5 +33,5 @@ def _named(view: View) -> tuple[tuple[int, int], ...]:
     joints, actuators = view.meta.joint_names, view.meta.actuator_names
     if len(joints) == joint.shape[1] and len(actuators) == action.shape[1]:
         return tuple((j, actuators.index(name)) for j, name in enumerate(joints) if name in actuators)
-    same = joint.shape[1] == action.shape[1] and not joints and not actuators
-    return tuple((j, j) for j in range(joint.shape[1])) if same else ()
+    is_by_place = joint.shape[1] == action.shape[1] and not joints and not actuators
+    return tuple((j, j) for j in range(joint.shape[1])) if is_by_place else ()

@@ -1,4 +1,4 @@
-"""What a rule is and what it finds."""
+"""Rules and their findings."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 from candata.checks._evidence import LEVELS, Finding, Level
 
 if TYPE_CHECKING:
-    from candata.checks._view import View
+    from candata.checks._view import EpisodeView
     from candata.datasets import RawPart
     from candata.scenes import Scene
 
 #: A number that is no part of a name.
 _NUMBER = re.compile(r"(?<![\w.])([-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?![\w]|\.\d)")
-#: Kinds of findings that differ in more than numbers, of which a line tells.
-_TOLD = 3
+#: Kinds of findings that one line lists; kinds differ in more than numbers.
+_KINDS_LISTED = 3
 
 
 @dataclass(frozen=True)
@@ -45,44 +45,52 @@ class Group:
 
     @property
     def text(self) -> str:
-        """What was found, in one line: numbers that differ between the findings as `least..largest`.
+        """The findings in one line; numbers that differ between them are given as `least..largest`.
 
         Findings that differ in more than numbers, such as in a joint's name, follow each other, the most frequent
         first. What concerns the set is said in full.
         """
-        alike: dict[tuple[str, ...], list[list[str]]] = {}
-        for one in self.findings:
-            pieces = _NUMBER.split(one.message)
-            alike.setdefault(tuple(pieces[::2]), []).append(pieces[1::2])
-        told = [_merged(words, numbers) for words, numbers in sorted(alike.items(), key=lambda kind: -len(kind[1]))]
-        listed = told[:_TOLD] if self.episodes else told
-        more = f"; {len(told) - len(listed)} more" if len(told) > len(listed) else ""
-        return "; ".join([listed[0], *(text.removeprefix(f"{self.problem}: ") for text in listed[1:])]) + more
+        numbers_by_words: dict[tuple[str, ...], list[list[str]]] = {}
+        for finding in self.findings:
+            pieces = _NUMBER.split(finding.message)
+            numbers_by_words.setdefault(tuple(pieces[::2]), []).append(pieces[1::2])
+        texts = [
+            _merge_numbers(words, numbers)
+            for words, numbers in sorted(numbers_by_words.items(), key=lambda kind: -len(kind[1]))
+        ]
+        listed_texts = texts[:_KINDS_LISTED] if self.episodes else texts
+        omission = f"; {len(texts) - len(listed_texts)} more" if len(texts) > len(listed_texts) else ""
+        return (
+            "; ".join([listed_texts[0], *(text.removeprefix(f"{self.problem}: ") for text in listed_texts[1:])])
+            + omission
+        )
 
 
-def _merged(words: Sequence[str], numbers: Sequence[Sequence[str]]) -> str:
+def _merge_numbers(words: Sequence[str], numbers: Sequence[Sequence[str]]) -> str:
     """Return words with numbers between them, each as `least..largest` where it differs."""
     columns = [sorted(set(column), key=float) for column in zip(*numbers, strict=True)]
     ranges = [column[0] if len(column) == 1 else f"{column[0]}..{column[-1]}" for column in columns]
     return "".join(text for pair in zip(words, [*ranges, ""], strict=True) for text in pair)
 
 
-def grouped(findings: Sequence[Finding]) -> tuple[Group, ...]:
+def group_findings(findings: Sequence[Finding]) -> tuple[Group, ...]:
     """Return findings by what they share, the gravest first, then those of most episodes."""
-    groups: dict[tuple[Level, str, str | None, str], list[Finding]] = {}
-    for one in findings:
-        groups.setdefault((one.level, one.rule, one.channel, one.problem or one.message), []).append(one)
-    made = [Group(*key, tuple(some)) for key, some in groups.items()]
-    return tuple(sorted(made, key=lambda g: (LEVELS.index(g.level), -len(g.findings), g.rule)))
+    findings_by_key: dict[tuple[Level, str, str | None, str], list[Finding]] = {}
+    for finding in findings:
+        findings_by_key.setdefault(
+            (finding.level, finding.rule, finding.channel, finding.problem or finding.message), []
+        ).append(finding)
+    groups = [Group(*key, tuple(members)) for key, members in findings_by_key.items()]
+    return tuple(sorted(groups, key=lambda g: (LEVELS.index(g.level), -len(g.findings), g.rule)))
 
 
-def _part_fine(part: RawPart, deep: bool) -> Iterator[Finding]:
-    """Find nothing in a part."""
+def _no_part_findings(part: RawPart, deep: bool) -> Iterator[Finding]:
+    """Return no findings: the rule does not look at parts."""
     return iter(())
 
 
-def _episode_fine(view: View) -> Iterator[Finding]:
-    """Find nothing in an episode."""
+def _no_episode_findings(view: EpisodeView) -> Iterator[Finding]:
+    """Return no findings: the rule does not look at single episodes."""
     return iter(())
 
 
@@ -111,16 +119,16 @@ class Rule:
         Channels without which an episode is not looked at: it counts as not checked.
     scene : bool
         Whether it needs a scene: without one it is not checked.
-    idle : str
+    idle_reason : str
         Why nothing could be checked where `gather` returned None for every episode; empty where nothing was to be.
     """
 
     meaning: str
-    part: Callable[[RawPart, bool], Iterator[Finding]] = _part_fine
-    episode: Callable[[View], Iterator[Finding]] = _episode_fine
-    gather: Callable[[View], Any] | None = None
+    part: Callable[[RawPart, bool], Iterator[Finding]] = _no_part_findings
+    episode: Callable[[EpisodeView], Iterator[Finding]] = _no_episode_findings
+    gather: Callable[[EpisodeView], Any] | None = None
     judge: Callable[[Sequence[Any]], Iterator[Finding]] | None = None
-    sample: Callable[[Sequence[View], Scene], Iterator[Finding]] | None = None
+    sample: Callable[[Sequence[EpisodeView], Scene], Iterator[Finding]] | None = None
     needs: tuple[str, ...] = ()
     scene: bool = False
-    idle: str = ""
+    idle_reason: str = ""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._signal import quiet_noise, resolution
-from candata.checks._view import View
+from candata.checks._view import EpisodeView
 from candata.schema.contact import THRESHOLD_MARGIN_N
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ FEELS_NOISES, FEELS_STEPS = 6.0, 1.5
 
 
 @dataclass(frozen=True, eq=False)
-class Forces:
+class FingertipForces:
     """Forces of an episode.
 
     Attributes
@@ -32,7 +32,7 @@ class Forces:
         |Fx| + |Fy| + |Fz| [N], what the threshold is compared with.
     threshold_n : float
         Threshold, stated or assumed [N].
-    stated : bool
+    is_rule_stated : bool
         Whether the record states how flags came from forces.
     names : tuple of str
         Fingertips.
@@ -41,7 +41,7 @@ class Forces:
     xyz: Array
     total: Array
     threshold_n: float
-    stated: bool
+    is_rule_stated: bool
     names: tuple[str, ...]
 
     @property
@@ -50,28 +50,28 @@ class Forces:
         return np.asarray(self.total > self.threshold_n + THRESHOLD_MARGIN_N)
 
     @property
-    def seen(self) -> Mask:
+    def has_value(self) -> Mask:
         """`(T, F) bool`: where there is a value."""
         return np.isfinite(self.total)
 
 
-def forces(view: View) -> Forces | None:
+def forces(view: EpisodeView) -> FingertipForces | None:
     """Return the forces of an episode; None where it has none."""
     xyz = view.values("fingertip_force")
     if xyz is None:
         return None
     rule = view.meta.contact_rule if view.meta else None
     threshold = rule.threshold_n if rule else THRESHOLD_N
-    return Forces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, view.elements("fingertip_force"))
+    return FingertipForces(xyz, np.abs(xyz).sum(axis=2), threshold, rule is not None, view.elements("fingertip_force"))
 
 
-def flags(view: View, count: int) -> Array | None:
+def flags(view: EpisodeView, count: int) -> Array | None:
     """Return `(T, F) float64` contact flags of each fingertip, 0, 1 or NaN; None where there are none of F."""
-    found = view.values("fingertip_contact")
-    return found if found is not None and found.shape[1] == count else None
+    tip_flags = view.values("fingertip_contact")
+    return tip_flags if tip_flags is not None and tip_flags.shape[1] == count else None
 
 
-def touched(view: View) -> Array | None:
+def any_contact(view: EpisodeView) -> Array | None:
     """Return `(T,) float64` whether any fingertip touches, by flags, 0, 1 or NaN; None where there are none."""
     tips = view.values("fingertip_contact")
     if tips is not None:
@@ -79,7 +79,7 @@ def touched(view: View) -> Array | None:
     return view.values("contact")
 
 
-def pressing(view: View) -> Mask | None:
+def feels_force(view: EpisodeView) -> Mask | None:
     """Return `(T,) bool` where any fingertip reads more than its noise, or nothing; None where there are no forces.
 
     A sensor that is not zero out of contact presses all the time: what it touches is not known.

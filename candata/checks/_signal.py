@@ -1,4 +1,4 @@
-"""What rules measure on a channel: noise, smoothing, lags, unit factors."""
+"""Measures of a channel: noise, means, lags, unit factors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Parts of an episode whose noise is compared, and the share of them that is quiet: contact chatters. Chosen.
-SEGMENTS, QUIET = 8, 0.2
+SEGMENTS, QUIET_SHARE = 8, 0.2
 #: Share of the noise by second differences that those of fourth order show of white noise, at least. Chosen: of motion
 #: that takes ten rows a twentieth is left.
 WHITE = 0.5
@@ -34,21 +34,21 @@ def noise(values: Array, order: int = 2) -> Array:
     if not len(bend):
         return np.zeros(values.shape[1:])
     # nanmedian takes a hundred times as long.
-    middle = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
-    return np.asarray(np.nan_to_num(middle) / 0.6745 / np.sqrt(comb(2 * order, order)))
+    median_bend = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
+    return np.asarray(np.nan_to_num(median_bend) / 0.6745 / np.sqrt(comb(2 * order, order)))
 
 
 def white_noise(values: Array) -> Array:
     """Return `noise` where it is one: smooth motion bends too, but less the higher the order; NaN there."""
-    second, fourth = noise(values), noise(values, 4)
-    return np.where((second > 0) & (fourth > WHITE * second), second, np.nan)
+    second_order, fourth_order = noise(values), noise(values, 4)
+    return np.where((second_order > 0) & (fourth_order > WHITE * second_order), second_order, np.nan)
 
 
 def quiet_noise(series: Array) -> float:
     """Return the noise of a series `(T,)` where it is quietest, of `SEGMENTS` parts of it; 0 where nothing is seen."""
-    seen = series[np.isfinite(series)]
-    parts = [float(noise(part[:, None])[0]) for part in np.array_split(seen, SEGMENTS) if len(part) > 2]
-    return float(np.quantile(parts, QUIET)) if parts else 0.0
+    finite_values = series[np.isfinite(series)]
+    parts = [float(noise(part[:, None])[0]) for part in np.array_split(finite_values, SEGMENTS) if len(part) > 2]
+    return float(np.quantile(parts, QUIET_SHARE)) if parts else 0.0
 
 
 def resolution(values: Array) -> float:
@@ -57,32 +57,34 @@ def resolution(values: Array) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def smooth(values: Array, rows: int) -> Array:
+def moving_mean(values: Array, rows: int) -> Array:
     """Return `(T, ...)` means over `rows` rows around each, the ends over what is there; NaN rows stay out."""
     rows = max(1, min(rows, len(values)))
-    flat = values.reshape(len(values), -1)
-    seen = np.isfinite(flat)
-    start = np.maximum(np.arange(len(flat)) - rows // 2, 0)
-    end = np.minimum(np.arange(len(flat)) + (rows + 1) // 2, len(flat))
+    columns = values.reshape(len(values), -1)
+    is_finite = np.isfinite(columns)
+    start = np.maximum(np.arange(len(columns)) - rows // 2, 0)
+    end = np.minimum(np.arange(len(columns)) + (rows + 1) // 2, len(columns))
     # Running sums about the mean: those of large values would lose the small changes.
-    about = np.where(seen.any(axis=0), np.nanmean(np.where(seen, flat, np.nan), axis=0), 0.0)
-    sums, counts = (np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
-                    for x in (np.where(seen, flat - about, 0.0), seen.astype(float)))  # fmt: skip
+    centre = np.where(is_finite.any(axis=0), np.nanmean(np.where(is_finite, columns, np.nan), axis=0), 0.0)
+    sums, counts = (
+        np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)])
+        for x in (np.where(is_finite, columns - centre, 0.0), is_finite.astype(float))
+    )
     total = counts[end] - counts[start]
-    mean = (sums[end] - sums[start]) / np.maximum(total, 1) + about
+    mean = (sums[end] - sums[start]) / np.maximum(total, 1) + centre
     return np.where(total > 0.5, mean, np.nan).reshape(values.shape)
 
 
-def correlation(first: Array, second: Array, lags: NDArray[np.int64]) -> Array:
-    """Return `(L, N)` the correlation of columns of first `(T, N)` with those of second, the second `lag` rows later.
+def correlation(leader: Array, follower: Array, lags: NDArray[np.int64]) -> Array:
+    """Return `(L, N)` the correlation of columns of `leader (T, N)` with those of `follower`, `lag` rows later.
 
     NaN counts as its column's mean; a column that stands still correlates with nothing.
     """
-    first, second = (np.where(np.isfinite(x), x, np.nanmean(x, axis=0)) for x in (first, second))
-    out = np.zeros((len(lags), first.shape[1]))
+    leader, follower = (np.where(np.isfinite(x), x, np.nanmean(x, axis=0)) for x in (leader, follower))
+    out = np.zeros((len(lags), leader.shape[1]))
     for k, lag in enumerate(lags):
-        a = first[max(0, -lag) : len(first) - max(0, lag)]
-        b = second[max(0, lag) : len(second) - max(0, -lag)]
+        a = leader[max(0, -lag) : len(leader) - max(0, lag)]
+        b = follower[max(0, lag) : len(follower) - max(0, -lag)]
         if len(a) > 3:
             a, b = a - a.mean(axis=0), b - b.mean(axis=0)
             size = np.sqrt((a * a).sum(axis=0) * (b * b).sum(axis=0))
@@ -95,9 +97,9 @@ def peak(values: Array) -> float:
     k = int(np.argmax(values))
     if k in (0, len(values) - 1):
         return float(k)
-    left, top, right = values[k - 1 : k + 2]
-    bend = left - 2 * top + right
-    return float(k + 0.5 * (left - right) / bend) if bend < 0 else float(k)
+    previous_value, top, next_value = values[k - 1 : k + 2]
+    bend = previous_value - 2 * top + next_value
+    return float(k + 0.5 * (previous_value - next_value) / bend) if bend < 0 else float(k)
 
 
 def unit_of(ratio: float, tolerance: float = 0.35) -> str:
@@ -113,18 +115,18 @@ def unit_of(ratio: float, tolerance: float = 0.35) -> str:
     """
     if not ratio > 0:
         return ""
-    near = {name: min(abs(np.log(ratio / f)), abs(np.log(ratio * f))) for name, f in UNITS.items()}
-    best = min(near, key=lambda name: near[name])
-    return best if near[best] < tolerance else ""
+    distances = {name: min(abs(np.log(ratio / f)), abs(np.log(ratio * f))) for name, f in UNITS.items()}
+    nearest_unit = min(distances, key=lambda name: distances[name])
+    return nearest_unit if distances[nearest_unit] < tolerance else ""
 
 
-def middle(values: Array) -> float:
+def finite_median(values: Array) -> float:
     """Return the median of what is finite; NaN where nothing is."""
-    seen = values[np.isfinite(values)]
-    return float(np.median(seen)) if len(seen) else float("nan")
+    finite_values = values[np.isfinite(values)]
+    return float(np.median(finite_values)) if len(finite_values) else float("nan")
 
 
 def spread(values: Array) -> float:
     """Return the robust standard deviation (1.4826 MAD) of what is finite; 0 where nothing is."""
-    seen = values[np.isfinite(values)]
-    return float(1.4826 * np.median(np.abs(seen - np.median(seen)))) if len(seen) else 0.0
+    finite_values = values[np.isfinite(values)]
+    return float(1.4826 * np.median(np.abs(finite_values - np.median(finite_values)))) if len(finite_values) else 0.0

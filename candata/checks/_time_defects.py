@@ -12,7 +12,7 @@ Arrays = dict[str, NDArray]
 Damage = Callable[[Arrays, float, float, np.random.Generator], Arrays]
 
 
-def changed(arrays: Arrays, **columns: NDArray) -> Arrays:
+def with_columns(arrays: Arrays, **columns: NDArray) -> Arrays:
     """Return arrays with other columns, in the type that they had."""
     return arrays | {name: np.asarray(value).astype(arrays[name].dtype) for name, value in columns.items()}
 
@@ -22,7 +22,7 @@ def rows_of(rate_hz: float, seconds: float) -> int:
     return round(rate_hz * seconds)
 
 
-def late(array: NDArray, rows: int) -> NDArray:
+def delay_rows(array: NDArray, rows: int) -> NDArray:
     """Return an array that comes `rows` rows later; the first row is held before. Earlier where negative."""
     if rows == 0:
         return array
@@ -36,7 +36,7 @@ def rows_late(channel: str) -> Damage:
 
     def damage(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
         """Return arrays with a late channel."""
-        return changed(arrays, **{channel: late(arrays[channel], int(severity))})
+        return with_columns(arrays, **{channel: delay_rows(arrays[channel], int(severity))})
 
     return damage
 
@@ -51,7 +51,7 @@ def joint_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.G
     joint = arrays["joint_position"].copy()
     moves = int(np.argmax(np.ptp(joint, axis=0)))
     joint[:, moves] = joint[0, moves]
-    return changed(arrays, joint_position=joint)
+    return with_columns(arrays, joint_position=joint)
 
 
 def rows_dropped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -64,9 +64,9 @@ def rows_dropped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random
 def rows_dropped_unseen(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays that lack `severity` seconds in their middle, stamps made as if they did not."""
     total = len(arrays["time_ns"])
-    lost = min(rows_of(rate_hz, severity), total // 2)
+    lost_rows = min(rows_of(rate_hz, severity), total // 2)
     at = int(rng.integers(total // 4, total // 2))
-    keep = np.r_[0:at, at + lost : total]
+    keep = np.r_[0:at, at + lost_rows : total]
     return {n: a[: len(keep)] if n == "time_ns" else a[keep] for n, a in arrays.items()}
 
 
@@ -88,4 +88,4 @@ def clock_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.
 
 def action_shifted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose commands are logged `severity` rows late."""
-    return changed(arrays, action=late(arrays["action"], int(severity)))
+    return with_columns(arrays, action=delay_rows(arrays["action"], int(severity)))

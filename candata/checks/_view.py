@@ -1,4 +1,4 @@
-"""How rules look at a stored episode: values in float64, NaN where there is none, whatever lies on the disk."""
+"""Stored episodes as rules look at them: values in float64, NaN for what is missing, whatever lies on the disk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def valid_rows(episode: RawEpisode, channel: str) -> Mask:
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class EpisodeView:
     """A stored episode as rules look at it.
 
     Attributes
@@ -59,7 +59,7 @@ class View:
 
     @cached_property
     def meta(self) -> EpisodeMeta | None:
-        """Who, what, when; None where the record cannot be read."""
+        """Record of the episode; None where it cannot be read."""
         try:
             return self.raw.meta()
         except (UsageError, ValueError):
@@ -94,31 +94,37 @@ class View:
         if array is None or self.time_s is None or array.dtype.kind not in "fiub":
             return None
         shape = CHANNELS[channel].shape
-        fixed = [n for n, d in zip(array.shape[1:], shape[1:], strict=False) if isinstance(d, int) and d != n]
-        if len(array) != len(self.time_s) or array.ndim != len(shape) or fixed or 0 in array.shape:
+        wrong_sizes = [n for n, d in zip(array.shape[1:], shape[1:], strict=False) if isinstance(d, int) and d != n]
+        if len(array) != len(self.time_s) or array.ndim != len(shape) or wrong_sizes or 0 in array.shape:
             return None
         out = array.astype(np.float64)
         out[~np.isfinite(out) | (np.abs(out) > 1e30)] = np.nan
         out[~valid_rows(self.raw, channel)] = np.nan
         return out
 
-    def whole(self, channel: str) -> Array | None:
+    def complete_values(self, channel: str) -> Array | None:
         """Return `values`, with NaN in every element of a row that lacks one; None as there, or without any row."""
         values = self.values(channel)
         if values is None:
             return None
-        flat = values.reshape(len(values), -1)
-        values[~np.isfinite(flat).all(axis=1)] = np.nan
+        columns = values.reshape(len(values), -1)
+        values[~np.isfinite(columns).all(axis=1)] = np.nan
         return values if np.isfinite(values).any() else None
 
     def elements(self, channel: str) -> tuple[str, ...]:
         """Return the names of a channel's elements; their numbers where the record has none."""
         symbol = CHANNELS[channel].shape[1] if len(CHANNELS[channel].shape) > 1 else ""
         count = self.raw.arrays[channel].shape[1] if symbol else 0
-        named: Mapping[str | int, tuple[str, ...]] = {} if self.meta is None else {
-            "J": self.meta.joint_names, "A": self.meta.actuator_names, "F": self.meta.fingertip_names,
-        }  # fmt: skip
-        names = named.get(symbol, ())
+        names_by_symbol: Mapping[str | int, tuple[str, ...]] = (
+            {}
+            if self.meta is None
+            else {
+                "J": self.meta.joint_names,
+                "A": self.meta.actuator_names,
+                "F": self.meta.fingertip_names,
+            }
+        )
+        names = names_by_symbol.get(symbol, ())
         return names if len(names) == count else tuple(str(k) for k in range(count))
 
     def ranges(self, rows: Mask) -> tuple[tuple[float, float], ...]:
@@ -159,14 +165,22 @@ class View:
         **evidence : number or str
             What was measured.
         """
-        first = None if at is None or not at.any() else int(np.argmax(at))
+        first_row = None if at is None or not at.any() else int(np.argmax(at))
         return Finding(
-            level, rule, f"{problem}: {detail}" if detail else problem, self.id, channel, first, problem,
-            () if at is None else self.ranges(at), rounded(evidence), remedy,
-        )  # fmt: skip
+            level,
+            rule,
+            f"{problem}: {detail}" if detail else problem,
+            episode=self.id,
+            channel=channel,
+            index=first_row,
+            problem=problem,
+            ranges=() if at is None else self.ranges(at),
+            evidence=round_evidence(evidence),
+            remedy=remedy,
+        )
 
 
-def rounded(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
+def round_evidence(evidence: Mapping[str, Evidence]) -> dict[str, Evidence]:
     """Return plain numbers with six digits, and text as it is; a number that is not finite as its name."""
     out: dict[str, Evidence] = {}
     for name, value in evidence.items():

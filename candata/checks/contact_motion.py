@@ -1,7 +1,7 @@
 """Rule: without forces beside them, contact flags are on where the object is moved.
 
-An object that nobody touches rests or falls. Where flags are off whenever it moves otherwise, and on while it rests,
-they may say the opposite. Only where there are no forces to compare with: those tell more.
+An object that nobody touches rests or falls. Flags that are off whenever it moves otherwise, and on while it rests, may
+be inverted. The rule looks only at episodes without forces: those tell more.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._forces import touched
-from candata.checks._signal import noise, smooth
-from candata.checks._view import View, rounded
+from candata.checks._forces import any_contact
+from candata.checks._signal import moving_mean, noise
+from candata.checks._view import EpisodeView, round_evidence
 from candata.checks.free_fall import GRAVITY_MPS2
 
 #: Speed [m/s] from which an object moves, and in noises of the averaged speed; averaging [s].
@@ -29,48 +29,60 @@ FEWEST, TIMES = 50, 5.0
 class _Counts:
     """Rows of an episode: moving and all, with contact and without."""
 
-    moving_on: int
-    on: int
-    moving_off: int
-    off: int
+    moving_touched: int
+    touched_rows: int
+    moving_free: int
+    free_rows: int
 
 
-def _gather(view: View) -> _Counts | None:
+def _gather(view: EpisodeView) -> _Counts | None:
     """Return the counts of an episode; None where there are forces, or no flags."""
-    touch, pose = touched(view), view.whole("object_pose")
+    touch, pose = any_contact(view), view.complete_values("object_pose")
     if touch is None or pose is None or "fingertip_force" in view.raw.arrays:
         return None
     width = max(3, round(OVER_S * view.rate_hz))
-    place = smooth(pose[:, :3], width)
+    place = moving_mean(pose[:, :3], width)
     velocity = np.gradient(place, 1 / view.rate_hz, axis=0)
-    quiet = float(np.linalg.norm(noise(pose[:, :3]))) * view.rate_hz / np.sqrt(width) / width
-    falling = np.gradient(velocity[:, 2], 1 / view.rate_hz) < -FALLS * GRAVITY_MPS2
+    speed_noise = float(np.linalg.norm(noise(pose[:, :3]))) * view.rate_hz / np.sqrt(width) / width
+    is_falling = np.gradient(velocity[:, 2], 1 / view.rate_hz) < -FALLS * GRAVITY_MPS2
     speed = np.linalg.norm(velocity, axis=1)
-    seen = np.isfinite(speed) & np.isfinite(touch) & ~falling
-    moving = seen & (speed > max(MOVES_MPS, NOISES * quiet))
-    on, off = seen & (touch > 0), seen & (touch == 0)
-    return _Counts(int((moving & on).sum()), int(on.sum()), int((moving & off).sum()), int(off.sum()))
-
-
-def _judge(seen: Sequence[_Counts]) -> Iterator[Finding]:
-    """Yield that the object moves when nobody touches it, and rests when somebody does."""
-    moving_on, on, moving_off, off = (
-        sum(getattr(c, k) for c in seen) for k in ("moving_on", "on", "moving_off", "off")
+    is_known = np.isfinite(speed) & np.isfinite(touch) & ~is_falling
+    is_moving = is_known & (speed > max(MOVES_MPS, NOISES * speed_noise))
+    is_touched, is_untouched = is_known & (touch > 0), is_known & (touch == 0)
+    return _Counts(
+        int((is_moving & is_touched).sum()),
+        int(is_touched.sum()),
+        int((is_moving & is_untouched).sum()),
+        int(is_untouched.sum()),
     )
-    if moving_on + moving_off < FEWEST or min(on, off) < FEWEST:
+
+
+def _judge(episodes: Sequence[_Counts]) -> Iterator[Finding]:
+    """Yield that the object moves when nobody touches it, and rests when somebody does."""
+    moving_touched, touched_rows, moving_free, free_rows = (
+        sum(getattr(c, k) for c in episodes) for k in ("moving_touched", "touched_rows", "moving_free", "free_rows")
+    )
+    if moving_touched + moving_free < FEWEST or min(touched_rows, free_rows) < FEWEST:
         reason = "the object hardly moves, or contact hardly changes"
         yield Finding("unknown", "contact_motion", reason, problem=reason)
         return
-    shares = moving_on / on, moving_off / off
+    shares = moving_touched / touched_rows, moving_free / free_rows
     if shares[1] > TIMES * shares[0]:
         problem = "the object moves when no contact is flagged, and rests when it is: flags may be inverted"
         yield Finding(
-            "warning", "contact_motion", f"{problem}: it moves in {shares[1]:.0%} of the rows without contact, in "
-            f"{shares[0]:.0%} of those with it", None, "contact", None, problem, (),
-            rounded({"moving_without": shares[1], "moving_with": shares[0]}), "look at some episodes; invert the flags",
-        )  # fmt: skip
+            "warning",
+            "contact_motion",
+            f"{problem}: it moves in {shares[1]:.0%} of the rows without contact, in {shares[0]:.0%} of those with it",
+            channel="contact",
+            problem=problem,
+            evidence=round_evidence({"moving_without": shares[1], "moving_with": shares[0]}),
+            remedy="look at some episodes; invert the flags",
+        )
 
 
 RULE = Rule(
-    meaning="contact is flagged where objects are moved", gather=_gather, judge=_judge, needs=("object_pose",),
-)  # fmt: skip
+    meaning="contact is flagged where objects are moved",
+    gather=_gather,
+    judge=_judge,
+    needs=("object_pose",),
+)

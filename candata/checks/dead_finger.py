@@ -1,4 +1,4 @@
-"""Rule: a fingertip that touches reads a force, and one that never reads any is told."""
+"""Rule: a fingertip that touches reads a force; one that never reads any is reported."""
 
 from __future__ import annotations
 
@@ -10,48 +10,48 @@ import numpy as np
 from candata.checks._finding import Finding, Rule
 from candata.checks._forces import flags, forces
 from candata.checks._signal import SEGMENTS
-from candata.checks._view import View, rounded
+from candata.checks._view import EpisodeView, round_evidence
 
 #: Fewest rows of contact by flag that a constant reading must contradict.
 FEWEST = 5
 #: Share of the other fingertips that must show noise out of contact before a constant one is dead.
 NOISY = 0.5
 #: Share of readings that noise has of the rarer sign, at least. Chosen: of 20 readings one in 50 stretches has fewer.
-BOTH = 0.25
-#: Fewest episodes in which others touch before a fingertip that never does is told.
+RARER_SIGN_SHARE = 0.25
+#: Fewest episodes in which others touch before a fingertip that never does is reported.
 EPISODES = 5
 REMEDY = "check the sensor and its cable; mark its rows invalid or leave the fingertip out"
 
 
 @dataclass(frozen=True)
 class _Tips:
-    """What an episode tells of its fingertips.
+    """Fingertips of an episode: what they read and what they are flagged for.
 
     Attributes
     ----------
     id : str
     rows : int
     names : tuple of str
-    still : (F,) bool
+    is_constant : (F,) bool
         Constant to the bit over all rows.
-    flagged : (F,) int
+    flagged_rows : (F,) int
         Rows flagged as contact.
-    touching : (F,) bool
+    is_touching : (F,) bool
         Reads above the threshold.
-    noisy : (F,) bool
+    is_noisy : (F,) bool
         Shows noise about zero in some stretch.
     """
 
     id: str
     rows: int
     names: tuple[str, ...]
-    still: np.ndarray
-    flagged: np.ndarray
-    touching: np.ndarray
-    noisy: np.ndarray
+    is_constant: np.ndarray
+    flagged_rows: np.ndarray
+    is_touching: np.ndarray
+    is_noisy: np.ndarray
 
 
-def _gather(view: View) -> _Tips | None:
+def _gather(view: EpisodeView) -> _Tips | None:
     """Return what an episode tells of its fingertips; None where it is too short."""
     force = forces(view)
     if force is None or len(force.xyz) < 2 * FEWEST:
@@ -64,7 +64,7 @@ def _gather(view: View) -> _Tips | None:
         force.names,
         np.atleast_1d((low == high).all(axis=1)),
         np.zeros(len(force.names), int) if flag is None else (np.nan_to_num(flag) > 0).sum(axis=0),
-        np.atleast_1d((force.touch & force.seen).any(axis=0)),
+        np.atleast_1d((force.touch & force.has_value).any(axis=0)),
         np.array([_noisy(force.xyz[:, tip]) for tip in range(len(force.names))]),
     )
 
@@ -75,51 +75,65 @@ def _noisy(xyz: np.ndarray) -> bool:
     Noise has both signs, along each axis alike; what is pressed has one, along one axis at least.
     """
     for part in np.array_split(xyz, SEGMENTS):
-        up, down = (part > 0).sum(axis=0), (part < 0).sum(axis=0)
-        both = (up + down >= FEWEST) & (np.minimum(up, down) >= BOTH * (up + down))
-        if both.any() and (both | (up + down < FEWEST)).all():
+        positive_rows, negative_rows = (part > 0).sum(axis=0), (part < 0).sum(axis=0)
+        has_both_signs = (positive_rows + negative_rows >= FEWEST) & (
+            np.minimum(positive_rows, negative_rows) >= RARER_SIGN_SHARE * (positive_rows + negative_rows)
+        )
+        if has_both_signs.any() and (has_both_signs | (positive_rows + negative_rows < FEWEST)).all():
             return True
     return False
 
 
-def _judge(seen: Sequence[_Tips]) -> Iterator[Finding]:
+def _judge(episodes: Sequence[_Tips]) -> Iterator[Finding]:
     """Yield dead fingertips, episode by episode, and ones that never read a force in the whole set."""
-    told: set[str] = set()
-    for one in seen:
-        for tip, name in enumerate(one.names):
-            if not one.still[tip]:
+    reported_names: set[str] = set()
+    for episode in episodes:
+        for tip, name in enumerate(episode.names):
+            if not episode.is_constant[tip]:
                 continue
-            others = np.arange(len(one.names)) != tip
-            told.add(name)
-            if FEWEST < one.flagged[tip] < one.rows and not one.touching[tip]:
-                yield _dead(one, name, f"flagged in {one.flagged[tip]} rows", "error")
-            elif others.any() and one.noisy[others].mean() > NOISY:
-                yield _dead(one, name, "the other fingertips show noise", "warning")
+            is_other = np.arange(len(episode.names)) != tip
+            reported_names.add(name)
+            if FEWEST < episode.flagged_rows[tip] < episode.rows and not episode.is_touching[tip]:
+                yield _dead_finding(episode, name, f"flagged in {episode.flagged_rows[tip]} rows", "error")
+            elif is_other.any() and episode.is_noisy[is_other].mean() > NOISY:
+                yield _dead_finding(episode, name, "the other fingertips show noise", "warning")
             else:
-                told.discard(name)
-    yield from _never(seen, told)
+                reported_names.discard(name)
+    yield from _silent_findings(episodes, reported_names)
 
 
-def _dead(one: _Tips, name: str, why: str, level: str) -> Finding:
+def _dead_finding(episode: _Tips, name: str, reason: str, level: str) -> Finding:
     """Return that a fingertip's reading never changes."""
     return Finding(
-        "error" if level == "error" else "warning", "dead_finger",
-        f"a fingertip's reading never changes: {name}, {why}", one.id, "fingertip_force", None,
-        f"a fingertip's reading never changes: {name}", (), {"fingertip": name, "why": why}, REMEDY,
-    )  # fmt: skip
+        "error" if level == "error" else "warning",
+        "dead_finger",
+        f"a fingertip's reading never changes: {name}, {reason}",
+        episode=episode.id,
+        channel="fingertip_force",
+        problem=f"a fingertip's reading never changes: {name}",
+        evidence={"fingertip": name, "why": reason},
+        remedy=REMEDY,
+    )
 
 
-def _never(seen: Sequence[_Tips], told: set[str]) -> Iterator[Finding]:
+def _silent_findings(episodes: Sequence[_Tips], reported_names: set[str]) -> Iterator[Finding]:
     """Yield fingertips that never read a force though others do: dead, or not used."""
-    for name in sorted({name for one in seen for name in one.names} - told):
-        have = [one for one in seen if name in one.names]
-        others = sum(bool(one.touching.any()) for one in have)
-        if others >= EPISODES and all(one.still[one.names.index(name)] for one in have):
+    for name in sorted({name for episode in episodes for name in episode.names} - reported_names):
+        tip_episodes = [episode for episode in episodes if name in episode.names]
+        touching_episodes = sum(bool(episode.is_touching.any()) for episode in tip_episodes)
+        if touching_episodes >= EPISODES and all(
+            episode.is_constant[episode.names.index(name)] for episode in tip_episodes
+        ):
             problem = f"a fingertip never reads a force: {name}"
             yield Finding(
-                "info", "dead_finger", f"{problem}, in {others} episodes in which others do", None, "fingertip_force",
-                None, problem, (), rounded({"fingertip": name, "episodes": others}), "dead, or not used: look at it",
-            )  # fmt: skip
+                "info",
+                "dead_finger",
+                f"{problem}, in {touching_episodes} episodes in which others do",
+                channel="fingertip_force",
+                problem=problem,
+                evidence=round_evidence({"fingertip": name, "episodes": touching_episodes}),
+                remedy="dead, or not used: look at it",
+            )
 
 
 RULE = Rule(meaning="fingertips that touch read forces", gather=_gather, judge=_judge, needs=("fingertip_force",))

@@ -15,25 +15,37 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.checks._sensor_defects import (
+    contact_inverted,
+    fall_scaled,
+    finger_dead,
+    force_drift,
+    force_in_grams,
+    force_late,
+    force_nan,
+    force_saturated,
+    joint_beyond_limits,
+    object_far,
+    object_sunk,
+    pose_in_millimetres,
+    quaternion_not_unit,
+    quaternion_swapped,
+)
 from candata.checks._time_defects import (
-    Arrays,
     Damage,
     action_shifted,
-    changed,
     clock_drift,
     joint_dead,
-    late,
     rows_dropped,
     rows_dropped_unseen,
     rows_late,
-    rows_of,
     stamps_scaled,
     time_jump,
 )
 from candata.checks._unit_defects import (
     all_in_degrees,
     commands_in_degrees,
-    exchanged,
+    exchange_columns,
     force_divided,
     force_instant,
     force_mirrored,
@@ -49,7 +61,7 @@ from candata.checks._unit_defects import (
 from candata.datasets import Dataset, RawEpisode, append, create_dataset
 from candata.datasets.encode import hash_columns, meta_json
 from candata.errors import DataError, UnknownNameError
-from candata.schema.channels import CHANNELS, QUATERNION, VALID_SUFFIX
+from candata.schema.channels import CHANNELS, VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
@@ -64,7 +76,7 @@ class Defect:
 
     Attributes
     ----------
-    about : str
+    meaning : str
         One line for people.
     channels : tuple of str
         Channels without which an episode cannot have it.
@@ -80,7 +92,7 @@ class Defect:
         Makes it.
     """
 
-    about: str
+    meaning: str
     channels: tuple[str, ...]
     rules: tuple[str, ...]
     damage: Damage
@@ -89,148 +101,123 @@ class Defect:
     milder: tuple[float, ...] = ()
 
 
-def contact_inverted(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays in which contact is flagged where there is none, and the other way round."""
-    names = [n for n in ("fingertip_contact", "contact") if n in arrays]
-    return arrays | {name: ~arrays[name].astype(bool) for name in names}
-
-
-def force_in_grams(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with forces times `severity`: gram-force by default."""
-    return changed(arrays, fingertip_force=arrays["fingertip_force"] * severity)
-
-
-def force_late(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose forces come `severity` seconds late."""
-    return changed(arrays, fingertip_force=late(arrays["fingertip_force"], rows_of(rate_hz, severity)))
-
-
-def force_drift(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose forces drift from 0 to `severity` newton along the fingertips' normal (their last axis)."""
-    force = arrays["fingertip_force"].copy()
-    force[..., 2] += np.linspace(0, severity, len(force))[:, None]
-    return changed(arrays, fingertip_force=force)
-
-
-def finger_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays in which one fingertip, the one that touches most, reads nothing."""
-    force = arrays["fingertip_force"].copy()
-    tip = int(np.argmax(np.nansum(np.abs(force), axis=(0, 2))))
-    force[:, tip] = 0
-    return changed(arrays, fingertip_force=force)
-
-
-def force_saturated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose forces end at `1 - severity` of the largest component."""
-    force = arrays["fingertip_force"]
-    limit = (1 - severity) * float(np.nanmax(np.abs(force), initial=0.0))
-    return changed(arrays, fingertip_force=np.clip(force, -limit, limit))
-
-
-def force_nan(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with NaN in a share `severity` of the forces' rows, at least one."""
-    force = arrays["fingertip_force"].copy()
-    rows = rng.choice(len(force), max(1, int(severity * len(force))), replace=False)
-    force[rows, int(rng.integers(force.shape[1]))] = np.nan
-    return changed(arrays, fingertip_force=force)
-
-
-def pose_in_millimetres(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with the object's place times `severity`: millimetres by default."""
-    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[[severity] * 3, [1] * 4])
-
-
-def quaternion_not_unit(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose quaternions have the norm 1 + `severity`."""
-    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[[1] * 3, [1 + severity] * 4])
-
-
-def quaternion_swapped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose quaternions are x y z w."""
-    return arrays | {n: arrays[n][:, [0, 1, 2, 4, 5, 6, 3]] for n in QUATERNION if n in arrays}
-
-
-def joint_beyond_limits(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays in which all joints are off by `severity` radian."""
-    return changed(arrays, joint_position=arrays["joint_position"] + severity)
-
-
-def object_sunk(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with the object `severity` metres lower."""
-    return changed(arrays, object_pose=arrays["object_pose"] - np.r_[0, 0, severity, 0, 0, 0, 0])
-
-
-def object_far(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays with the object `severity` metres to the side."""
-    return changed(arrays, object_pose=arrays["object_pose"] + np.r_[severity, 0, 0, 0, 0, 0, 0])
-
-
-def fall_scaled(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose object falls with `1 - severity` of gravity: heights scaled."""
-    return changed(arrays, object_pose=arrays["object_pose"] * np.r_[1, 1, 1 - severity, 1, 1, 1, 1])
-
-
 _FORCE, _POSE, _DRIVE = ("fingertip_force",), ("object_pose",), ("joint_position", "action")
 _MATCH = ("scene_match",)
 #: Name of a defect to what it is; the first ten are those of other validators' test.
-DEFECTS: Mapping[str, Defect] = MappingProxyType({
-    "contact_inverted": Defect("contact flags inverted", ("contact",), ("contact_flags", "contact_motion"),
-                               contact_inverted),
-    "force_in_grams": Defect("forces in gram-force", _FORCE, ("force_unit", "scale"), force_in_grams, GRAM_FORCE, "1",
-                             (30.0, 10.0, 3.0, 1.3)),
-    "force_late": Defect("forces late", _FORCE, ("force_delay", "contact_flags"), force_late, 0.2, "s",
-                         (0.1, 0.05, 0.025, 0.0125)),
-    "force_drift": Defect("tare of the forces drifts", _FORCE, ("force_drift",), force_drift, 2.0, "N",
-                          (1.0, 0.5, 0.25, 0.1)),
-    "finger_dead": Defect("one fingertip reads nothing", _FORCE, ("dead_finger",), finger_dead),
-    "force_saturated": Defect("forces end at a limit", _FORCE, ("saturation",), force_saturated, 0.5, "1",
-                              (0.3, 0.1, 0.03, 0.01)),
-    "force_nan": Defect("NaN in forces", _FORCE, ("finite",), force_nan, 0.05, "1", (0.0,)),
-    "pose_in_millimetres": Defect("poses in millimetres", _POSE, ("pose_unit", "scale", "free_fall"),
-                                  pose_in_millimetres, 1000.0, "1", (100.0, 10.0, 3.0)),
-    "quaternion_not_unit": Defect("quaternions not unit", _POSE, ("quaternions",), quaternion_not_unit, 0.1, "1",
-                                  (0.01, 0.002, 0.0005)),
-    "quaternion_swapped": Defect("quaternions x y z w", _POSE, ("quaternion_order",), quaternion_swapped),
-    "joint_dead": Defect("a joint never follows", _DRIVE, ("dead_joint",), joint_dead),
-    "rows_dropped": Defect("rows dropped", ("time_ns",), ("time",), rows_dropped, 0.05, "1", (0.02, 0.01, 0.0)),
-    "rows_dropped_unseen": Defect("rows dropped, stamps made even", _DRIVE, ("jumps",), rows_dropped_unseen, 0.3, "s",
-                                  (0.1, 0.05)),
-    "time_jump": Defect("the clock jumps ahead", ("time_ns",), ("time",), time_jump, 0.5, "s", (0.1, 0.03)),
-    "clock_drift": Defect("streams drift apart", _DRIVE, ("stream_drift",), clock_drift, 0.2, "s", (0.1, 0.05)),
-    "action_shifted": Defect("commands logged late", _DRIVE, ("command_lag",), action_shifted, 5.0, "rows", (2.0, 1.0)),
-    "joint_beyond_limits": Defect("joints beyond their limits", ("joint_position",), ("joint_limits",),
-                                  joint_beyond_limits, 0.5, "rad", (0.2, 0.1)),
-    "object_sunk": Defect("the object sinks into its support", _POSE, ("penetration",), object_sunk, 0.03, "m",
-                          (0.015, 0.008)),
-    "object_far": Defect("contact far from the object", ("object_pose", "fingertip_force"), ("proximity",), object_far,
-                         0.2, "m", (0.1, 0.05)),
-    "fall_scaled": Defect("free flight is no free fall", _POSE, ("free_fall",), fall_scaled, 0.5, "1",
-                          (0.2, 0.1, 0.05)),
-    "all_in_degrees": Defect("joints and commands in degrees", _DRIVE, _MATCH, all_in_degrees),
-    "commands_in_degrees": Defect("commands in degrees", _DRIVE, _MATCH, commands_in_degrees),
-    "force_in_kilograms": Defect("forces in kilogram-force", _FORCE, _MATCH, force_divided, 9.80665, "1"),
-    "tips_exchanged": Defect("two fingertips exchanged", _FORCE, _MATCH, exchanged("fingertip_force"), 1.0, "columns"),
-    "joints_exchanged": Defect("two joints exchanged", _DRIVE, _MATCH, exchanged("joint_position"), 1.0, "columns"),
-    "commands_exchanged": Defect("two commands exchanged", _DRIVE, _MATCH, exchanged("action"), 1.0, "columns"),
-    "pairs_exchanged": Defect("two joints exchanged, and their commands", _DRIVE, _MATCH,
-                              exchanged("joint_position", "action"), 1.0, "columns"),
-    "tip_in_kilograms": Defect("one fingertip in kilogram-force", _FORCE, _MATCH, tip_divided, 9.80665, "1"),
-    "force_negated": Defect("forces that fingertips exert", _FORCE, _MATCH, force_negated),
-    "force_turned": Defect("axes of the forces in another order", _FORCE, _MATCH, force_turned),
-    "force_mirrored": Defect("one axis of the forces reversed", _FORCE, _MATCH, force_mirrored),
-    "force_rows_late": Defect("forces some rows late", _FORCE, _MATCH, rows_late("fingertip_force"), 3.0, "rows",
-                              (2.0, 1.0)),
-    "pose_rows_late": Defect("poses some rows late", _POSE, _MATCH, rows_late("object_pose"), 3.0, "rows", (2.0, 1.0)),
-    "quaternion_conjugated": Defect("quaternions from world to body", _POSE, _MATCH, quaternion_conjugated),
-    "world_mirrored": Defect("poses in a left-handed world, y reversed", _POSE, _MATCH, world_mirrored),
-    "world_exchanged": Defect("poses in a left-handed world, x and y exchanged", _POSE, _MATCH, world_exchanged),
-    "action_previous": Defect("rows hold the command before", _DRIVE, _MATCH, rows_late("action"), 1.0, "rows"),
-    "force_instant": Defect("forces of one instant, not of the step", _FORCE, _MATCH, force_instant),
-    "pose_lost": Defect("poses at the origin", _POSE, ("lost_poses",), pose_lost, 0.02, "1", (0.01,)),
-    "stamps_scaled": Defect("stamps twice as far apart", ("time_ns",), ("time", "scene_match"), stamps_scaled, 2.0, "1",
-                            (0.5,)),
-    "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),
-})  # fmt: skip
+DEFECTS: Mapping[str, Defect] = MappingProxyType(
+    {
+        "contact_inverted": Defect(
+            "contact flags inverted", ("contact",), ("contact_flags", "contact_motion"), contact_inverted
+        ),
+        "force_in_grams": Defect(
+            "forces in gram-force",
+            _FORCE,
+            ("force_unit", "scale"),
+            force_in_grams,
+            GRAM_FORCE,
+            "1",
+            (30.0, 10.0, 3.0, 1.3),
+        ),
+        "force_late": Defect(
+            "forces late", _FORCE, ("force_delay", "contact_flags"), force_late, 0.2, "s", (0.1, 0.05, 0.025, 0.0125)
+        ),
+        "force_drift": Defect(
+            "tare of the forces drifts", _FORCE, ("force_drift",), force_drift, 2.0, "N", (1.0, 0.5, 0.25, 0.1)
+        ),
+        "finger_dead": Defect("one fingertip reads nothing", _FORCE, ("dead_finger",), finger_dead),
+        "force_saturated": Defect(
+            "forces end at a limit", _FORCE, ("saturation",), force_saturated, 0.5, "1", (0.3, 0.1, 0.03, 0.01)
+        ),
+        "force_nan": Defect("NaN in forces", _FORCE, ("finite",), force_nan, 0.05, "1", (0.0,)),
+        "pose_in_millimetres": Defect(
+            "poses in millimetres",
+            _POSE,
+            ("pose_unit", "scale", "free_fall"),
+            pose_in_millimetres,
+            1000.0,
+            "1",
+            (100.0, 10.0, 3.0),
+        ),
+        "quaternion_not_unit": Defect(
+            "quaternions not unit", _POSE, ("quaternions",), quaternion_not_unit, 0.1, "1", (0.01, 0.002, 0.0005)
+        ),
+        "quaternion_swapped": Defect("quaternions x y z w", _POSE, ("quaternion_order",), quaternion_swapped),
+        "joint_dead": Defect("a joint never follows", _DRIVE, ("dead_joint",), joint_dead),
+        "rows_dropped": Defect("rows dropped", ("time_ns",), ("time",), rows_dropped, 0.05, "1", (0.02, 0.01, 0.0)),
+        "rows_dropped_unseen": Defect(
+            "rows dropped, stamps made even", _DRIVE, ("jumps",), rows_dropped_unseen, 0.3, "s", (0.1, 0.05)
+        ),
+        "time_jump": Defect("the clock jumps ahead", ("time_ns",), ("time",), time_jump, 0.5, "s", (0.1, 0.03)),
+        "clock_drift": Defect("streams drift apart", _DRIVE, ("stream_drift",), clock_drift, 0.2, "s", (0.1, 0.05)),
+        "action_shifted": Defect(
+            "commands logged late", _DRIVE, ("command_lag",), action_shifted, 5.0, "rows", (2.0, 1.0)
+        ),
+        "joint_beyond_limits": Defect(
+            "joints beyond their limits",
+            ("joint_position",),
+            ("joint_limits",),
+            joint_beyond_limits,
+            0.5,
+            "rad",
+            (0.2, 0.1),
+        ),
+        "object_sunk": Defect(
+            "the object sinks into its support", _POSE, ("penetration",), object_sunk, 0.03, "m", (0.015, 0.008)
+        ),
+        "object_far": Defect(
+            "contact far from the object",
+            ("object_pose", "fingertip_force"),
+            ("proximity",),
+            object_far,
+            0.2,
+            "m",
+            (0.1, 0.05),
+        ),
+        "fall_scaled": Defect(
+            "free flight is no free fall", _POSE, ("free_fall",), fall_scaled, 0.5, "1", (0.2, 0.1, 0.05)
+        ),
+        "all_in_degrees": Defect("joints and commands in degrees", _DRIVE, _MATCH, all_in_degrees),
+        "commands_in_degrees": Defect("commands in degrees", _DRIVE, _MATCH, commands_in_degrees),
+        "force_in_kilograms": Defect("forces in kilogram-force", _FORCE, _MATCH, force_divided, 9.80665, "1"),
+        "tips_exchanged": Defect(
+            "two fingertips exchanged", _FORCE, _MATCH, exchange_columns("fingertip_force"), 1.0, "columns"
+        ),
+        "joints_exchanged": Defect(
+            "two joints exchanged", _DRIVE, _MATCH, exchange_columns("joint_position"), 1.0, "columns"
+        ),
+        "commands_exchanged": Defect(
+            "two commands exchanged", _DRIVE, _MATCH, exchange_columns("action"), 1.0, "columns"
+        ),
+        "pairs_exchanged": Defect(
+            "two joints exchanged, and their commands",
+            _DRIVE,
+            _MATCH,
+            exchange_columns("joint_position", "action"),
+            1.0,
+            "columns",
+        ),
+        "tip_in_kilograms": Defect("one fingertip in kilogram-force", _FORCE, _MATCH, tip_divided, 9.80665, "1"),
+        "force_negated": Defect("forces that fingertips exert", _FORCE, _MATCH, force_negated),
+        "force_turned": Defect("axes of the forces in another order", _FORCE, _MATCH, force_turned),
+        "force_mirrored": Defect("one axis of the forces reversed", _FORCE, _MATCH, force_mirrored),
+        "force_rows_late": Defect(
+            "forces some rows late", _FORCE, _MATCH, rows_late("fingertip_force"), 3.0, "rows", (2.0, 1.0)
+        ),
+        "pose_rows_late": Defect(
+            "poses some rows late", _POSE, _MATCH, rows_late("object_pose"), 3.0, "rows", (2.0, 1.0)
+        ),
+        "quaternion_conjugated": Defect("quaternions from world to body", _POSE, _MATCH, quaternion_conjugated),
+        "world_mirrored": Defect("poses in a left-handed world, y reversed", _POSE, _MATCH, world_mirrored),
+        "world_exchanged": Defect("poses in a left-handed world, x and y exchanged", _POSE, _MATCH, world_exchanged),
+        "action_previous": Defect("rows hold the command before", _DRIVE, _MATCH, rows_late("action"), 1.0, "rows"),
+        "force_instant": Defect("forces of one instant, not of the step", _FORCE, _MATCH, force_instant),
+        "pose_lost": Defect("poses at the origin", _POSE, ("lost_poses",), pose_lost, 0.02, "1", (0.01,)),
+        "stamps_scaled": Defect(
+            "stamps twice as far apart", ("time_ns",), ("time", "scene_match"), stamps_scaled, 2.0, "1", (0.5,)
+        ),
+        "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),
+    }
+)
 
 
 def names() -> tuple[str, ...]:
@@ -251,7 +238,7 @@ def defect(name: str) -> Defect:
     return DEFECTS[name]
 
 
-def damaged(
+def with_defect(
     episode: Episode | RawEpisode, name: str, rng: np.random.Generator, severity: float | None = None
 ) -> RawEpisode:
     """Return an episode as it would be stored with a defect; its hash is that of what is stored.
@@ -274,10 +261,12 @@ def damaged(
     DataError
         When the episode lacks a channel that the defect is in.
     """
-    kind, raw = defect(name), stored(episode)
-    missing = [channel for channel in kind.channels if channel not in raw.arrays]
-    if missing:
-        raise DataError(f"{name} cannot be injected", expected=", ".join(kind.channels), found=f"no {missing[0]}")
+    kind, raw = defect(name), as_stored(episode)
+    missing_channels = [channel for channel in kind.channels if channel not in raw.arrays]
+    if missing_channels:
+        raise DataError(
+            f"{name} cannot be injected", expected=", ".join(kind.channels), found=f"no {missing_channels[0]}"
+        )
     arrays = kind.damage(dict(raw.arrays), raw.meta().rate_hz, kind.severity if severity is None else severity, rng)
     return with_arrays(raw, arrays)
 
@@ -297,7 +286,7 @@ def with_arrays(raw: RawEpisode, arrays: Mapping[str, NDArray], record: str | No
     return replace(raw, meta_json=text, arrays=dict(arrays), stored_hash=hash_columns(text, arrays), rows=rows)
 
 
-def stored(episode: Episode | RawEpisode) -> RawEpisode:
+def as_stored(episode: Episode | RawEpisode) -> RawEpisode:
     """Return an episode as it would be stored, sound."""
     if isinstance(episode, RawEpisode):
         return episode
@@ -336,10 +325,10 @@ def inject(
         When a chosen episode lacks a channel that the defect is in.
     """
     total = len(dataset)
-    chosen = set(rng.choice(total, max(1, round(share * total)), replace=False).tolist()) if total else set()
+    chosen_indices = set(rng.choice(total, max(1, round(share * total)), replace=False).tolist()) if total else set()
     defect(name)
     for index, episode in enumerate(dataset):
-        yield damaged(episode, name, rng, severity) if index in chosen else stored(episode)
+        yield with_defect(episode, name, rng, severity) if index in chosen_indices else as_stored(episode)
 
 
 def write(path: str | Path, episodes: Iterator[RawEpisode] | Sequence[RawEpisode], part_size: int = 16) -> Path:
@@ -351,11 +340,11 @@ def write(path: str | Path, episodes: Iterator[RawEpisode] | Sequence[RawEpisode
         When the folder holds something already.
     """
     root = create_dataset(path)
-    append(root, (unchecked(raw) for raw in episodes), Lineage(operation="defects"), part_size)
+    append(root, (unchecked_episode(raw) for raw in episodes), Lineage(operation="defects"), part_size)
     return root
 
 
-def unchecked(raw: RawEpisode) -> Episode:
+def unchecked_episode(raw: RawEpisode) -> Episode:
     """Return an Episode of stored arrays that was never checked: for writers only. Its point cloud stays behind.
 
     Raises
@@ -364,13 +353,13 @@ def unchecked(raw: RawEpisode) -> Episode:
         When its record cannot be read.
     """
     episode = object.__new__(Episode)
-    known = {n: a for n, a in raw.arrays.items() if n.removesuffix(VALID_SUFFIX) in CHANNELS}
+    known_arrays = {n: a for n, a in raw.arrays.items() if n.removesuffix(VALID_SUFFIX) in CHANNELS}
     object.__setattr__(episode, "meta", raw.meta().model_copy(update={"point_cloud": None}))
-    object.__setattr__(episode, "arrays", MappingProxyType(known))
+    object.__setattr__(episode, "arrays", MappingProxyType(known_arrays))
     return episode
 
 
-def repeated(raw: RawEpisode, name: str) -> RawEpisode:
+def with_other_id(raw: RawEpisode, name: str) -> RawEpisode:
     """Return the same episode under another id: a duplicate."""
     fields = json.loads(raw.meta_json) | {"id": name}
     text = json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False)

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._forces import Forces, flags, forces
-from candata.checks._signal import SEGMENTS, quiet_noise, smooth, spread
-from candata.checks._view import View
+from candata.checks._forces import FingertipForces, flags, forces
+from candata.checks._signal import SEGMENTS, moving_mean, quiet_noise, spread
+from candata.checks._view import EpisodeView
 
 Array = NDArray[np.float64]
 #: Rows that are looked at, evenly spread; a drift must run through the `SEGMENTS` of the episode.
 LOOKED_AT = 400
 #: Segments in which enough readings lie on one line, the share of readings that is enough, and the share over all.
-COVERED, ENOUGH, ALL = 7, 0.2, 0.4
+COVERED_SEGMENTS, COVERED_SHARE, LINE_SHARE = 7, 0.2, 0.4
 #: Rows over which a reading is averaged before it is laid on a line: of one out of contact noise is left, and less.
 #: A force in contact that crosses the line stays off it as before. Chosen.
 OVER_ROWS = 9
@@ -31,35 +31,42 @@ TARE_N = 0.3
 REMEDY = "tare the sensor again; subtract the reading out of contact as a line of time"
 
 
-def _episode(view: View) -> Iterator[Finding]:
+def _episode(view: EpisodeView) -> Iterator[Finding]:
     """Yield fingertips whose reading runs along one line of time from the first row to the last."""
     force = forces(view)
     if force is None or view.time_s is None or len(force.xyz) < 5 * SEGMENTS:
         return
     flag = flags(view, force.total.shape[1])
-    drifting: dict[str, float] = {}
+    drift_by_tip: dict[str, float] = {}
     for tip, name in enumerate(force.names):
         drifts = [_drift(view.time_s, force.xyz[:, tip, axis]) for axis in range(3)]
         if flag is not None and not any(drifts):
             free = np.where(flag[:, tip, None] == 0, force.xyz[:, tip], np.nan)
             drifts = [_drift(view.time_s, free[:, axis]) for axis in range(3)]
-        largest = max(drifts, key=abs)
-        if largest:
-            drifting[name] = largest
-    if drifting:
-        names = ", ".join(f"{name} {drift:+.2g} N" for name, drift in drifting.items())
-        largest = max(map(abs, drifting.values()))
+        largest_drift = max(drifts, key=abs)
+        if largest_drift:
+            drift_by_tip[name] = largest_drift
+    if drift_by_tip:
+        names = ", ".join(f"{name} {drift:+.2g} N" for name, drift in drift_by_tip.items())
+        largest_drift = max(map(abs, drift_by_tip.values()))
         yield view.finding(
-            "error" if largest > 4 * DRIFT_N else "warning", "force_drift", "a force drifts", names,
-            "fingertip_force", None, REMEDY, drift_N=largest, fingertips=", ".join(drifting),
-        )  # fmt: skip
+            "error" if largest_drift > 4 * DRIFT_N else "warning",
+            "force_drift",
+            "a force drifts",
+            names,
+            "fingertip_force",
+            None,
+            REMEDY,
+            drift_N=largest_drift,
+            fingertips=", ".join(drift_by_tip),
+        )
     else:
         yield from _tare(view, force)
 
 
 def _drift(time_s: Array, series: Array) -> float:
     """Return by how much a reading drifts along one line [N]; 0 where no line runs through the episode."""
-    quiet, series = _quiet(series[np.isfinite(series)]), _averaged(series)
+    noise_level, series = _reading_noise(series[np.isfinite(series)]), _average(series)
     keep = np.flatnonzero(np.isfinite(series))
     keep = keep[np.unique(np.linspace(0, len(keep) - 1, min(LOOKED_AT, len(keep))).astype(int))] if len(keep) else keep
     t, x = time_s[keep], series[keep]
@@ -68,31 +75,36 @@ def _drift(time_s: Array, series: Array) -> float:
     duration = time_s[-1] - time_s[0]
     if t[-1] - t[0] < SPAN * duration:
         return 0.0
-    within = max(TOLERANCE_N, 4 * quiet / np.sqrt(OVER_ROWS))
-    first, last = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))
-    some = [rows[np.linspace(0, len(rows) - 1, min(24, len(rows))).astype(int)] for rows in (first, last)]
-    i, j = (a.ravel() for a in np.meshgrid(*some, indexing="ij"))
+    tolerance = max(TOLERANCE_N, 4 * noise_level / np.sqrt(OVER_ROWS))
+    begin_rows, end_rows = (np.flatnonzero(m) for m in (t < t[0] + duration / 3, t > t[-1] - duration / 3))
+    line_ends = [rows[np.linspace(0, len(rows) - 1, min(24, len(rows))).astype(int)] for rows in (begin_rows, end_rows)]
+    i, j = (a.ravel() for a in np.meshgrid(*line_ends, indexing="ij"))
     slopes = (x[j] - x[i]) / (t[j] - t[i])
-    steep = np.abs(slopes) * duration > max(DRIFT_N, TOLERANCES * within)
+    steep = np.abs(slopes) * duration > max(DRIFT_N, TOLERANCES * tolerance)
     if not steep.any():
         return 0.0
     i, slopes = i[steep], slopes[steep]
-    near = np.abs(x - (x[i, None] + slopes[:, None] * (t - t[i, None]))) < within
-    parts = np.array_split(near, SEGMENTS, axis=1)
-    covered = np.sum([part.mean(axis=1) > ENOUGH for part in parts], axis=0)
-    ends = (parts[0].mean(axis=1) > ENOUGH) & (parts[-1].mean(axis=1) > ENOUGH)
+    is_near = np.abs(x - (x[i, None] + slopes[:, None] * (t - t[i, None]))) < tolerance
+    parts = np.array_split(is_near, SEGMENTS, axis=1)
+    covered_segments = np.sum([part.mean(axis=1) > COVERED_SHARE for part in parts], axis=0)
+    ends = (parts[0].mean(axis=1) > COVERED_SHARE) & (parts[-1].mean(axis=1) > COVERED_SHARE)
     # A reading that rests at zero before it rises in contact is no drift: that one runs from the first row on.
-    begins = np.concatenate(parts[:2], axis=1).mean(axis=1) > _level(x[: sum(p.shape[1] for p in parts[:2])], within)
-    good = (covered >= COVERED) & ends & begins & (near.mean(axis=1) > max(ALL, 1.3 * _level(x, within)))
-    return float(slopes[np.argmax(np.where(good, near.mean(axis=1), 0))] * duration) if good.any() else 0.0
+    begins = np.concatenate(parts[:2], axis=1).mean(axis=1) > _level(x[: sum(p.shape[1] for p in parts[:2])], tolerance)
+    is_drift = (
+        (covered_segments >= COVERED_SEGMENTS)
+        & ends
+        & begins
+        & (is_near.mean(axis=1) > max(LINE_SHARE, 1.3 * _level(x, tolerance)))
+    )
+    return float(slopes[np.argmax(np.where(is_drift, is_near.mean(axis=1), 0))] * duration) if is_drift.any() else 0.0
 
 
-def _averaged(series: Array) -> Array:
+def _average(series: Array) -> Array:
     """Return a reading averaged over `OVER_ROWS` rows, where it was seen."""
-    return np.where(np.isfinite(series), smooth(series, OVER_ROWS), np.nan)
+    return np.where(np.isfinite(series), moving_mean(series, OVER_ROWS), np.nan)
 
 
-def _quiet(series: Array) -> float:
+def _reading_noise(series: Array) -> float:
     """Return the noise of a reading where it is quietest [N]: contact chatters."""
     # Readings rounded to steps hide noise below half a step: one step is then the least that can be told.
     steps = np.diff(np.unique(series))
@@ -100,26 +112,33 @@ def _quiet(series: Array) -> float:
     return max(quiet_noise(series), grain / 4)
 
 
-def _level(x: Array, within: float) -> float:
+def _level(x: Array, tolerance: float) -> float:
     """Return the largest share of readings that lie on one constant."""
-    ordered = np.sort(x)
-    ends = np.searchsorted(ordered, ordered + 2 * within, side="right")
+    sorted_values = np.sort(x)
+    ends = np.searchsorted(sorted_values, sorted_values + 2 * tolerance, side="right")
     return float((ends - np.arange(len(x))).max() / len(x))
 
 
-def _tare(view: View, force: Forces) -> Iterator[Finding]:
+def _tare(view: EpisodeView, force: FingertipForces) -> Iterator[Finding]:
     """Yield fingertips that read a constant force where their flag says no contact."""
     flag = flags(view, force.total.shape[1])
     if flag is None:
         return
     for tip, name in enumerate(force.names):
-        free = force.xyz[(flag[:, tip] == 0) & force.seen[:, tip], tip]
+        free = force.xyz[(flag[:, tip] == 0) & force.has_value[:, tip], tip]
         size = float(np.linalg.norm(np.median(free, axis=0))) if len(free) >= 5 * SEGMENTS else 0.0
         if size > TARE_N and max(map(spread, free.T)) < 0.3 * size:
             yield view.finding(
-                "info", "force_drift", "a force is not zero out of contact", f"{name} reads {size:.2g} N",
-                "fingertip_force", None, "tare the sensor before recording", tare_N=size, fingertip=name,
-            )  # fmt: skip
+                "info",
+                "force_drift",
+                "a force is not zero out of contact",
+                f"{name} reads {size:.2g} N",
+                "fingertip_force",
+                None,
+                "tare the sensor before recording",
+                tare_N=size,
+                fingertip=name,
+            )
 
 
 RULE = Rule(meaning="forces do not drift", episode=_episode, needs=("fingertip_force",))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from candata.checks._finding import Finding, Rule
-from candata.checks._view import View
+from candata.checks._view import EpisodeView
 from candata.datasets import RawPart, get_cloud
 from candata.datasets.clouds import cloud_path
 from candata.datasets.durable import file_sha256, reason
@@ -34,11 +34,11 @@ def _files(part: RawPart, deep: bool) -> Iterator[Finding]:
     for entry in manifest.files:
         path = part.folder / entry.path
         try:
-            found = _difference(path, entry, deep)
+            difference = _difference(path, entry, deep)
         except OSError as error:
-            found = reason(error)
-        if found:
-            yield _damage(f"{part.relative(path)}: {found}")
+            difference = reason(error)
+        if difference:
+            yield _damage(f"{part.relative(path)}: {difference}")
     try:
         rows = part.rows()
     except DataError:
@@ -59,30 +59,30 @@ def _difference(path: Path, entry: FileEntry, deep: bool) -> str:
         return f"{size} bytes, expected {entry.bytes}"
     if not deep:
         return ""
-    found = file_sha256(path)
-    return "" if found == entry.sha256 else f"sha256 {found[:12]}, expected {entry.sha256[:12]}"
+    file_hash = file_sha256(path)
+    return "" if file_hash == entry.sha256 else f"sha256 {file_hash[:12]}, expected {entry.sha256[:12]}"
 
 
-def _pairs(rows: list[dict[str, Any]], promised: dict[str, str]) -> Iterator[Finding]:
+def _pairs(rows: list[dict[str, Any]], manifest_hashes: dict[str, str]) -> Iterator[Finding]:
     """Yield episodes whose catalog row differs from the manifest."""
-    stored = {row["id"]: row["content_hash"] for row in rows}
-    for name in sorted(promised.keys() | stored.keys()):
-        if promised.get(name) != stored.get(name):
+    catalog_hashes = {row["id"]: row["content_hash"] for row in rows}
+    for name in sorted(manifest_hashes.keys() | catalog_hashes.keys()):
+        if manifest_hashes.get(name) != catalog_hashes.get(name):
             text = f"{EPISODES} and {MANIFEST} disagree on the content"
             yield Finding("error", "hashes", text, episode=name, problem=text, remedy=RESTORE)
 
 
 def _clouds(part: RawPart, rows: list[dict[str, Any]], deep: bool) -> Iterator[Finding]:
     """Yield point clouds that the part's episodes name and that are missing or damaged."""
-    named: dict[str, str] = {}
+    episode_by_cloud: dict[str, str] = {}
     for row in rows:
         try:
             cloud = EpisodeMeta.parse(parse_json(row["meta"]), part.folder).point_cloud
         except (UsageError, ValueError):
             continue  # the rule on the schema tells
         if cloud:
-            named.setdefault(cloud, row["id"])
-    for cloud, episode in named.items():
+            episode_by_cloud.setdefault(cloud, row["id"])
+    for cloud, episode in episode_by_cloud.items():
         if not deep and cloud_path(part.root, cloud).is_file():
             continue
         try:
@@ -90,17 +90,19 @@ def _clouds(part: RawPart, rows: list[dict[str, Any]], deep: bool) -> Iterator[F
         except DataError as error:
             problem = "a point cloud is missing or changed"
             text = _text(part, error)
-            yield Finding("error", "hashes", text, episode, "point_cloud", problem=problem, remedy=RESTORE)
+            yield Finding(
+                "error", "hashes", text, episode=episode, channel="point_cloud", problem=problem, remedy=RESTORE
+            )
 
 
-def _content(view: View) -> Iterator[Finding]:
+def _content(view: EpisodeView) -> Iterator[Finding]:
     """Yield content that no longer has the hash it was stored with."""
     raw = view.raw
     if raw.dense_shapes and not view.deep:
         return  # part of the content was not read
-    found = raw.content_hash()
-    if found != raw.stored_hash:
-        text = f"content {found[:12]}, expected {raw.stored_hash[:12]}"
+    content_hash = raw.content_hash()
+    if content_hash != raw.stored_hash:
+        text = f"content {content_hash[:12]}, expected {raw.stored_hash[:12]}"
         yield view.finding("error", "hashes", "the content has changed", text, remedy=RESTORE)
 
 

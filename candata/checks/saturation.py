@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.checks._forces import Forces, forces
-from candata.checks._view import View
+from candata.checks._forces import FingertipForces, forces
+from candata.checks._view import EpisodeView
 
 Array = NDArray[np.float64]
 #: Fewest equal rows that make a plateau.
@@ -23,67 +23,83 @@ OVERSHOOT = 12.0
 #: Rows before and after a plateau over which the slope is read.
 SLOPE_ROWS = 4
 #: Relative rounding of float32 components that a constant norm keeps.
-ROUNDING = 1e-6
+RELATIVE_ROUNDING = 1e-6
 #: Full scale [N] below which a plateau is doubtful: no fingertip sensor ends there (BioTac SP manual: 50 N; ATI Nano17
 #: data sheet: 17 N and more), while a constant bias of a sensor without noise stands as still.
 SMALLEST_N = 1.0
 REMEDY = "the sensor's full scale was reached: use a larger range, or mark these rows invalid"
 
 
-def _episode(view: View) -> Iterator[Finding]:
+def _episode(view: EpisodeView) -> Iterator[Finding]:
     """Yield fingertips whose force stands at its largest value."""
     force = forces(view)
     if force is None:
         return
-    equal = _equal_share(force)
+    equal_share = _equal_share(force)
     for tip, name in enumerate(force.names):
         xyz = np.nan_to_num(force.xyz[:, tip])
-        best, limit = np.zeros(len(xyz), bool), 0.0
+        plateau_rows, limit = np.zeros(len(xyz), bool), 0.0
         for series in (*xyz.T, *(-xyz.T), np.sqrt((xyz**2).sum(axis=1))):
-            rows = _plateaus(series, force.threshold_n, equal)
-            if rows.sum() > best.sum():
-                best, limit = rows, float(series.max())
-        if best.any():
-            text = f"{name} stands at {limit:.4g} N in {best.sum()} rows"
+            rows = _plateaus(series, force.threshold_n, equal_share)
+            if rows.sum() > plateau_rows.sum():
+                plateau_rows, limit = rows, float(series.max())
+        if plateau_rows.any():
+            text = f"{name} stands at {limit:.4g} N in {plateau_rows.sum()} rows"
             level: Level = "error" if limit > SMALLEST_N else "warning"
             yield view.finding(
-                level, "saturation", "a force saturates", text, "fingertip_force", best, REMEDY,
-                fingertip=name, limit_N=limit, rows=int(best.sum()), equal_neighbours_share=equal,
-            )  # fmt: skip
+                level,
+                "saturation",
+                "a force saturates",
+                text,
+                "fingertip_force",
+                plateau_rows,
+                REMEDY,
+                fingertip=name,
+                limit_N=limit,
+                rows=int(plateau_rows.sum()),
+                equal_neighbours_share=equal_share,
+            )
 
 
-def _equal_share(force: Forces) -> float:
+def _equal_share(force: FingertipForces) -> float:
     """Return how often a reading in contact equals the next, away from each series' ends: how rare plateaus are."""
-    now, later = force.xyz[:-1], force.xyz[1:]
-    touching = (force.touch[:-1] & force.touch[1:])[..., None]
+    readings, next_readings = force.xyz[:-1], force.xyz[1:]
+    is_touching = (force.touch[:-1] & force.touch[1:])[..., None]
     high, low = np.nanmax(force.xyz, axis=0), np.nanmin(force.xyz, axis=0)
-    counted = touching & (now < high) & (now > low) & np.isfinite(later)
-    return float(((now == later) & counted).sum() + 1) / float(counted.sum() + 2)
+    is_counted = is_touching & (readings < high) & (readings > low) & np.isfinite(next_readings)
+    return float(((readings == next_readings) & is_counted).sum() + 1) / float(is_counted.sum() + 2)
 
 
-def _plateaus(series: Array, threshold_n: float, equal: float) -> NDArray[np.bool_]:
+def _plateaus(series: Array, threshold_n: float, equal_share: float) -> NDArray[np.bool_]:
     """Return `(T,) bool`: rows at the largest value, where they are too many for chance and the force would go on."""
     rows, top = np.zeros(len(series), bool), float(series.max())
     if top <= threshold_n:
         return rows
-    at = series >= top * (1 - ROUNDING)
+    at = series >= top * (1 - RELATIVE_ROUNDING)
     edges = np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8))).reshape(-1, 2)
     steps = np.diff(np.unique(series))
-    grain = max(float(np.quantile(steps[steps > ROUNDING * top], 0.1)) if (steps > ROUNDING * top).any() else 0.0,
-                ROUNDING * top)  # fmt: skip
+    grain = max(
+        float(np.quantile(steps[steps > RELATIVE_ROUNDING * top], 0.1))
+        if (steps > RELATIVE_ROUNDING * top).any()
+        else 0.0,
+        RELATIVE_ROUNDING * top,
+    )
     repeats = 0
     for start, end in edges:
         if end - start >= ROWS and _goes_on(series, start, end) * (end - start) > OVERSHOOT * grain:
             rows[start:end] = True
             repeats += end - start - 1
-    return rows if repeats * np.log(equal) < np.log(CHANCE) else np.zeros(len(series), bool)
+    return rows if repeats * np.log(equal_share) < np.log(CHANCE) else np.zeros(len(series), bool)
 
 
 def _goes_on(series: Array, start: int, end: int) -> float:
     """Return how fast the force rises before a plateau or falls after it, the faster [N a row]."""
-    before, after = series[max(0, start - SLOPE_ROWS) : start + 1], series[end - 1 : end + SLOPE_ROWS]
-    slopes = [(side[-1] - side[0]) / (len(side) - 1) * sign for side, sign in ((before, 1), (after, -1))
-              if len(side) > 1]  # fmt: skip
+    readings_before, readings_after = series[max(0, start - SLOPE_ROWS) : start + 1], series[end - 1 : end + SLOPE_ROWS]
+    slopes = [
+        (side[-1] - side[0]) / (len(side) - 1) * sign
+        for side, sign in ((readings_before, 1), (readings_after, -1))
+        if len(side) > 1
+    ]
     return max(slopes, default=0.0)
 
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from candata.checks._finding import Finding, Level, Rule
-from candata.checks._view import View
+from candata.checks._view import EpisodeView
 from candata.errors import CandataError, DataError, RateError
-from candata.gap.finding import Finding as Mismatch
+from candata.gap.finding import RecordingMismatch
 from candata.gap.mismatch import compared
 from candata.gap.recordings import Recordings, fault_of, recordings
 from candata.gap.replay import Replayer
@@ -31,7 +31,7 @@ DOUBTFUL = (
 )
 
 
-def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
+def _sample(views: Sequence[EpisodeView], scene: Scene) -> Iterator[Finding]:
     """Yield what no physics explains between some episodes and the scene under their commands."""
     episodes = [e for e in map(_episode, views) if e is not None]
     if episodes and not any(_of_scene(e, scene) for e in episodes):
@@ -39,8 +39,8 @@ def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
             "unknown", NAME, "the joints are none of the scene's", problem="the joints are none of the scene's"
         )
         return
-    usual = float(np.median([len(e) for e in episodes])) if episodes else 0.0
-    faults = [fault_of(scene, e, usual) for e in episodes]
+    usual_length = float(np.median([len(e) for e in episodes])) if episodes else 0.0
+    faults = [fault_of(scene, e, usual_length) for e in episodes]
     yield from (_fault(fault) for fault in faults if isinstance(fault, RateError))
     recs = _recordings(scene, [e for e, fault in zip(episodes, faults, strict=True) if fault is None])
     if isinstance(recs, str):
@@ -48,14 +48,14 @@ def _sample(views: Sequence[View], scene: Scene) -> Iterator[Finding]:
         if not any(isinstance(f, RateError) for f in faults):
             yield Finding("unknown", NAME, reason, problem=reason)
         return
-    found = compared(Replayer(scene), recs)
-    yield from (_finding(one) for one in found.findings if one.kind not in NO_FAULT)
-    if found.undecidable:
-        reason = f"the object and the fingertips do too little to tell {'; '.join(found.undecidable)}"
+    comparison = compared(Replayer(scene), recs)
+    yield from (_finding(mismatch) for mismatch in comparison.findings if mismatch.kind not in NO_FAULT)
+    if comparison.undecidable:
+        reason = f"the object and the fingertips do too little to tell {'; '.join(comparison.undecidable)}"
         yield Finding("unknown", NAME, reason, problem=reason)
 
 
-def _episode(view: View) -> Episode | None:
+def _episode(view: EpisodeView) -> Episode | None:
     """Return what is stored as an episode; None where it is none: other rules say why."""
     try:
         return Episode(view.raw.meta(), {n: np.asarray(a) for n, a in view.raw.arrays.items()})
@@ -83,15 +83,29 @@ def _fault(error: DataError) -> Finding:
     """Return the finding that an episode cannot be played in the scene."""
     text = f"{error.problem}: expected {error.expected}, found {error.found}"
     return Finding(
-        "error", NAME, text, error.where.episode, error.where.channel, None, error.problem, (), {}, error.fix or "",
-    )  # fmt: skip
+        "error",
+        NAME,
+        text,
+        episode=error.where.episode,
+        channel=error.where.channel,
+        problem=error.problem,
+        remedy=error.fix or "",
+    )
 
 
-def _finding(one: Mismatch) -> Finding:
+def _finding(mismatch: RecordingMismatch) -> Finding:
     """Return a mismatch as a finding: an error where it is sure."""
-    level: Level = "error" if one.definite else "warning" if one.kind in DOUBTFUL else "info"
-    text = f"{one.problem}: expected {one.expected}, found {one.found}"
-    return Finding(level, NAME, text, None, one.channel, None, one.problem, (), {"kind": one.kind}, one.fix)
+    level: Level = "error" if mismatch.definite else "warning" if mismatch.kind in DOUBTFUL else "info"
+    text = f"{mismatch.problem}: expected {mismatch.expected}, found {mismatch.found}"
+    return Finding(
+        level,
+        NAME,
+        text,
+        channel=mismatch.channel,
+        problem=mismatch.problem,
+        evidence={"kind": mismatch.kind},
+        remedy=mismatch.fix,
+    )
 
 
 RULE = Rule(meaning="units, orders and rate are the scene's", sample=_sample, scene=True)

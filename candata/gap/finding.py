@@ -8,7 +8,7 @@ from candata.errors import DataError, Where
 
 
 @dataclass(frozen=True)
-class Finding:
+class RecordingMismatch:
     """What does not match between a recording and its scene.
 
     Attributes
@@ -57,5 +57,5 @@ class Comparison:
         Mistakes that they could hold and that nothing in them contradicts.
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingMismatch, ...]
     undecidable: tuple[str, ...] = ()

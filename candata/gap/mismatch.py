@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from candata.effects import effect
 from candata.gap.candidates import candidate
-from candata.gap.finding import Comparison, Finding
+from candata.gap.finding import Comparison, RecordingMismatch
 from candata.gap.mismatch_commands import (
     Paired,
     following_findings,
@@ -97,7 +97,7 @@ class _Look:
         return played
 
 
-def mismatch(replayer: Replayer, recs: Recordings) -> tuple[Finding, ...]:
+def mismatch(replayer: Replayer, recs: Recordings) -> tuple[RecordingMismatch, ...]:
     """Return what in the recordings is no physics; definite findings first, see `compared`."""
     return compared(replayer, recs).findings
 
@@ -130,7 +130,7 @@ def compared(replayer: Replayer, recs: Recordings) -> Comparison:
     return Comparison(tuple(sorted(found, key=lambda f: not f.definite)), undecidable)
 
 
-def _exchanged(look: _Look) -> list[Finding]:
+def _exchanged(look: _Look) -> list[RecordingMismatch]:
     """Return that joints or commands are exchanged, where some follow their own at another unit's factor.
 
     A slide that follows the command of a hinge moves by another number than it, which is no unit.
@@ -198,7 +198,7 @@ def _by_replay(look: _Look) -> Comparison:
     return Comparison((*found, *(note for note in timed.findings if note.channel not in wrong), *shaky), undecidable)
 
 
-def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[RecordingMismatch]:
     """Return what fingertips tell that the scene's, `(E, T, F, 3)`, do not: frames, unit, order, directions."""
     touching = touches(scene, recs, force)
     if touching is not None and (far := distance_findings(scene, touching)):
@@ -219,7 +219,7 @@ def _by_force(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
     return found + turned
 
 
-def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+def _swapped(look: _Look, pairs: Paired, own: Array) -> list[RecordingMismatch]:
     """Return that commands or joints are in another order, where the scene agrees: with it its joints come closer."""
     drive = pairs.drive
     found: list[Swap] = []
@@ -239,7 +239,7 @@ def _swapped(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
     return swap_findings(pairs, look.recs, found)
 
 
-def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+def _strangers(look: _Look, pairs: Paired, own: Array) -> list[RecordingMismatch]:
     """Return that the joints of some episodes do not belong to their commands, while those of others do.
 
     Sure where many are such, unless they move otherwise in all episodes of some tasks that are looked at and in none of
@@ -253,7 +253,7 @@ def _strangers(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
         return []
     names = [name for name, s in zip(look.recs.ids, strange, strict=True) if s]
     more = f" and {len(names) - 6} more" if len(names) > 6 else ""
-    return [Finding(
+    return [RecordingMismatch(
         "broken_episodes",
         bool(strange.mean() >= MANY and not (_by_task(look.recs.tasks, strange) and (2 * swing > off)[strange].all())),
         "joints and commands of some episodes do not belong together",
@@ -269,7 +269,7 @@ def _by_task(tasks: Sequence[str], some: NDArray[np.bool_]) -> bool:
     return not set(inside) & set(outside) and all(t and inside.count(t) > 1 for t in inside)
 
 
-def _shifted(look: _Look, pairs: Paired, own: Array) -> list[Finding]:
+def _shifted(look: _Look, pairs: Paired, own: Array) -> list[RecordingMismatch]:
     """Return that joints react before their commands, or as late as a step that was counted wrong."""
     each = late(pairs, own)
     each = each[np.isfinite(each)]
@@ -298,15 +298,15 @@ def _only_later(joint: Array, own: Array, steps: int) -> bool:
     return bool(np.median(shifted) < MOSTLY_LATE * np.median(before))
 
 
-def _lateness(rows: float, rate: float, words: str) -> Finding:
+def _lateness(rows: float, rate: float, words: str) -> RecordingMismatch:
     """Return the note that joints react late."""
-    return Finding(
+    return RecordingMismatch(
         "shifted_commands", False, "joints react later than the scene's", "the scene's delay",
         f"{rows:.1f} steps ({1e3 * rows / rate:.0f} ms)", words, "action",
     )  # fmt: skip
 
 
-def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]:
+def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[RecordingMismatch]:
     """Return that commands are logged late: sure where no servo and no clock explains it as well as a shift.
 
     Nothing where one of them explains it better.
@@ -328,7 +328,7 @@ def _early(look: _Look, pairs: Paired, own: Array, rows: float) -> list[Finding]
     sure = shift < SURELY * rival
     one = "`action: previous` in map.yaml, if each row holds the command before it" if steps == 1 else ""
     fix = one or f"move the commands {steps} steps ahead"
-    return [Finding(
+    return [RecordingMismatch(
         "shifted_commands", sure, "joints react earlier than the scene's, as if commands were logged late",
         "commands that come first", f"{-rows:.1f} steps early",
         fix if sure else f"a faster servo or clock explains it as well; else: {fix}", "action",
@@ -347,11 +347,11 @@ def _apart(pairs: Paired, own: Array) -> float:
     return float(np.median(size[moving] / spread[moving])) if moving.any() else np.inf
 
 
-def _tasks(recs: Recordings) -> list[Finding]:
+def _tasks(recs: Recordings) -> list[RecordingMismatch]:
     """Return the note that no motion was repeated."""
     if len(recs) < 2 or not all(recs.tasks) or len(set(recs.tasks)) < len(recs):
         return []
-    return [Finding(
+    return [RecordingMismatch(
         "no_repeats", False, "every episode is a task of its own", "several episodes of each motion",
         f"{len(recs)} tasks in {len(recs)} episodes",
         "no motion is held out that was also searched: give like motions one task", "time_ns",

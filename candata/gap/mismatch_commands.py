@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.lagged import Drives, Lagged, at_best, centred, drives, lagged, own_lag
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
@@ -87,7 +87,7 @@ def paired(scene: Scene, recs: Recordings) -> Paired | None:
     return Paired(drive, names, target, joint, lagged(joint, target, lags))
 
 
-def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
+def unit_findings(scene: Scene, p: Paired) -> list[RecordingMismatch]:
     """Return joints that follow their command at the factor of another unit."""
     slope, r2 = p.own(p.found.slope()), np.abs(p.own(p.found.r2()))
     follows = (r2 > FOLLOWS) & _moves(p)
@@ -102,7 +102,7 @@ def unit_findings(scene: Scene, p: Paired) -> list[Finding]:
     return out
 
 
-def slope_findings(p: Paired, nominal: Array) -> list[Finding]:
+def slope_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that follow their command by a multiple of it, or against its sign, where the scene's do not.
 
     A weak joint that contact or its neighbours carry along may run against its command in the scene as well.
@@ -135,10 +135,10 @@ def _beyond(scene: Scene, p: Paired, some: NDArray[np.bool_], channel: str) -> b
     return bool((limited & (size > 2 * (high - low) + np.maximum(np.abs(low), np.abs(high)))).any())
 
 
-def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> Finding:
+def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Array) -> RecordingMismatch:
     """Return the finding that a channel is in another unit."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "command_unit" if channel == "action" else "joint_unit",
         True,
         f"{channel} looks like {unit}",
@@ -151,10 +151,10 @@ def _unit(p: Paired, some: NDArray[np.bool_], unit: str, channel: str, slope: Ar
     )
 
 
-def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints move by a multiple of their commands."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "command_unit",
         True,
         "commands are not in the joints' unit",
@@ -166,10 +166,10 @@ def _factor(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
     )
 
 
-def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
+def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> RecordingMismatch:
     """Return the finding that joints run against their commands."""
     names = _named(p, some)
-    return Finding(
+    return RecordingMismatch(
         "reversed_commands",
         True,
         "joints run against their commands",
@@ -181,7 +181,7 @@ def _reversed(p: Paired, some: NDArray[np.bool_], slope: Array) -> Finding:
     )
 
 
-def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
+def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that move with their command but far from it, by more than any effect; others far away as notes."""
     slope, r2 = p.own(p.found.slope()), p.own(p.found.r2())
     flat = (p.joint - nominal).reshape(-1, len(p.names))
@@ -197,7 +197,7 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
         names = _named(p, some)
         if names:
             out.append(
-                Finding(
+                RecordingMismatch(
                     "zero",
                     definite,
                     "joints stay far from their commands",
@@ -211,7 +211,7 @@ def zero_findings(scene: Scene, p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
-def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
+def still_findings(recs: Recordings, p: Paired) -> list[RecordingMismatch]:
     """Return that nothing moves, where neither commands nor joints nor the object do."""
     commanded = within(p.target) > 1e-3
     moved = "object_pose" in recs.readings and bool(
@@ -220,7 +220,7 @@ def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
     if commanded.any() or _moves(p).any() or moved or recs.lengths.max() < TOLD_ROWS:
         return []
     return [
-        Finding(
+        RecordingMismatch(
             "still",
             False,
             "nothing moves in these recordings",
@@ -232,7 +232,7 @@ def still_findings(recs: Recordings, p: Paired) -> list[Finding]:
     ]
 
 
-def following_findings(p: Paired, nominal: Array) -> list[Finding]:
+def following_findings(p: Paired, nominal: Array) -> list[RecordingMismatch]:
     """Return joints that do not follow their commands, in the recording or in the scene.
 
     Parameters
@@ -251,7 +251,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     if both.any():
         names = _named(p, both)
         out.append(
-            Finding(
+            RecordingMismatch(
                 "scene_still",
                 False,
                 "neither the recorded joints nor the scene's follow their commands",
@@ -265,7 +265,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     if stuck.any():
         names = _named(p, stuck)
         out.append(
-            Finding(
+            RecordingMismatch(
                 "scene_stuck",
                 True,
                 "joints of the scene do not follow their commands",
@@ -280,7 +280,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
         names = _named(p, dead)
         most = bool(2 * dead.sum() > commanded.sum())
         out.append(
-            Finding(
+            RecordingMismatch(
                 "dead_joint",
                 most,
                 "recorded joints do not follow their commands",
@@ -296,7 +296,7 @@ def following_findings(p: Paired, nominal: Array) -> list[Finding]:
     return out
 
 
-def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[Finding]:
+def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float) -> list[RecordingMismatch]:
     """Return that MuJoCo cannot step the nominal scene through the recordings: it simulates nothing then.
 
     Parameters
@@ -314,7 +314,7 @@ def unstable_findings(scene: Scene, recs: Recordings, failed: Index, many: float
         return []
     when = f"{recs.ids[bad[0]]} after {failed[bad[0]] / scene.file.rate_hz:.2f} s"
     return [
-        Finding(
+        RecordingMismatch(
             "scene_unstable",
             len(bad) >= many * len(recs),
             "the nominal simulation is unstable under the recorded commands",

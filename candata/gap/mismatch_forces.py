@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from candata.effects import effect
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.mismatch_mixed import ABOVE_NOISE, UNITS, mixed_findings
 from candata.gap.mismatch_sensors import TOUCH_N, TOUCH_ROWS, free_spread, tare
 from candata.gap.mismatch_swaps import AT_LEAST, cycles, in_episodes, some_of
@@ -45,7 +45,7 @@ SHARED = 0.005
 ASKING_ROWS = 8
 
 
-def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+def scale_findings(scene: Scene, recs: Recordings, force: Array) -> list[RecordingMismatch]:
     """Return that all fingertips read a multiple of the scene's forces that is another unit's, or no gain's.
 
     A unit scales the noise of free fingertips as well; a sensor that feels too little does not. So it is sure near a
@@ -97,7 +97,7 @@ def tells_unit(real: Array, force: Array) -> bool:
     return all(bool(np.isfinite(factor)) and _ratio(factor) < DRAWN for factor in factors.tolist())
 
 
-def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding | None:
+def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> RecordingMismatch | None:
     """Return that fingertips read in a unit of their own, noise and all, while the others do not; None if none do.
 
     A gain that one sensor alone may have leaves its noise where that of the others is. Without noise to tell, only the
@@ -120,7 +120,7 @@ def _alone(scene: Scene, real: Array, force: Array, factors: Array) -> Finding |
         f"{name} {factors[f]:.3g} times those ({u}: {1 / TO_SI[u]:.4g})"
         for name, (f, u) in zip(names, units.items(), strict=True)
     )
-    return Finding(
+    return RecordingMismatch(
         "force_unit",
         True,
         "fingertip_force of some fingertips is not in newton",
@@ -178,11 +178,11 @@ def _noise_factor(scene: Scene, recs: Recordings, force: Array) -> float | None:
     return spread / declared if declared > 0 else None
 
 
-def _unit(times: float, unit: str) -> Finding:
+def _unit(times: float, unit: str) -> RecordingMismatch:
     """Return the finding that forces are in another unit."""
     name = f"{unit}: {1 / TO_SI[unit]:.4g}" if unit else "no known unit"
     mapped = f"give its unit in map.yaml: `units: {{fingertip_force: {unit}}}`, or " if unit else ""
-    return Finding(
+    return RecordingMismatch(
         "force_unit",
         True,
         "fingertip_force is not in newton",
@@ -193,9 +193,9 @@ def _unit(times: float, unit: str) -> Finding:
     )
 
 
-def _doubtful(times: float, why: str, kind: str = "force_unit") -> Finding:
+def _doubtful(times: float, why: str, kind: str = "force_unit") -> RecordingMismatch:
     """Return the note that forces may be in another unit."""
-    return Finding(
+    return RecordingMismatch(
         kind,
         False,
         "fingertip_force may be in another unit",
@@ -240,7 +240,7 @@ class _Agreement:
         return np.asarray(best / np.sqrt(np.maximum(size, 1e-12)))
 
 
-def exchange_findings(scene: Scene, recs: Recordings, force: Array) -> list[Finding]:
+def exchange_findings(scene: Scene, recs: Recordings, force: Array) -> list[RecordingMismatch]:
     """Return fingertips that agree with each other's forces in the scene, and not with their own.
 
     Nothing where the scene's fingertips feel alike, or where another frame or sign explains as much.
@@ -339,7 +339,7 @@ def _exchanged(
     against: NDArray[np.bool_],
     cosines: tuple[float, float],
     sure: bool,
-) -> Finding:
+) -> RecordingMismatch:
     """Return the finding that fingertips are in another order, in all episodes or in those that ask for it."""
     tips = scene.file.fingertips
     moved = np.flatnonzero(chosen != np.arange(len(chosen)))
@@ -347,7 +347,7 @@ def _exchanged(
     where = in_episodes(recs, asked) if against.any() else "in all episodes"
     order = "put the columns of `fingertip_force` in the order of `fingertips` in scene.yaml, or name them"
     verb = "are" if sure else "may be"
-    return Finding(
+    return RecordingMismatch(
         "swapped_fingertips",
         sure,
         f"forces {verb} in another order than the scene's fingertips",

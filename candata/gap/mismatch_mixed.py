@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.mismatch_sensors import TOUCH_N, free_spread, tare
 from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
 from candata.gap.recordings import Recordings
@@ -52,7 +52,7 @@ class _Groups:
     tight: bool
 
 
-def mixed_findings(recs: Recordings, force: Array) -> list[Finding]:
+def mixed_findings(recs: Recordings, force: Array) -> list[RecordingMismatch]:
     """Return that some episodes read their forces in another unit than the others, told by the scene's own forces.
 
     Parameters
@@ -74,7 +74,7 @@ def mixed_findings(recs: Recordings, force: Array) -> list[Finding]:
         return []
     some = groups.low if TO_SI[unit] > 1 else groups.high
     return [
-        Finding(
+        RecordingMismatch(
             "force_unit",
             True,
             "fingertip_force of some episodes is not in newton",

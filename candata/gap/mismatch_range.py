@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.lagged import at_best, drives, lagged
 from candata.gap.mismatch_commands import UNIT_WITHIN, Paired
 from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
@@ -187,7 +187,7 @@ class _Following:
     slope: Array
 
 
-def range_findings(scene: Scene, recs: Recordings, pairs: Paired | None) -> list[Finding]:
+def range_findings(scene: Scene, recs: Recordings, pairs: Paired | None) -> list[RecordingMismatch]:
     """Return joints and commands that lie far outside their ranges, with the unit that would bring them back.
 
     Nothing where joints follow another command than their own: then it is the order that is wrong.
@@ -220,7 +220,7 @@ def _following(b: Beyond, p: Paired, episodes: Mask) -> _Following:
     return _Following(far, np.diag(each) >= STEADY * each.max(1), np.diag(at_best(found.slope(), best)))
 
 
-def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: bool) -> Finding:
+def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: bool) -> RecordingMismatch:
     """Return the finding that columns of a channel lie far outside in some episodes.
 
     Parameters
@@ -239,7 +239,7 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
     kind = {"joint_position": "joint_unit", "action": "command_unit"}[b.channel]
     expected = f"{b.channel} in rad (m for slides), within the range that the scene gives"
     if shifted:
-        return Finding(
+        return RecordingMismatch(
             "zero",
             sure,
             f"{b.channel} lies far outside its range, though it moves as it should",
@@ -250,7 +250,7 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
             names,
         )
     if not unit:
-        return Finding(
+        return RecordingMismatch(
             kind,
             sure and b.channel == "joint_position",
             f"{b.channel} lies far outside the range of the scene",
@@ -263,7 +263,7 @@ def _outside(b: Beyond, recs: Recordings, follows: _Following | None, alone: boo
     other = "" if alone else f", and look at {'action' if b.channel == 'joint_position' else 'joint_position'} too"
     where = "" if episodes.all() else " of these episodes"
     columns_of = mapped(b.channel, unit, b.names if b.mixed else ())
-    return Finding(
+    return RecordingMismatch(
         kind,
         sure,
         f"{b.channel} looks like {WORDS[unit]}",

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Comparison, Finding
+from candata.gap.finding import Comparison, RecordingMismatch
 from candata.gap.mismatch_alternatives import (
     Alternative,
     count_pairs,
@@ -135,7 +135,7 @@ def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[
     """
     given, telling = errors(recs, nominal), _telling(recs)
     first = {name: error[telling] for name, error in given.items()}
-    won: list[tuple[float, Finding]] = []
+    won: list[tuple[float, RecordingMismatch]] = []
     undecided: list[Alternative] = []
     for alternative in alternatives:
         if alternative.moves:
@@ -155,9 +155,9 @@ def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[
     return Comparison((), tuple(dict.fromkeys(a.name for a in undecided if a.name)))
 
 
-def _read_otherwise(alternative: Alternative, vote: Votes) -> Finding:
+def _read_otherwise(alternative: Alternative, vote: Votes) -> RecordingMismatch:
     """Return the finding that recordings are to be read another way."""
-    return Finding(
+    return RecordingMismatch(
         alternative.kind,
         True,
         alternative.problem,
@@ -200,7 +200,7 @@ def late_findings(
     joint_rows : float
         Rows by which the joints come after the scene's: what they do to the object comes with them.
     """
-    notes: list[Finding] = []
+    notes: list[RecordingMismatch] = []
     undecidable: list[str] = []
     rate = scene.file.rate_hz
     for channel, name in (("object_pose", "poses"), ("fingertip_force", "forces")):
@@ -246,11 +246,11 @@ def _errors_by_shift(
     return {late: errors(part, {channel: simulated[:, rows - late]}) for late in range(-EARLIEST, latest + 1)}
 
 
-def _lateness(channel: str, name: str, rows: int, rate: float, vote: Votes) -> Finding:
+def _lateness(channel: str, name: str, rows: int, rate: float, vote: Votes) -> RecordingMismatch:
     """Return the note that a channel comes some rows late, or early."""
     when, ms = "later" if rows > 0 else "earlier", f"{1e3 * abs(rows) / rate:.0f} ms"
     count = f"{abs(rows)} row{'s' * (abs(rows) != 1)}"
-    return Finding(
+    return RecordingMismatch(
         f"late_{name}",
         False,
         f"{name} come {when} than the scene's",
@@ -310,7 +310,7 @@ def _instants(recs: Recordings, nominal: dict[str, Array], play: Play) -> Compar
     declared, better = ("instant", "mean") if recs.instant_force else ("mean", "instant")
     return Comparison(
         (
-            Finding(
+            RecordingMismatch(
                 "force_timing",
                 False,
                 f"forces may be {'means over the step' if recs.instant_force else 'of one instant'}",

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
 from candata.gap.recordings import Recordings
 from candata.gap.starts import STILL_ROWS, reach, support_height
@@ -43,7 +43,7 @@ AGAINST, AGREES = 0.3, 0.6
 NEARLY, NEARER = 0.95, 4.0
 
 
-def pose_findings(scene: Scene, recs: Recordings) -> list[Finding]:
+def pose_findings(scene: Scene, recs: Recordings) -> list[RecordingMismatch]:
     """Return what is wrong with the object's poses themselves: unit, place, order of the quaternion."""
     if "object_pose" not in recs.readings or not np.isfinite(recs.readings["object_pose"]).any():
         return []
@@ -53,7 +53,7 @@ def pose_findings(scene: Scene, recs: Recordings) -> list[Finding]:
     pose = _some(np.concatenate(each))
     size, extent = _size(pose), _extent(scene)
     if size > FAR_EXTENTS * extent:
-        return [Finding(
+        return [RecordingMismatch(
             "pose_unit", True, "object_pose lies far outside the scene", f"metres, within about {extent:.2g} m",
             f"{size:.3g} (as millimetres: {size / 1000:.3g} m)",
             "give its unit in map.yaml: `units: {object_pose: mm}`", "object_pose",
@@ -73,7 +73,7 @@ def _extent(scene: Scene) -> float:
     return float(max(scene.model.stat.extent, np.abs(scene.model.qpos0).max(), 1.0))
 
 
-def _other_unit(scene: Scene, recs: Recordings, each: list[Array]) -> Finding | None:
+def _other_unit(scene: Scene, recs: Recordings, each: list[Array]) -> RecordingMismatch | None:
     """Return that poses are lengths of another unit, in all episodes or in some; None where no unit brings them back.
 
     Parameters
@@ -89,7 +89,7 @@ def _other_unit(scene: Scene, recs: Recordings, each: list[Array]) -> Finding | 
     size = _size(np.concatenate([pose for pose, s in zip(each, some, strict=True) if s]))
     where = "" if some.all() else f", {in_episodes(recs, some)}"
     of_these = "" if some.all() else " of these episodes"
-    return Finding(
+    return RecordingMismatch(
         "pose_unit", True, f"object_pose looks like {LENGTHS[unit]}", f"metres, within about {_extent(scene):.2g} m",
         f"{size:.3g}: {1 / TO_SI[unit]:.4g} times what fits{where}",
         f"give its unit in map.yaml{of_these}: `units: {{object_pose: {unit}}}`", "object_pose",
@@ -107,21 +107,21 @@ def _length_unit(scene: Scene, pose: Array) -> str:
     return min(away, key=away.__getitem__, default="")
 
 
-def _place(scene: Scene, pose: Array) -> list[Finding]:
+def _place(scene: Scene, pose: Array) -> list[RecordingMismatch]:
     """Return that the object lies under its support, or above it, the whole time."""
     height = lowest(scene, pose) - support_height(scene)
     under, over = float(np.quantile(height, 0.95)), float(height.min())
     if under > -FAR_M and over < 1.0:
         return []
     where = f"{-under:.2f} m under the support" if under <= -FAR_M else f"{over:.2f} m above it"
-    return [Finding(
+    return [RecordingMismatch(
         "pose_frame", True, "object_pose is in another frame than the scene",
         f"the object on or above {scene.file.support}", f"{where}, the whole time",
         "move the poses into the scene's world frame", "object_pose",
     )]  # fmt: skip
 
 
-def _order(scene: Scene, pose: Array) -> list[Finding]:
+def _order(scene: Scene, pose: Array) -> list[RecordingMismatch]:
     """Return that a quaternion may be x y z w: read that way the object stands as in the scene, else turned over.
 
     Sure where it also sinks into its support unless read that way.
@@ -136,7 +136,7 @@ def _order(scene: Scene, pose: Array) -> list[Finding]:
     if not over and not sunk:
         return []
     depth = f"{1e3 * given:.1f} mm deep in its support, {max(0.0, 1e3 * other):.1f} mm when read as x y z w"
-    return [Finding(
+    return [RecordingMismatch(
         "quaternion_order", sunk, "object_pose may hold its quaternions as x y z w", "quaternions in the order w x y z",
         depth if sunk else "read as x y z w the object stands as in the scene, else turned by 180 deg",
         "list the columns in the map as px py pz qw qx qy qz", "object_pose",
@@ -238,8 +238,14 @@ def touches(scene: Scene, recs: Recordings, force: Array) -> Touches | None:
 
 
 def tare(recorded: Array, nominal: Array) -> Array:
-    """Return `(F, 3)` what the fingertips read while the scene touches nothing [N]."""
-    free = np.linalg.norm(nominal, axis=-1) < 1e-6
+    """Return `(F, 3)` what the fingertips read while the scene touches nothing [N].
+
+    Rows next to a touch do not count: a contact may begin or end a moment earlier in the recording.
+    """
+    touch = np.linalg.norm(nominal, axis=-1) >= 1e-6
+    free = ~touch
+    free[:, 1:] &= ~touch[:, :-1]
+    free[:, :-1] &= ~touch[:, 1:]
     out = np.zeros(recorded.shape[2:])
     for tip in range(len(out)):
         rows = recorded[:, :, tip][free[:, :, tip]]
@@ -271,7 +277,7 @@ def tips(scene: Scene, joints: Array) -> tuple[Array, Array]:
     return np.stack(place), np.stack(frame)
 
 
-def distance_findings(scene: Scene, t: Touches) -> list[Finding]:
+def distance_findings(scene: Scene, t: Touches) -> list[RecordingMismatch]:
     """Return that the object is far from every fingertip that is touched while the scene's touches nothing there.
 
     A fingertip feels the table and other fingers, too: where the scene's touches something, no object need be near.
@@ -287,14 +293,14 @@ def distance_findings(scene: Scene, t: Touches) -> list[Finding]:
     nearest = float(np.quantile(np.nanmin(apart[seen], axis=1), 0.1)) - reach(scene)
     if nearest < FAR_M:
         return []
-    return [Finding(
+    return [RecordingMismatch(
         "pose_frame", True, "the object is far from the fingertips that touch it", "object and hand in one frame",
         f"{nearest:.2f} m apart in contact", "move the poses into the scene's world frame (or the wrist's zero)",
         "object_pose",
     )]  # fmt: skip
 
 
-def force_findings(scene: Scene, t: Touches) -> list[Finding]:
+def force_findings(scene: Scene, t: Touches) -> list[RecordingMismatch]:
     """Return that forces have the other sign, are in the world's frame, or in a turned one.
 
     Recorded forces are compared with the nominal ones where both touch, as the cosine of all rows together.
@@ -312,7 +318,7 @@ def force_findings(scene: Scene, t: Touches) -> list[Finding]:
     against = own < AGAINST and best > AGREES
     if not against and not (best > NEARLY and 1 - own > NEARER * (1 - best)):
         return _turned(scene, t)
-    return [Finding(
+    return [RecordingMismatch(
         kind, against, "fingertip_force is not the force on the fingertip in its own frame",
         "N, the force the object exerts on the fingertip, in the fingertip's frame",
         f"they agree with the scene when taken as {words} (cosine {best:.2f}, as given {own:.2f})", fix,
@@ -320,7 +326,7 @@ def force_findings(scene: Scene, t: Touches) -> list[Finding]:
     )]  # fmt: skip
 
 
-def _turned(scene: Scene, t: Touches) -> list[Finding]:
+def _turned(scene: Scene, t: Touches) -> list[RecordingMismatch]:
     """Return fingertips whose forces agree with the scene's only when turned by a constant rotation.
 
     First one rotation for all of them, as one convention would make it; else their own, where that holds for most.
@@ -331,21 +337,21 @@ def _turned(scene: Scene, t: Touches) -> list[Finding]:
     if not every and not names:
         return _partly_turned(t)
     which = "all fingertips" if every else ", ".join(names)
-    return [Finding(
+    return [RecordingMismatch(
         "force_frame", every or 2 * len(names) > t.both.any(0).sum(), "forces are in a turned frame",
         "forces in the fingertip's frame", f"they agree with the scene's only when turned ({which})",
         "give the sensors' frames as `fingertip_frames` in scene.yaml", "fingertip_force", () if every else names,
     )]  # fmt: skip
 
 
-def _partly_turned(t: Touches) -> list[Finding]:
+def _partly_turned(t: Touches) -> list[RecordingMismatch]:
     """Return the note that all forces agree far better when turned by one rotation, though they do not disagree."""
     real, nominal = t.real[t.both], t.nominal[t.both]
     rows = np.ones(len(real), bool)
     own, other = _cosine(real, nominal, rows), _cosine(_turn(real, nominal), nominal, rows)
     if other < NEARLY or 1 - own < NEARER * (1 - other) or own > NEARLY:
         return []
-    return [Finding(
+    return [RecordingMismatch(
         "force_frame", False, "forces agree with the scene's better when turned", "forces in the fingertip's frame",
         f"cosine {other:.2f} when turned, as given {own:.2f} (all fingertips)",
         "give the sensors' frames as `fingertip_frames` in scene.yaml", "fingertip_force",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from candata.gap.finding import Finding
+from candata.gap.finding import RecordingMismatch
 from candata.gap.lagged import lagged
 from candata.gap.mismatch_commands import ZERO_RAD, Paired
 from candata.gap.recordings import Recordings
@@ -155,7 +155,7 @@ def _closer(p: Paired, chosen: Index, own: Array, commanded: Array, exchanged: A
     return Swap(chosen, told if len(told) == 1 else ("action", "joint_position"), tuple(holds.tolist()), both)
 
 
-def swap_findings(p: Paired, recs: Recordings, found: Sequence[Swap]) -> list[Finding]:
+def swap_findings(p: Paired, recs: Recordings, found: Sequence[Swap]) -> list[RecordingMismatch]:
     """Return the findings that joints follow each other's commands, one for those of the same episodes and channel."""
     groups: dict[tuple[tuple[bool, ...], tuple[str, ...]], list[Swap]] = {}
     for one in found:
@@ -163,7 +163,7 @@ def swap_findings(p: Paired, recs: Recordings, found: Sequence[Swap]) -> list[Fi
     return [_swapped(p, recs, group) for group in groups.values()]
 
 
-def _swapped(p: Paired, recs: Recordings, group: Sequence[Swap]) -> Finding:
+def _swapped(p: Paired, recs: Recordings, group: Sequence[Swap]) -> RecordingMismatch:
     """Return the finding of exchanges that hold in the same episodes."""
     chosen = np.arange(len(p.names))
     for one in group:
@@ -177,7 +177,7 @@ def _swapped(p: Paired, recs: Recordings, group: Sequence[Swap]) -> Finding:
     pairs += f": as if these columns were exchanged, error {after:.2g} instead of {before:.2g} rad or m"
     columns = " or ".join(f"`{c}` in the order of `{o}`" for c, o in zip(channels, order, strict=True))
     fix = f"put the columns of {columns} in scene.yaml, or name them"
-    return Finding(
+    return RecordingMismatch(
         "swapped_joints" if channels == ("joint_position",) else "swapped_commands",
         True,
         f"{' or '.join(what)} are in another order than the scene's {' or '.join(order)}",

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten
 
-from candata.checks import LEVELS, Finding, Group, Level, grouped, meanings
+from candata.checks import LEVELS, Finding, Group, Level, group_findings, meanings
 from candata.datasets import Dataset
 from candata.datasets.writing import write_text
 from candata.reports.document import render_page
@@ -86,7 +86,7 @@ def page(
     rules: Sequence[str] | None = None,
 ) -> str:
     """Return the whole page as text; it asks for nothing from elsewhere."""
-    groups = grouped(findings)
+    groups = group_findings(findings)
     tone, headline = _headline(Counter(group.level for group in groups))
     kicker = f"{data.name}@{data.digest[:12]}, version {data.version}, {len(data)} episodes"
     by_level = {level: [_group(g, len(data)) for g in groups if g.level == level] for level in LEVELS[:3]}

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.checks import LEVELS, RULES, Finding, Rule, check
-from candata.checks.defects import stored, with_arrays, write
+from candata.checks.defects import as_stored, with_arrays, write
 from candata.datasets import RawEpisode, open_dataset
 from candata.scenes import Scene, load_scene
 from candata.schema.channels import CHANNELS
@@ -71,7 +71,7 @@ class CheckConformance:
         findings: list[Finding] = []
         for name in self.scenes:
             scene, episodes = _sound_episodes(name, self.episodes, self.duration_s)
-            rng, raws = np.random.default_rng(0), [stored(episode) for episode in episodes]
+            rng, raws = np.random.default_rng(0), [as_stored(episode) for episode in episodes]
             damaged_arrays = [self.damage(dict(raw.arrays), raw.meta().rate_hz, rng) for raw in raws]
             if any(arrays is not None for arrays in damaged_arrays):
                 damaged_raws = [
@@ -86,14 +86,14 @@ class CheckConformance:
         """Channels that lack or hold nothing but NaN, and a single row: a finding or nothing, never an exception."""
         for name in self.scenes:
             scene, episodes = _sound_episodes(name, self.episodes, self.duration_s)
-            raws = [stored(episode) for episode in episodes]
+            raws = [as_stored(episode) for episode in episodes]
             for break_arrays in (_without_channels, _all_nan, _one_row):
                 self._findings([with_arrays(raw, break_arrays(raw.arrays)) for raw in raws], scene)
 
     def _findings(self, episodes: Sequence[Episode | RawEpisode], scene: Scene | None) -> tuple[Finding, ...]:
-        """Return what the rule finds in stored episodes."""
+        """Return what the rule finds in as_stored episodes."""
         with tempfile.TemporaryDirectory() as folder:
-            root = write(Path(folder) / "set", [stored(episode) for episode in episodes])
+            root = write(Path(folder) / "set", [as_stored(episode) for episode in episodes])
             return check(open_dataset(root, partial=True), rules=[registered_name(RULES, self.rule)], scene=scene)
 
 

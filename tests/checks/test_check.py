@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from candata.checks import Finding, View, check, defects, grouped, rule_names
+from candata.checks import EpisodeView, Finding, check, defects, group_findings, rule_names
 from candata.checks.conventions import RULE
 from candata.datasets import RawEpisode, append, create_dataset, open_dataset, put_cloud
 from candata.datasets.encode import hash_columns
@@ -33,7 +33,7 @@ def wrong(dataset, **how):
 
 
 def test_check_reports_what_would_not_construct(root, episode, rng):
-    bad = defects.unchecked(defects.damaged(episode("b", seed=1), "force_nan", rng, 0.0))
+    bad = defects.unchecked_episode(defects.with_defect(episode("b", seed=1), "force_nan", rng, 0.0))
     append(root, [episode("a"), bad], Lineage(operation="test"))
     (found,) = wrong(open_dataset(root), rules=CONTENT)
     row = int(np.argmax(np.isnan(bad["fingertip_force"]).any(axis=(1, 2))))
@@ -111,10 +111,10 @@ def test_the_injector_is_no_rule():
 
 
 def test_findings_that_are_the_same_in_words_are_one_group(root, episode, rng):
-    raws = [defects.damaged(episode(f"e{i}", seed=i), "quaternion_not_unit", rng, 0.1 + i / 100) for i in range(5)]
+    raws = [defects.with_defect(episode(f"e{i}", seed=i), "quaternion_not_unit", rng, 0.1 + i / 100) for i in range(5)]
     defects.write(root.parent / "bad", raws)
     found = check(open_dataset(root.parent / "bad"), rules=["quaternions"])
-    (group,) = grouped(found)
+    (group,) = group_findings(found)
     assert (len(found), group.episodes, group.problem) == (
         5,
         tuple(f"e{i}" for i in range(5)),
@@ -172,7 +172,7 @@ def told(*messages, episodes=True, problem="far"):
     found = [
         Finding("info", "r", m, f"e{i}" if episodes else None, "c", problem=problem) for i, m in enumerate(messages)
     ]
-    (group,) = grouped(found)
+    (group,) = group_findings(found)
     return group.text
 
 
@@ -213,12 +213,12 @@ def test_a_group_tells_the_first_kinds_of_words_and_counts_the_others():
 def test_names_that_the_sources_share_are_not_told(episode, simulated, recorded, expected):
     def stored(name, source, names):
         base = episode(name, source=source, seed=ord(name))
-        raw = defects.stored(base)
+        raw = defects.as_stored(base)
         meta = json.loads(raw.meta_json) | {"joint_names": names}
         return replace(raw, meta_json=json.dumps(meta))
 
     seen = [
-        RULE.gather(View(stored(name, source, names)))
+        RULE.gather(EpisodeView(stored(name, source, names)))
         for name, source, names in zip(
             "wxyz", ["sim"] * 2 + ["real"] * 2, [simulated] * 2 + [recorded] * 2, strict=True
         )
@@ -227,7 +227,9 @@ def test_names_that_the_sources_share_are_not_told(episode, simulated, recorded,
 
 
 def test_a_hash_is_that_of_what_is_stored(episode, rng):
-    raw = defects.damaged(episode("a"), "pose_in_millimetres", rng)
-    assert raw.stored_hash == hash_columns(raw.meta_json, raw.arrays) != defects.damaged(
-        episode("a"), "quaternion_swapped", rng
-    ).stored_hash  # fmt: skip
+    raw = defects.with_defect(episode("a"), "pose_in_millimetres", rng)
+    assert (
+        raw.stored_hash
+        == hash_columns(raw.meta_json, raw.arrays)
+        != defects.with_defect(episode("a"), "quaternion_swapped", rng).stored_hash
+    )

@@ -29,7 +29,7 @@ def stored(place, turn=None, force=None, hand=True, seed=0, name="e", lengths=1.
         press = unit * (press + rng.normal(0, NOISE_N, press.shape))
         arrays |= {"action": np.zeros((ROWS, 1)), "joint_position": np.zeros((ROWS, 1)), "fingertip_force": press}
     return defects.with_derived_flags(
-        defects.stored(Episode(EpisodeMeta(id=name, source="real", rate_hz=RATE_HZ), arrays))
+        defects.as_stored(Episode(EpisodeMeta(id=name, source="real", rate_hz=RATE_HZ), arrays))
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata import plugins
-from candata.checks import View, check, defects
+from candata.checks import EpisodeView, check, defects
 from candata.datasets import append, create_dataset, open_dataset
 from candata.formats.table import read_mapped
 from candata.schema.episode import Episode, EpisodeMeta
@@ -47,14 +47,28 @@ def test_the_picking_thumb_stops_short_and_nothing_is_wrong(tmp_path, shared):
 
 def test_a_velocity_of_zeros_is_told_and_is_no_defect(tmp_path, shared):
     path = shared / "realdata" / "cassie_jumps" / "cassie_jumps.parquet"
-    joints = ("hip_pitch_left", "knee_left", "ankle_joint_left", "ankle_spring_joint_left", "toe_left",
-              "ankle_spring_joint_right", "toe_right")  # fmt: skip
+    joints = (
+        "hip_pitch_left",
+        "knee_left",
+        "ankle_joint_left",
+        "ankle_spring_joint_left",
+        "toe_left",
+        "ankle_spring_joint_right",
+        "toe_right",
+    )
     base = [f"base_{c}" for c in ("x", "y", "z", "qw", "qx", "qy", "qz")]
     mapping = TableMap(
-        file=path.name, source="real", episode="episode", time_s="t", rate_hz=2000,
-        channels={"object_pose": tuple(base), "joint_position": joints,
-                  "joint_velocity": tuple(f"{j}dot" for j in joints)},
-    )  # fmt: skip
+        file=path.name,
+        source="real",
+        episode="episode",
+        time_s="t",
+        rate_hz=2000,
+        channels={
+            "object_pose": tuple(base),
+            "joint_position": joints,
+            "joint_velocity": tuple(f"{j}dot" for j in joints),
+        },
+    )
     found = findings(stored(tmp_path, read_mapped(mapping, path)))
     assert {(level, rule) for level, rule, _ in found} == {("info", "velocities")}
     assert [f.message.split(": ")[1] for _, _, f in found] == ["ankle_spring_joint_left", "ankle_spring_joint_right"]
@@ -62,11 +76,19 @@ def test_a_velocity_of_zeros_is_told_and_is_no_defect(tmp_path, shared):
 
 def bag(name, values, rate_hz=10.0):
     """A stored episode of poses as a bag's estimate holds them, unchecked."""
-    arrays = {"time_ns": (np.arange(len(values)) * 1e9 / rate_hz).astype(np.int64),
-              "object_pose": np.asarray(values, np.float32)}  # fmt: skip
-    sound = Episode(EpisodeMeta(id=name, source="real", rate_hz=rate_hz), {"time_ns": arrays["time_ns"], "contact":
-                    np.zeros(len(values), bool), "joint_position": np.zeros((len(values), 1))})  # fmt: skip
-    return defects.with_arrays(defects.stored(sound), arrays)
+    arrays = {
+        "time_ns": (np.arange(len(values)) * 1e9 / rate_hz).astype(np.int64),
+        "object_pose": np.asarray(values, np.float32),
+    }
+    sound = Episode(
+        EpisodeMeta(id=name, source="real", rate_hz=rate_hz),
+        {
+            "time_ns": arrays["time_ns"],
+            "contact": np.zeros(len(values), bool),
+            "joint_position": np.zeros((len(values), 1)),
+        },
+    )
+    return defects.with_arrays(defects.as_stored(sound), arrays)
 
 
 def test_bags_with_nan_and_with_other_quantities_in_their_positions_are_told(judged, rng):
@@ -84,7 +106,7 @@ def test_real_bags_with_other_quantities_in_their_positions_are_told(judged, sha
     mapping = {"rate_hz": 10, "channels": {"object_pose": {"topic": "/cf_logpos", "clock": "log"}}}
     names = ("pitch2bag", "roll2bag", "flybag")
     episodes = [one for name in names for one in read(tmp_path / "bags" / name, mapping, allow_gaps=True)]
-    found = judged(map(defects.stored, episodes))
+    found = judged(map(defects.as_stored, episodes))
     assert {(f.rule, f.episode) for f in found} == {("pose_unit", "pitch2bag"), ("pose_unit", "roll2bag")}
 
 
@@ -97,8 +119,8 @@ def test_a_quadrotor_that_rolls_in_its_rig_holds_no_swapped_quaternion(judged):
 
 
 def test_a_view_of_an_episode_has_no_value_where_it_is_invalid(episode):
-    raw = defects.stored(episode("a"))
+    raw = defects.as_stored(episode("a"))
     valid = np.arange(20) != 3
-    view = View(defects.with_arrays(raw, {**raw.arrays, "joint_position_valid": valid}))
+    view = EpisodeView(defects.with_arrays(raw, {**raw.arrays, "joint_position_valid": valid}))
     assert np.isnan(view.values("joint_position")[3]).all()
     assert np.isfinite(view.values("joint_position")[valid]).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from candata import plugins
-from candata.checks import View
+from candata.checks import EpisodeView
 from candata.datasets import RawEpisode
 from candata.datasets.encode import hash_columns
 
@@ -32,7 +32,7 @@ def with_value(array, place, value):
 
 
 def findings(rule, episode):
-    return list(plugins.load("candata.checks", "RULE", rule).episode(View(episode)))
+    return list(plugins.load("candata.checks", "RULE", rule).episode(EpisodeView(episode)))
 
 
 TIME = np.arange(ROWS) * 12_500_000

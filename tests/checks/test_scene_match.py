@@ -25,7 +25,7 @@ def changed(raws, share=1, **columns):
 
 @pytest.fixture(scope="module")
 def raws(light):
-    return [defects.stored(e) for e in light]
+    return [defects.as_stored(e) for e in light]
 
 
 MILLIMETRES = np.r_[[1e3] * 3, [1] * 4]
@@ -78,14 +78,14 @@ def test_one_wild_row_is_no_unit(raws, light_scene, judged):
 def test_a_rate_that_is_not_the_scenes_says_its_factor(light, light_scene, judged, factor, words):
     meta = [e.meta.model_copy(update={"rate_hz": factor * e.meta.rate_hz}) for e in light]
     arrays = [dict(e.arrays) | {"time_ns": (e["time_ns"] / factor).astype(np.int64)} for e in light]
-    raws = [defects.stored(Episode(m, a)) for m, a in zip(meta, arrays, strict=True)]
+    raws = [defects.as_stored(Episode(m, a)) for m, a in zip(meta, arrays, strict=True)]
     assert words in judged(raws, light_scene, SET)[0].message
 
 
 @pytest.mark.parametrize("factor", [2.0, 0.5, 1e-6])
 def test_a_rate_that_is_not_the_stamps_is_an_error_without_a_scene(raws, judged, factor):
     rng = np.random.default_rng(0)
-    found = judged([defects.damaged(r, "stamps_scaled", rng, factor) for r in raws], rules=["time"])
+    found = judged([defects.with_defect(r, "stamps_scaled", rng, factor) for r in raws], rules=["time"])
     assert {f.level for f in found} == {"error"}
     assert all(("another unit of time" if factor < 0.1 else "2 times as") in f.message for f in found)
 
@@ -96,7 +96,7 @@ def test_every_other_episode_is_seen_in_a_set_of_any_size(light_scene, judged):
     rng = np.random.default_rng(0)
     for odd in (0, 1):
         mixed = [
-            defects.damaged(e, "joints_exchanged", rng) if i % 2 == odd else defects.stored(e)
+            defects.with_defect(e, "joints_exchanged", rng) if i % 2 == odd else defects.as_stored(e)
             for i, e in enumerate(many)
         ]
         (found,) = [f for f in judged(mixed, light_scene, SET) if f.level == "error"]
@@ -117,7 +117,7 @@ def test_worlds_with_effects_are_no_contradiction(light_scene, judged):
     labels = draw_labels(light_scene, {"one": 6, "pair": 3, "local": 3}, np.random.default_rng(5))
     for label in labels:
         made = simulated(light_scene, 6, effects=label.effects, duration_s=1.2)
-        found = [f for f in judged(map(defects.stored, made), light_scene, SET) if f.level == "error"]
+        found = [f for f in judged(map(defects.as_stored, made), light_scene, SET) if f.level == "error"]
         assert found == [], label
 
 

@@ -46,7 +46,7 @@ UNDECIDABLE = (
 def said(folder, episodes, mistake, scene):
     """Level and message of what `scene_match` finds in stored episodes with a mistake."""
     rng = np.random.default_rng(0)
-    raws = [defects.stored(e) if mistake is None else defects.damaged(e, mistake, rng) for e in episodes]
+    raws = [defects.as_stored(e) if mistake is None else defects.with_defect(e, mistake, rng) for e in episodes]
     root = defects.write(folder / "set", raws)
     return [(f.level, f.message) for f in check(open_dataset(root), scene=scene, rules=["scene_match"])]
 

@@ -33,7 +33,7 @@ def stored(name, task=None, **arrays):
         joint_names=joints,
         actuator_names=joints * ("action" in arrays),
     )
-    return defects.stored(Episode(meta, {"time_ns": np.round(TIME_S * 1e9).astype(np.int64)} | arrays))
+    return defects.as_stored(Episode(meta, {"time_ns": np.round(TIME_S * 1e9).astype(np.int64)} | arrays))
 
 
 def waves(seed, count):

@@ -33,7 +33,7 @@ def sound():
 )
 def test_both_refuse_with_the_same_facts_and_the_same_fix(sound, tmp_path, mistake, fix):
     rng = np.random.default_rng(0)
-    data = defects.write(tmp_path / "data", [defects.damaged(e, mistake, rng) for e in sound])
+    data = defects.write(tmp_path / "data", [defects.with_defect(e, mistake, rng) for e in sound])
     validated = run("validate", data, "--scene", SCENE, "--rule", "scene_match", "--json")
     refused = run("diagnose", data, "--scene", SCENE, "--out", tmp_path / "out", "--jobs", 1)
     (finding,) = [f for f in json.loads(validated.out)["findings"] if f["level"] == "error"]

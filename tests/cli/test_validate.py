@@ -9,7 +9,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from candata.checks import Finding, defects, grouped
+from candata.checks import Finding, defects, group_findings
 from candata.datasets import append, create_dataset
 from candata.errors import DataError, SceneError, SetupError, UnknownNameError, UsageError
 from candata.schema.episode import Episode, EpisodeMeta
@@ -82,7 +82,7 @@ def test_what_concerns_the_set_is_said_of_each_element():
         Finding("info", "velocities", f"still: {name}", channel="joint_velocity", problem="still")
         for name in ("left", "right")
     ]
-    (group,) = grouped(told)
+    (group,) = group_findings(told)
     assert _row(group, 5) == ("info", "velocities", "joint_velocity", "the set", "still: left; right")
 
 

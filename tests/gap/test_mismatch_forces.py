@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from candata.gap.mismatch_forces import exchange_findings, scale_findings
+from candata.gap.mismatch_sensors import tare
 
 #: A fingertip is free in the first rows, then pressed with a changing force [N].
 ROWS, FREE = 60, 20
@@ -141,3 +142,14 @@ def test_fingertips_in_turned_frames_are_not_called_exchanged(hand, pressed, pla
     real = np.stack([own[:, :, 0][..., [2, 0, 1]], own[:, :, 1][..., [1, 2, 0]]], axis=2)
     assert exchange_findings(two, plain_recordings(fingertip_force=real), own) == []
     assert exchange_findings(two, plain_recordings(fingertip_force=own[:, :, ::-1]), own) != []
+
+
+def test_what_presses_from_the_first_row_is_no_tare():
+    """A replay touches from its second row on what the recorded fingertip presses from the first."""
+    recorded = np.full((3, 20, 1, 3), [0.0, 0.0, -1.2])
+    nominal = recorded.copy()
+    nominal[:, 0] = 0.0
+    assert tare(recorded, nominal).tolist() == [[0.0, 0.0, 0.0]]
+    nominal[:, :5] = 0.0
+    recorded[:, :5] = [0.1, 0.0, 0.0]
+    assert tare(recorded, nominal).tolist() == [[0.1, 0.0, 0.0]]
