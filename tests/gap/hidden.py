@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from candata.effects import Bounds, Effect, Hook, Parameter, _lookup
+from candata.effects import EFFECTS, Bounds, Effect, Hook, Parameter
+from candata.plugins import Registry
 from candata.schema.effect import EffectSetting
 
 NAME = "hidden"
@@ -88,8 +89,12 @@ def hysteresis(tip: str, share: float) -> Effect:
 def hider(patch: pytest.MonkeyPatch) -> Callable[[Effect], tuple[EffectSetting, ...]]:
     """The function that makes a cause known under a name until the patch is undone, and returns its settings."""
     causes: dict[str, Effect] = {}
-    known = _lookup.load
-    patch.setattr(_lookup, "load", lambda package, constant, name: causes.get(name) or known(package, constant, name))
+    load = Registry.load
+
+    def load_or_cause(registry: Registry, name: str) -> object:
+        return causes[name] if registry is EFFECTS and name in causes else load(registry, name)
+
+    patch.setattr(Registry, "load", load_or_cause)
 
     def hide(cause: Effect) -> tuple[EffectSetting, ...]:
         causes[NAME] = cause
