@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from candata.checks import Finding, Rule, View
+from candata.checks import EpisodeView, Finding, Rule
 
 #: Time for which a tracker that has lost the object repeats its last pose [s], and share of the other rows that differ
 #: from the row before, below which a standing pose means nothing. Chosen.
@@ -14,7 +14,7 @@ FROZEN_S, LIVELY = 0.25, 0.9
 REMEDY = "mark these rows invalid: the tracker had lost the object"
 
 
-def _episode(view: View) -> Iterator[Finding]:
+def _episode(view: EpisodeView) -> Iterator[Finding]:
     """Yield the stretch of an episode in which the pose is frozen."""
     pose = view.values("object_pose")
     if pose is None or len(pose) < 2:
