@@ -73,7 +73,8 @@ def test_workers_that_have_just_begun_leave_without_a_traceback(tmp_path, then_s
     out = tmp_path / "sim"
     command = (*SIM, "--episodes", 400, "--jobs", 2, "--out", out)
     code, _, err = stop(command, (out / "dataset.json").is_file, then_s)
-    assert (code, err) == (130, f"stopped: 0 episodes are kept in {out}\n" + told(command, "go on"))
+    kept = sum(len(part.episodes) for part in pending_parts(out))  # none yet, or the first, on a fast machine
+    assert (code, err) == (130, f"stopped: {kept} episodes are kept in {out}\n" + told(command, "go on"))
 
 
 def test_a_diagnosis_keeps_what_was_simulated(recordings, tmp_path):
