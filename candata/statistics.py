@@ -26,7 +26,7 @@ def resamples(rng: np.random.Generator, count: int, draws: int) -> NDArray[np.in
     return rng.integers(count, size=(draws, count))
 
 
-def noise_sd(values: Array, time_axis: int, over: int | tuple[int, ...] | None = None) -> Array:
+def noise_sd(values: Array, time_axis: int, axes: int | tuple[int, ...] | None = None) -> Array:
     """Return the standard deviation of white noise on a slow signal, by the median of its second differences.
 
     Parameters
@@ -35,7 +35,7 @@ def noise_sd(values: Array, time_axis: int, over: int | tuple[int, ...] | None =
         Readings; those that are not finite do not count.
     time_axis : int
         Axis of time.
-    over : int or tuple of int, optional
+    axes : int or tuple of int, optional
         Axes that share one deviation; all by default.
 
     Returns
@@ -46,10 +46,10 @@ def noise_sd(values: Array, time_axis: int, over: int | tuple[int, ...] | None =
     bends = np.abs(np.diff(values, 2, axis=time_axis))
     finite = np.isfinite(bends)
     if not bends.size:
-        return np.zeros(np.sum(bends, axis=over).shape)
+        return np.zeros(np.sum(bends, axis=axes).shape)
     if not finite.all():  # nanmedian takes a hundred times as long
-        known = finite.any(axis=over, keepdims=True)
-        middle = np.nanmedian(np.where(finite, bends, np.where(known, np.nan, 0.0)), axis=over)
+        has_readings = finite.any(axis=axes, keepdims=True)
+        median_bend = np.nanmedian(np.where(finite, bends, np.where(has_readings, np.nan, 0.0)), axis=axes)
     else:
-        middle = np.median(bends, axis=over)
-    return np.asarray(middle / MEDIAN_OF_UNIT_NORMAL / np.sqrt(SECOND_DIFFERENCES))
+        median_bend = np.median(bends, axis=axes)
+    return np.asarray(median_bend / MEDIAN_OF_UNIT_NORMAL / np.sqrt(SECOND_DIFFERENCES))

@@ -29,14 +29,14 @@ def test_noise_on_a_slow_signal_is_told_by_column():
     time = np.linspace(0, 1, 20_000)
     sd = np.array([0.1, 2.0])
     values = np.sin(time)[:, None] + sd * rng.normal(size=(len(time), 2))
-    np.testing.assert_allclose(noise_sd(values, 0, over=0), sd, rtol=0.03)  # three standard errors of the median
+    np.testing.assert_allclose(noise_sd(values, 0, axes=0), sd, rtol=0.03)  # three standard errors of the median
     values[::7] = np.nan
-    np.testing.assert_allclose(noise_sd(values, 0, over=0), sd, rtol=0.04)
+    np.testing.assert_allclose(noise_sd(values, 0, axes=0), sd, rtol=0.04)
 
 
 def test_readings_that_are_missing_leave_no_noise():
     values = np.full((2, 9, 3), np.nan)
-    np.testing.assert_array_equal(noise_sd(values, 1, over=(0, 1)), np.zeros(3))
+    np.testing.assert_array_equal(noise_sd(values, 1, axes=(0, 1)), np.zeros(3))
     assert noise_sd(values, 1) == 0
     assert noise_sd(values[:, :2], 1) == 0
-    np.testing.assert_array_equal(noise_sd(values[:, :2], 1, over=(0, 1)), np.zeros(3))
+    np.testing.assert_array_equal(noise_sd(values[:, :2], 1, axes=(0, 1)), np.zeros(3))

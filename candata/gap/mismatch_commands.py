@@ -73,7 +73,7 @@ class Paired:
     @property
     def quiet(self) -> Array:
         """`(S,)` spread of each joint's readings from row to row, by second differences (white noise: its sd)."""
-        return noise_sd(self.joint, 1, over=(0, 1))
+        return noise_sd(self.joint, 1, axes=(0, 1))
 
 
 def paired(scene: Scene, recs: Recordings) -> Paired | None:
