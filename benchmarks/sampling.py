@@ -17,59 +17,18 @@ from collections.abc import Callable
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from candata.loaders import Normaliser, Scale
-from candata.models import Sizes, integrate, model
+from candata.models import Sizes, model
+from candata.testing.models import made_up_batch, made_up_normaliser
 
 SIZES = Sizes(history=8, horizon=16, joints=15, actuators=15, fingertips=5, points=512)
 #: Side of the matrix product that stands for the machine's peak.
 PEAK_SIDE = 1024
 
 
-def scale(*shape: int) -> Scale:
-    count = torch.Size(shape).numel()
-    return Scale(shape=shape, centre=(0.0,) * count, scale=(1.0,) * count)
-
-
 def build(name: str, preset: str) -> torch.nn.Module:
     """Return the model for the benchmark's sizes."""
-    channels = {"object_pose": scale(7), "joint_position": scale(SIZES.joints), "action": scale(SIZES.actuators)}
-    normaliser = Normaliser(
-        method="std",
-        dataset="made-up",
-        digest="",
-        episodes=1,
-        rows=1,
-        windows=1,
-        rate_hz=10,
-        horizon=SIZES.horizon,
-        channels=channels,
-        increments=scale(SIZES.horizon, 6),
-    )
-    found = model(name)
-    return found.build(found.presets[preset], SIZES, normaliser)
-
-
-def windows(count: int, clouds: int) -> dict[str, torch.Tensor]:
-    """Return made-up windows."""
-    g, s = torch.Generator().manual_seed(0), SIZES
-    rows, horizon = s.history, s.horizon
-    start = torch.randn(count, 7, generator=g)
-    poses = integrate(
-        start / start[:, 3:].norm(dim=1, keepdim=True), torch.randn(count, rows + horizon, 6, generator=g)
-    )
-    return {
-        "history/object_pose": poses[:, :rows],
-        "future/object_pose": poses[:, rows:],
-        "history/joint_position": torch.randn(count, rows, s.joints, generator=g),
-        "history/action": torch.randn(count, rows, s.actuators, generator=g),
-        "planned/action": torch.randn(count, horizon, s.actuators, generator=g),
-        "history/contact": torch.rand(count, rows, generator=g) < 0.5,
-        "future/contact": torch.rand(count, horizon, generator=g) < 0.5,
-        "history_pad": torch.zeros(count, rows, dtype=torch.bool),
-        "future_pad": torch.zeros(count, horizon, dtype=torch.bool),
-        "cloud": torch.arange(count) % clouds,
-        "clouds": 0.05 * torch.randn(clouds, s.points, 3, generator=g),
-    }
+    kind = model(name)
+    return kind.build(kind.presets[preset], SIZES, made_up_normaliser(SIZES))
 
 
 def best(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
@@ -89,7 +48,7 @@ def line(what: str, value: str, target: str = "") -> None:
 
 
 def sampling(net: torch.nn.Module, args: argparse.Namespace) -> None:
-    batch, g = windows(args.windows, args.clouds), torch.Generator().manual_seed(0)
+    batch, g = made_up_batch(args.windows, sizes=SIZES, clouds=args.clouds), torch.Generator().manual_seed(0)
     took = best(
         {str(n): lambda n=n: net.forecast(batch, args.samples, n, g) for n in (100, 10, 4)}, max(args.repeats // 4, 2)
     )
@@ -99,7 +58,7 @@ def sampling(net: torch.nn.Module, args: argparse.Namespace) -> None:
 
 
 def training(net: torch.nn.Module, args: argparse.Namespace) -> None:
-    batch, g = windows(args.batch, args.clouds), torch.Generator().manual_seed(0)
+    batch, g = made_up_batch(args.batch, sizes=SIZES, clouds=args.clouds), torch.Generator().manual_seed(0)
     optimiser = torch.optim.AdamW(net.parameters(), lr=1e-4, betas=(0.95, 0.999), fused=True)
     parts = dict.fromkeys(("forward", "backward", "clip", "AdamW"), 0.0)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import comb
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,8 +14,6 @@ MEDIAN_OF_UNIT_NORMAL = 0.6745
 #: Standard deviation of a normal distribution in median absolute deviations, 1 / Phi^-1(3/4).
 #: Source: F. R. Hampel, "The influence curve and its role in robust estimation", JASA 69 (1974).
 MAD_TO_SD = 1.4826
-#: Variance of the second differences of white noise, in variances of the noise: 1 + 4 + 1.
-SECOND_DIFFERENCES = 6
 
 
 def resamples(rng: np.random.Generator, count: int, draws: int) -> NDArray[np.int64]:
@@ -26,8 +26,11 @@ def resamples(rng: np.random.Generator, count: int, draws: int) -> NDArray[np.in
     return rng.integers(count, size=(draws, count))
 
 
-def noise_sd(values: Array, time_axis: int, axes: int | tuple[int, ...] | None = None) -> Array:
-    """Return the standard deviation of white noise on a slow signal, by the median of its second differences.
+def noise_sd(values: Array, time_axis: int, axes: int | tuple[int, ...] | None = None, order: int = 2) -> Array:
+    """Return the standard deviation of white noise on a slow signal, by the median of its differences of an order.
+
+    Differences of order n of white noise have (2n choose n) times its variance: the sum of the squared binomial
+    coefficients that they weigh readings by.
 
     Parameters
     ----------
@@ -37,13 +40,15 @@ def noise_sd(values: Array, time_axis: int, axes: int | tuple[int, ...] | None =
         Axis of time.
     axes : int or tuple of int, optional
         Axes that share one deviation; all by default.
+    order : int
+        Order of the differences; the higher, the less a smooth signal adds to them.
 
     Returns
     -------
     array
-        Unit of `values`; 0 where no three readings in a row are finite.
+        Unit of `values`; 0 where fewer readings in a row are finite than a difference takes, `order` + 1.
     """
-    bends = np.abs(np.diff(values, 2, axis=time_axis))
+    bends = np.abs(np.diff(values, order, axis=time_axis))
     finite = np.isfinite(bends)
     if not bends.size:
         return np.zeros(np.sum(bends, axis=axes).shape)
@@ -52,4 +57,4 @@ def noise_sd(values: Array, time_axis: int, axes: int | tuple[int, ...] | None =
         median_bend = np.nanmedian(np.where(finite, bends, np.where(has_readings, np.nan, 0.0)), axis=axes)
     else:
         median_bend = np.median(bends, axis=axes)
-    return np.asarray(median_bend / MEDIAN_OF_UNIT_NORMAL / np.sqrt(SECOND_DIFFERENCES))
+    return np.asarray(median_bend / MEDIAN_OF_UNIT_NORMAL / np.sqrt(comb(2 * order, order)))

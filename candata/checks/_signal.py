@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from math import comb
-
 import numpy as np
 from numpy.typing import NDArray
+
+from candata.statistics import MAD_TO_SD, noise_sd
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,17 +25,8 @@ UNITS = {
 
 
 def noise(values: Array, order: int = 2) -> Array:
-    """Return the spread of white noise in each column of `(T, N)`, by differences of an order.
-
-    Source: differences of order n of white noise have (2n choose n) times its variance; 0.6745 is the median of |x| for
-    a unit normal (Rousseeuw and Croux 1993, eq. 1.3).
-    """
-    bend = np.abs(np.diff(values, order, axis=0))
-    if not len(bend):
-        return np.zeros(values.shape[1:])
-    # nanmedian takes a hundred times as long.
-    median_bend = np.median(bend, axis=0) if np.isfinite(bend).all() else np.nanmedian(bend, axis=0)
-    return np.asarray(np.nan_to_num(median_bend) / 0.6745 / np.sqrt(comb(2 * order, order)))
+    """Return the spread of white noise in each column of `(T, N)`, by differences of an order."""
+    return noise_sd(values, 0, axes=0, order=order)
 
 
 def white_noise(values: Array) -> Array:
@@ -127,6 +118,6 @@ def finite_median(values: Array) -> float:
 
 
 def spread(values: Array) -> float:
-    """Return the robust standard deviation (1.4826 MAD) of what is finite; 0 where nothing is."""
+    """Return the robust standard deviation (by the MAD) of what is finite; 0 where nothing is."""
     finite_values = values[np.isfinite(values)]
-    return float(1.4826 * np.median(np.abs(finite_values - np.median(finite_values)))) if len(finite_values) else 0.0
+    return float(MAD_TO_SD * np.median(np.abs(finite_values - np.median(finite_values)))) if len(finite_values) else 0.0

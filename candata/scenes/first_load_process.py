@@ -75,7 +75,7 @@ def _load(path: Path, say: Callable[[Stage], None]) -> tuple[Ending, str]:
     say("read")
     try:
         spec = parse_model(path)
-        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        spec.option.jacobian = mujoco.mjtJacobian.mjJAC_DENSE  # as scenes are compiled: it decides the memory
         say("compile")
         model = spec.compile()
     except (CandataError, *MODEL_ERRORS) as error:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from candata.errors import DataError
-from candata.gap import mismatch as module
+from candata.gap import mismatch_shifts as module
 from candata.gap.mismatch import checked, mismatch
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer

@@ -4,161 +4,21 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.datasets.clouds import put_cloud
 from candata.datasets.encode import content_hash
-from candata.formats import Reading, Writing
-from candata.plugins import load
 from candata.schema.episode import Episode
 from candata.schema.manifest import Lineage
 from tests.conftest import WHOLE, make_episode
-from tests.formats.made_bags import POSE_MAP, fox_pose, joints, poses, write_bag, write_foxglove, write_ros2
-from tests.formats.made_sets import write_buffer, write_demos, write_lerobot, write_map, zipped
-
-
-class Reader(NamedTuple):
-    """One reader and what it reads.
-
-    Attributes
-    ----------
-    write : callable
-        `(folder, rows)`: writes sound files into an empty folder.
-    read : callable
-        `(folder) -> contents`; raises an error of candata where it refuses.
-    files : str
-        Pattern of the files that are mutated.
-    whole : bool
-        Whether hashes guard the contents: they are as they were written, or refused.
-    """
-
-    write: Callable[[Path, int], object]
-    read: Callable[[Path], Any]
-    files: str = "**/*"
-    whole: bool = False
-
-
-def _imported(format_name: str, source: str, mapping: str | None = None, **told: Any) -> Callable[[Path], list[str]]:
-    """Return what reads a foreign format, and returns the hashes of its episodes."""
-
-    def read(folder: Path) -> list[str]:
-        path = None if mapping is None else folder / mapping
-        given = Reading(allow_gaps=True, mapping=path, **told)
-        return [
-            _checked(episode) for episode in load("candata.formats", "FORMAT", format_name).read(folder / source, given)
-        ]
-
-    return read
-
-
-def _checked(episode: Episode) -> str:
-    """Return the hash of an episode whose stamps grow."""
-    if not (len(episode) and (np.diff(episode["time_ns"]) > 0).all()):
-        raise AssertionError("an episode whose stamps do not grow")
-    return content_hash(episode)
-
-
-def _table(kind: str, **more: Any) -> Callable[[Path, int], None]:
-    """Return what writes a table of two episodes, and its map."""
-
-    def write(folder: Path, rows: int) -> None:
-        import pyarrow as pa
-        import pyarrow.csv
-        import pyarrow.parquet
-
-        rng = np.random.default_rng(rows)
-        columns = {"episode": np.repeat([4, 2], rows), "t": np.tile(np.arange(rows) / 100, 2)}
-        columns |= {name: rng.normal(size=2 * rows) for name in ("q0", "q1", "a0", "a1", "f_x", "f_y", "f_z")}
-        path = folder / f"run.{kind}"
-        if kind == "npz":
-            np.savez(path, **columns)
-        elif kind == "csv":
-            pa.csv.write_csv(pa.table(columns), path)
-        else:
-            pa.parquet.write_table(pa.table(columns), path)
-        channels = {"joint_position": ["q0", "q1"], "action": ["a0", "a1"], "fingertip_force": [["f_x", "f_y", "f_z"]]}
-        fields = {"file": path.name, "episode": "episode", "time_s": "t", "rate_hz": 100, "channels": channels}
-        write_map(folder / "map.yaml", **fields, units={"q0": "deg"}, **more)
-
-    return write
-
-
-def _export(format_name: str, **told: Any) -> Callable[[Path, int], None]:
-    """Return what writes an export of candata's own."""
-
-    def write(folder: Path, rows: int) -> None:
-        episodes = [make_episode("a", rows=rows), make_episode("b", seed=1, rows=rows + 1)]
-        (folder / "set").mkdir()
-        load("candata.formats", "FORMAT", format_name).write(episodes, folder / "set", Writing("ds", "d" * 64, **told))
-
-    return write
-
-
-def _bag(folder: Path, rows: int) -> None:
-    """Write a bag as rosbag2 does: neither compressed nor with check sums, so that damage reaches the messages."""
-    from mcap.writer import CompressionType
-
-    pose, joint = ("geometry_msgs/msg/PoseStamped", poses(rows)), ("sensor_msgs/msg/JointState", joints(rows))
-    topics = {"/pose": pose, "/j": joint}
-    write_ros2(folder / "run.mcap", topics, compression=CompressionType.NONE, enable_crcs=False)
-    channels = {"object_pose": "/pose", "joint_position": {"topic": "/j", "clock": "log"}}
-    write_map(folder / "topics.yaml", rate_hz=100, channels=channels)
-
-
-def _foxglove(encoding: str) -> Callable[[Path, int], None]:
-    """Return what writes a recording of Foxglove's messages."""
-
-    def write(folder: Path, rows: int) -> None:
-        items: list[Any] = [fox_pose(10**9 + k * 10**7, float(k)) for k in range(rows)]
-        if encoding == "json":
-            pose = {"position": {"x": 1, "y": 0, "z": 0}, "orientation": {"x": 0, "y": 0, "z": 0, "w": 1}}
-            items = [(t, {"timestamp": {"sec": 1, "nsec": t - 10**9}, "pose": pose}) for t, _ in items]
-        write_foxglove(folder / "run.mcap", {"/pose": ("foxglove.PoseInFrame", items)}, encoding)
-        write_map(folder / "topics.yaml", **POSE_MAP)
-
-    return write
-
-
-def _bag_folder(folder: Path, rows: int) -> None:
-    """Write a bag's folder of two files."""
-    part = {"/pose": ("geometry_msgs/msg/PoseStamped", poses(rows))}
-    write_bag(folder / "bag", [part])
-    write_map(folder / "topics.yaml", **POSE_MAP)
-
-
-def _frames(folder: Path, rows: int) -> None:
-    """Write results of FoundationPose."""
-    (folder / "run" / "ob_in_cam").mkdir(parents=True)
-    for k in range(rows):
-        np.savetxt(folder / "run" / "ob_in_cam" / f"{k:04d}.txt", np.eye(4))
-    write_map(folder / "frames.yaml", rate_hz=30)
-
-
-def _buffer(version: int, packed: bool = False) -> Callable[[Path, int], None]:
-    """Return what writes a buffer of Diffusion Policy, without pictures."""
-
-    def write(folder: Path, rows: int) -> None:
-        made = write_buffer(folder / "b.zarr", version, ends=(rows, 5), state=np.arange(10.0).reshape(5, 2))
-        if packed:
-            zipped(made)
-        write_map(folder / "map.yaml", rate_hz=10, channels={"joint_position": "state", "action": "action"})
-
-    return write
-
-
-def _demos(folder: Path, rows: int) -> None:
-    """Write a file of robomimic."""
-    write_demos(folder / "d.hdf5", rows=rows)
-
-
-def _lerobot(version: str) -> Callable[[Path, int], None]:
-    """Return what writes a set of LeRobot."""
-    return lambda folder, rows: write_lerobot(folder / "set", version=version, rows=(rows, 3))
+from tests.formats.made_sets import write_map
+from tests.mutated.format_readers import BUFFER, FORMATS, bag, bag_folder, buffer, frames, imported, table
+from tests.mutated.reader import Reader
 
 
 def _dataset(folder: Path, rows: int) -> None:
@@ -427,30 +287,7 @@ def _read_sealed(folder: Path) -> object:
     return seal.read_seal(folder / "seal.json").effect
 
 
-_BUFFER = _imported("diffusion_policy", "b.zarr", "map.yaml")
-_OWN_BUFFER = _imported("diffusion_policy", "set/replay_buffer.zarr")
-#: Readers of foreign formats, of candata's own stores, and of texts that users write.
-FORMATS: Mapping[str, Reader] = {
-    "table_parquet": Reader(_table("parquet"), _imported("table", "map.yaml"), "*.parquet"),
-    "table_csv": Reader(_table("csv"), _imported("table", "map.yaml"), "*.csv"),
-    "table_npz": Reader(_table("npz"), _imported("table", "map.yaml"), "*.npz"),
-    "mcap_ros2": Reader(_bag, _imported("mcap", "run.mcap", "topics.yaml"), "*.mcap"),
-    "mcap_without_map": Reader(_bag, _imported("mcap", "run.mcap"), "*.mcap"),
-    "mcap_protobuf": Reader(_foxglove("protobuf"), _imported("mcap", "run.mcap", "topics.yaml"), "*.mcap"),
-    "mcap_json": Reader(_foxglove("json"), _imported("mcap", "run.mcap", "topics.yaml"), "*.mcap"),
-    "mcap_export": Reader(_export("mcap"), _imported("mcap", "set"), whole=True),
-    "foundationpose": Reader(_frames, _imported("foundationpose", "run", "frames.yaml"), "**/*.txt"),
-    "zarr_2": Reader(_buffer(2), _BUFFER, "b.zarr/**/*"),
-    "zarr_3": Reader(_buffer(3), _BUFFER, "b.zarr/**/*"),
-    "zarr_zip": Reader(_buffer(2, True), _imported("diffusion_policy", "b.zarr.zip", "map.yaml"), "*.zip"),
-    "zarr_export": Reader(_export("diffusion_policy"), _OWN_BUFFER, whole=True),
-    "hdf5": Reader(_demos, _imported("robomimic", "d.hdf5")),
-    "hdf5_export": Reader(_export("robomimic"), _imported("robomimic", "set"), whole=True),
-    "lerobot_3": Reader(_lerobot("v3.0"), _imported("lerobot", "set")),
-    "lerobot_2": Reader(_lerobot("v2.1"), _imported("lerobot", "set")),
-    "lerobot_2_export": Reader(_export("lerobot", variant="v21"), _imported("lerobot", "set"), whole=True),
-    "lerobot_3_export": Reader(_export("lerobot"), _imported("lerobot", "set"), whole=True),
-}
+#: Readers of candata's own stores, of texts that users write, and all of them, by name.
 STORES: Mapping[str, Reader] = {
     "dataset": Reader(_dataset, _read_dataset, whole=True),
     "windows": Reader(_cached, _read_windows, "ds/cache/**/*", whole=True),
@@ -466,11 +303,11 @@ STORES: Mapping[str, Reader] = {
 TEXTS: Mapping[str, Reader] = {
     "scene_yaml": Reader(_scene, _read_scene, "scene.yaml"),
     "effects_yaml": Reader(_scene, _read_effects, "effects.yaml"),
-    "map_yaml": Reader(_table("parquet"), _imported("table", "map.yaml"), "map.yaml"),
-    "topics_yaml": Reader(_bag, _imported("mcap", "run.mcap", "topics.yaml"), "topics.yaml"),
-    "features_yaml": Reader(_buffer(2), _BUFFER, "map.yaml"),
-    "frames_yaml": Reader(_frames, _imported("foundationpose", "run", "frames.yaml"), "*.yaml"),
-    "bag_metadata": Reader(_bag_folder, _imported("mcap", "bag", "topics.yaml"), "bag/*.yaml"),
+    "map_yaml": Reader(table("parquet"), imported("table", "map.yaml"), "map.yaml"),
+    "topics_yaml": Reader(bag, imported("mcap", "run.mcap", "topics.yaml"), "topics.yaml"),
+    "features_yaml": Reader(buffer(2), BUFFER, "map.yaml"),
+    "frames_yaml": Reader(frames, imported("foundationpose", "run", "frames.yaml"), "*.yaml"),
+    "bag_metadata": Reader(bag_folder, imported("mcap", "bag", "topics.yaml"), "bag/*.yaml"),
     "beside_yaml": Reader(_poses_beside, _read_beside, "map.yaml"),
 }
 READERS: Mapping[str, Reader] = {**FORMATS, **STORES, **TEXTS}
