@@ -22,12 +22,20 @@ ROOT = Path(__file__).resolve().parents[2]
 SIM = ("generate-sim", "--scene", "gripper_tabletop", "--duration-s", "1.0")
 
 
-def stop(command: tuple[object, ...], when: Callable[[], bool], then_s: float = 0.0) -> tuple[int, str, str]:
+#: Runs a command, after a file that tells that Python has started and the command line is imported.
+MARKED = "import pathlib, sys, candata_cli.main as entry; pathlib.Path(sys.argv.pop(1)).touch(); entry.main()"
+
+
+def stop(
+    command: tuple[object, ...], when: Callable[[], bool], then_s: float = 0.0, mark: Path | None = None
+) -> tuple[int, str, str]:
     """Run a command as a terminal would, press Ctrl-C once `when` holds; return its exit code, stdout and stderr.
 
-    The signal goes to the whole group: to the command and to all processes that it began.
+    The signal goes to the whole group: to the command and to all processes that it began. The file `mark` is made
+    once the command line is imported: a signal before is Python's own to answer.
     """
-    words = [sys.executable, "-m", "candata_cli.main", *map(str, command)]
+    begin = ["-m", "candata_cli.main"] if mark is None else ["-c", MARKED, str(mark)]
+    words = [sys.executable, *begin, *map(str, command)]
     env = {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     # A job in the background of a shell ignores Ctrl-C, and so would what it starts.
@@ -111,9 +119,10 @@ def test_a_bench_counts_what_stands(tmp_path):
     assert not list((out / "cases").glob(".*"))
 
 
-def test_a_command_that_begins_is_stopped_without_a_traceback(recordings):
-    command = ("inspect", recordings)
-    code, _, err = stop(command, lambda: True, then_s=0.4)
+@pytest.mark.parametrize("then_s", [0.02, 0.2])
+def test_a_command_that_begins_is_stopped_without_a_traceback(recordings, tmp_path, then_s):
+    command, mark = ("inspect", recordings), tmp_path / "imported"
+    code, _, err = stop(command, mark.is_file, then_s, mark)
     if code == 0:
         pytest.skip("it was done before the signal came")
     assert (code, err) == (130, "stopped\n" + told(command, "begin again"))

@@ -1,4 +1,7 @@
-"""Opens the cache of a dataset, slowly; prints `building` on the way and the sum of a column at the end."""
+"""Opens the cache of a dataset, slowly; prints `building` on the way and the sum of a column at the end.
+
+A second argument is how long it stays in the middle of building [s].
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,7 @@ from candata.loaders import open_cache
 def report(done: int, total: int) -> None:
     if done == 2:
         print("building", flush=True)
+        time.sleep(float(sys.argv[2]) if len(sys.argv) > 2 else 0.0)
     time.sleep(0.01)
 
 

@@ -130,13 +130,13 @@ def test_the_validation_does_not_mind_a_cache(hand, store):
     assert check(open_dataset(dataset.path), rules=("hashes", "schema", "finite"), deep=True) == ()
 
 
-def start(root: Path) -> subprocess.Popen:
-    return subprocess.Popen([sys.executable, str(WORKER), str(root)], stdout=subprocess.PIPE, text=True)
+def start(root: Path, held_s: float = 0.0) -> subprocess.Popen:
+    return subprocess.Popen([sys.executable, str(WORKER), str(root), str(held_s)], stdout=subprocess.PIPE, text=True)
 
 
 def test_builders_at_once_and_killed_ones_leave_one_whole_cache(hand, store):
     dataset = store(*(hand(f"e{i}", offset=10 * i) for i in range(40)))
-    victims = [start(dataset.path) for _ in range(2)]
+    victims = [start(dataset.path, held_s=60.0) for _ in range(2)]
     for victim in victims:
         assert victim.stdout.readline() == "building\n"
         victim.send_signal(signal.SIGKILL)
