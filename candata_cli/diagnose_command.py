@@ -29,9 +29,16 @@ VERDICTS = (
 )
 
 
+EXAMPLES = """\b
+Examples:
+  candata diagnose real --scene scene.yaml --out out/diagnosis
+  candata diagnose today --against yesterday --scene scene.yaml --out out/change
+"""
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(epilog="Example: candata diagnose real --scene scene.yaml --out out/diagnosis")(diagnose)
+    app.command(epilog=EXAMPLES)(diagnose)
 
 
 @console.stoppable()
@@ -45,6 +52,13 @@ def diagnose(
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
+    against: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DATASET",
+            help="Say what changed since these recordings: what the simulator leaves open in them is no news.",
+        ),
+    ] = None,
     edit: Annotated[
         str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
     ] = None,
@@ -82,7 +96,16 @@ def diagnose(
     with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
         diagnosis = run(
-            data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage, ends=stage.ends
+            data,
+            world,
+            jobs=jobs,
+            seed=seed,
+            cache=cache,
+            only=names,
+            against=None if against is None else console.open_named(against),
+            budget=budget,
+            progress=stage,
+            ends=stage.ends,
         )
         stage.ends(None)
         page = _write_report(diagnosis, world, out, stage)

@@ -25,9 +25,12 @@ from candata.gap.lengths import with_lengths
 from candata.gap.mismatch import checked
 from candata.gap.noise import sensor_noise
 from candata.gap.null_test import leaves_gap, with_names_tested
+from candata.gap.origin import title
 from candata.gap.outlook import say_outlook
 from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
+from candata.gap.reference import changed_since
+from candata.gap.repeats import deviation_of_others, slow_deviation
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
@@ -65,6 +68,7 @@ def diagnose(
     seed: int = 0,
     cache: Path | None = None,
     only: tuple[str, ...] = (),
+    against: Dataset | None = None,
     budget: float | None = None,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
@@ -86,6 +90,9 @@ def diagnose(
         same commands where their signatures are kept there; nothing is kept by default.
     only : tuple of str
         Effects to search among; all that can act and show by default.
+    against : Dataset, optional
+        Recordings from before a change, or of another machine: what the simulator leaves open in them is no news, and
+        the diagnosis is of what changed since.
     budget : float, optional
         CPU seconds, of all threads, after which it ends with the best answer so far: the verdict `out_of_budget`.
     progress : callable
@@ -120,6 +127,7 @@ def diagnose(
             tell,
             forecast=forecast,
             sofar=sofar,
+            against=against,
         )
         return _searched(dataset, scene, some)
     except BudgetSpent as spent:
@@ -175,6 +183,7 @@ def posed(
     share: bool | None = None,
     forecast: Forecast | None = None,
     sofar: SoFar | None = None,
+    against: Dataset | None = None,
 ) -> Posed:
     """Return the search problem that a dataset poses; parameters and errors are those of `diagnose` and `library`.
 
@@ -186,7 +195,12 @@ def posed(
     sofar, forecast = sofar or SoFar(), forecast or Forecast()
     progress("reading")
     sofar.recs = read(scene, dataset)
-    everything = sofar.recs = checked(replayer, sofar.recs)
+    reference = None if against is None else read(scene, against)
+    sofar.recs = checked(replayer, sofar.recs, reference)
+    if against is not None and reference is not None:
+        progress("comparing with the reference")
+        sofar.recs = changed_since(replayer, sofar.recs, reference, title(against), seed)
+    everything = sofar.recs
     order = rng.permutation(len(everything))
     most = TOSSES if is_toss(scene) else SEARCHED
     most = most if len(everything) - most >= UNTOUCHED else len(everything)
@@ -195,7 +209,8 @@ def posed(
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
-    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
+    named = None if against is None else title(against)
+    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar, against=named)
     sofar.problem = problem
     return Posed(everything, untouched, problem)
 
@@ -221,9 +236,11 @@ def _problem(
     progress("measuring the floor")
     shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
     kind, noise, notes, loss_error = sensor_noise(replayer.scene.file.noise, recs, readings, replayer.scene.sliding)
-    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes))
+    slow, slow_notes = slow_deviation(replayer.scene, recs, raw, shelf.nulls(noise), plan, kind)
+    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes, *slow_notes), slow=slow)
+    shelf = replace(shelf, recs=recs) if slow else shelf
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan, loss_error)
-    parts = folds(recs.tasks, rng)
+    parts = folds(recs.tasks, rng, recs.independent)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else with_telling(problem)
 
@@ -231,6 +248,8 @@ def _problem(
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
     """Return the problem and the evidence on episodes that took no part in the search."""
     world = problem.setting(fit.members) if fit else ()
+    if problem.recs.slow and not recs.slow:
+        recs = replace(recs, slow=deviation_of_others(problem.recs, len(recs)))
     r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS, problem.noise)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)

@@ -94,7 +94,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         Effects of the simulator that is to follow: none, or the repaired one's.
     """
     scene = replayer.scene
-    true = followed_readings(scene, recs.readings, world)
+    true = followed_readings(scene, recs.compared, world)
     shifted = {name: _shift(values, begin.rows) for name, values in true.items()}
     target = _target(scene, shifted, recs)
     state = true_start(scene, recs, begin, world)

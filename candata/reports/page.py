@@ -77,14 +77,14 @@ def write_report(
 
 def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:
     """Return the whole page as text."""
-    headline = words.HEADLINES[report.verdict]
+    headline = words.headline(report)
     return render_page(
         "diagnosis",
         title=f"{headline}: {report.data.dataset}",
         tone=TONES[report.verdict],
         headline=headline,
         report=report,
-        meaning=words.explain(report.verdict),
+        meaning=words.meaning(report),
         answers=_answers(report),
         changes=advice.changes(report),
         no_attribute=advice.NO_ATTRIBUTE,

@@ -28,7 +28,7 @@ LABEL_WIDTH = 11
 
 def summary(report: Report) -> str:
     """Return the diagnosis as text: where, which, how far, what to change, what is not known, what is next."""
-    headline = f"{report.verdict}: {words.explain(report.verdict)}"
+    headline = f"{report.verdict}: {words.meaning(report)}"
     lines = [*textwrap.wrap(headline, WIDTH, max_lines=2, placeholder=" ..."), ""]
     lines += _entry("where", words.where_sentence(report), LINES["where"])
     lines += _causes(report)

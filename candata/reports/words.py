@@ -82,6 +82,22 @@ def explain(verdict: Verdict) -> str:
     return _MEANINGS[verdict]
 
 
+def headline(report: Report) -> str:
+    """Return the verdict in a few words; against a reference, that nothing changed."""
+    is_unchanged = report.verdict == "no_gap" and report.data.against
+    return "No change found" if is_unchanged else HEADLINES[report.verdict]
+
+
+def meaning(report: Report) -> str:
+    """Return what the verdict means, and what a gap is where a reference was given."""
+    if not report.data.against:
+        return explain(report.verdict)
+    return (
+        f"{explain(report.verdict)} The gap is what changed since {report.data.against}: what the simulation already "
+        "leaves open there does not count."
+    )
+
+
 def where_sentence(report: Report) -> str:
     """Return the sentence that says in which channels and phases the gap shows."""
     if report.verdict == "too_little_data" and not report.where:

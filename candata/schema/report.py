@@ -172,9 +172,10 @@ class EpisodeCount(ResultRecord):
 
 
 class DiagnosisData(ResultRecord):
-    """What the diagnosis saw."""
+    """What the diagnosis saw; `against` is the reference whose own misfit was taken off, null without one."""
 
     dataset: str
+    against: str | None = None
     episodes: EpisodeCount
     floor: Literal["measured", "declared", "assumed"] | None = None
     channels: tuple[str, ...] = ()
