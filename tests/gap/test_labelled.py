@@ -126,7 +126,7 @@ def test_long_runs_are_cut(folder, tmp_path):
         ("labels.yaml", "  mass:", "  weight:", DataError, "no column weight"),
         ("settings.csv", "arm-003", "arm-999", DataError, "arm-999"),
         ("labels.yaml", "settings.csv", "none.csv", UsageError, "cannot be read"),
-        ("labels.yaml", "dataset: runs", "dataset: runs\nmore: 1", DataError, "more"),
+        ("labels.yaml", "dataset: runs", "dataset: runs\nmore: 1", UsageError, "more"),
     ],
 )
 def test_what_is_wrong_in_the_labels_is_said(folder, file, old, new, kind, text):
