@@ -232,3 +232,16 @@ def test_a_missing_option_is_a_usage_error(three, tmp_path):
     done = run("diagnose", three, "--out", tmp_path / "out")
     assert done.code == 2
     assert "--scene" in done.err
+
+
+def test_what_changed_cannot_be_asked_of_tosses(diagnosed, tmp_path):
+    done = run("diagnose", diagnosed.dataset, "--against", diagnosed.dataset, "--scene", "cube_toss", "--out", tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "tosses cannot be compared with a reference" in done.err
+    assert "diagnose each data set by itself" in done.err
+
+
+def test_a_reference_must_be_there(diagnosed, tmp_path):
+    done = run("diagnose", diagnosed.dataset, "--against", tmp_path / "gone", "--scene", "cube_toss", "--out", tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "gone" in done.err
