@@ -153,8 +153,8 @@ class Advice:
     Attributes
     ----------
     change : str
-        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{tip}` and
-        `{surface}` are what it acts on.
+        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{link}`,
+        `{tip}` and `{surface}` are what it acts on.
     mjcf : str
         How MJCF says it, `{raw}` the SI number; empty where MJCF has no attribute for it. Source of the attributes:
         MuJoCo manual, XML reference.
@@ -175,7 +175,7 @@ class Effect:
     parameters : tuple of Parameter
         Flattened in this order into the vector x of length d.
     acts_on : str
-        joint, fingertip, object, wrist or world: what the report says when it names where.
+        joint, link, fingertip, object, wrist or world: what the report says when it names where.
     possible : callable
         `scene -> bool`: whether the effect can act there.
     edit : callable, optional

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import _contact, _select
+from candata.effects import _contact, _links, _select
 from candata.effects._contract import Array, Effect, Parameter, Trait
 from candata.errors import UnknownNameError, UsageError
 from candata.plugins import Registry
@@ -59,7 +59,12 @@ def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
 
 
 def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
-    """Return the joints of a group, or the fingertips where an element is all of them; else the element alone."""
+    """Return the joints of a group, or the fingertips where an element is all of them; else the element alone.
+
+    Of a link or a group of links, the joints whose drives feel it.
+    """
+    if effect(name).acts_on == "link":
+        return _links.joints_of(scene, element)
     if effect(name).acts_on == "joint":
         return scene.file.groups.get(element, (element,))
     return _contact.members(scene, element)

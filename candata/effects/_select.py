@@ -292,6 +292,19 @@ def _drive_limits(scene: Scene, element: str | None) -> NDArray[np.float64]:
     return np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)
 
 
+def joint_torque(scene: Scene, index: int) -> float:
+    """Return the largest torque [N m, or N] that the drives of a joint of `scene.file.joints` give it together.
+
+    Unlimited servos count as in `drive_torque`.
+    """
+    joint = int(scene.joint_ids[index])
+    ids = _drives(scene, np.array([index]))
+    lever = np.array([abs(scene.levers[a][joint]) for a in ids.tolist()])
+    assumed_limit = 0.3 * drive_reach(scene, scene.file.joints[index]) * lever * scene.stiffness(ids)
+    has_limit = scene.model.actuator_forcelimited[ids].astype(bool)
+    return float((lever * np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)).sum())
+
+
 def drive_damping(scene: Scene, element: str | None = None) -> float:
     """Return the median damping of the fingers' joints, joint and servo together [N m s/rad; N s/m of jaws on rails].
 

@@ -14,6 +14,7 @@ from candata.gap.response import Curve, Plane
 from candata.gap.robust import rho
 from candata.gap.score import Compact
 from candata.gap.search import Problem, fit_one
+from candata.scenes import Scene
 
 Array = NDArray[np.float64]
 #: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
@@ -62,7 +63,7 @@ def promising(
         found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
         channel = _channel(c)
         if channel in worst:
-            also[channel] += [(gain, v) for gain, v in gains if v.element == worst[channel]]
+            also[channel] += [(gain, v) for gain, v in gains if _acts_at(v, worst[channel], scene)]
     chosen = aside + [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
     for pairs in also.values():
@@ -126,9 +127,16 @@ def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
     return mine if mine.any() else None
 
 
+def _acts_at(variant: Candidate, place: str, scene: Scene) -> bool:
+    """Tell whether a variant acts on a joint or fingertip itself, or on a link that the joint's drive feels."""
+    if effect(variant.name).acts_on == "link":
+        return place in elements_of(variant, scene)
+    return variant.element == place
+
+
 def _channel(c: Candidate) -> str:
     """Return the channel in which what an effect acts on has readings; a joint and a fingertip may share a name."""
-    return "joint_position" if effect(c.name).acts_on == "joint" else "fingertip_force"
+    return "joint_position" if effect(c.name).acts_on in ("joint", "link") else "fingertip_force"
 
 
 def _own_columns(problem: Problem, channel: str, elements: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ TACTILE = ["tactile_gain", "tactile_bias", "tactile_dead_band", "tactile_lag"]
 CONTACT = ["sliding_friction", "torsional_friction", "rolling_friction", "contact_compliance", "contact_damping"]
 HAND = load_scene("xhand_tabletop")
 LOCAL = [n for n in NAMES if effect(n).elements(HAND)]
-ELSEWHERE = [n for n in NAMES if n not in LOCAL]
+ELSEWHERE = [n for n in NAMES if n not in LOCAL and effect(n).acts_on != "link"]
 EDITS = [n for n in LOCAL if effect(n).acts_on == "joint" and effect(n).edit]
 #: Fields of the model that a joint effect may change, one row a joint of freedom or an actuator.
 BY_DOF = ("dof_damping", "dof_frictionloss", "dof_armature")
