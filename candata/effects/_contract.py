@@ -25,7 +25,7 @@ Readings = dict[str, Array]
 Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring"]
 
 #: Units of joints that turn, to those of joints that slide.
-RAILS = {"rad": "m", "N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
+RAILS = {"rad": "m", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}
 
 
 class Bounds(NamedTuple):

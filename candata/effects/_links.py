@@ -36,7 +36,7 @@ def links(scene: Scene, element: str | None = None) -> Ids:
     if element is None:
         return ids
     choices = {scene.model.body(int(b)).name: np.array([b]) for b in ids}
-    choices = _groups(scene) | {name: body for name, body in choices.items() if name}
+    choices = {name: body for name, body in choices.items() if name} | _groups(scene)
     if element not in choices:
         raise UnknownNameError("link or group", element, choices)
     return choices[element]
@@ -60,6 +60,13 @@ def names(scene: Scene) -> tuple[str, ...]:
 def inertia_names(scene: Scene) -> tuple[str, ...]:
     """Return the names as `names` does, of links whose inertia about their own centre of mass the drives feel."""
     return _names(scene, _felt(scene, _inertia_torque))
+
+
+def members(scene: Scene, element: str) -> tuple[str, ...]:
+    """Return the names of the links of a group; else the element alone."""
+    if element not in _groups(scene):
+        return (element,)
+    return tuple(scene.model.body(int(b)).name for b in _groups(scene)[element])
 
 
 def joints_of(scene: Scene, element: str) -> tuple[str, ...]:
@@ -100,11 +107,12 @@ def _names(scene: Scene, felt: Ids) -> tuple[str, ...]:
 
 @lru_cache(maxsize=64)
 def _groups(scene: Scene) -> dict[str, Ids]:
-    """Return, for each group of the scene, the links that carry its joints."""
+    """Return, for each group of the scene whose name is no link's, the links that carry its joints."""
     moved, groups = _moved(scene), {}
     for name, members in scene.file.groups.items():
         carriers = [int(scene.model.jnt_bodyid[scene.model.joint(j).id]) for j in members]
-        if carriers and np.isin(carriers, moved).all():
+        is_body = mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_BODY, name) in moved
+        if carriers and not is_body and np.isin(carriers, moved).all():
             groups[name] = np.unique(carriers)
     return groups
 

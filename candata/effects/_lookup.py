@@ -59,15 +59,25 @@ def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
 
 
 def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
-    """Return the joints of a group, or the fingertips where an element is all of them; else the element alone.
-
-    Of a link or a group of links, the joints whose drives feel it.
-    """
+    """Return the joints or links of a group, or the fingertips where an element is all of them; else it alone."""
     if effect(name).acts_on == "link":
-        return _links.joints_of(scene, element)
+        return _links.members(scene, element)
     if effect(name).acts_on == "joint":
         return scene.file.groups.get(element, (element,))
     return _contact.members(scene, element)
+
+
+def sensed_at(name: str, scene: Scene, element: str) -> tuple[str, ...]:
+    """Return the joints or fingertips whose readings show an element first: its members, or the joints of a link.
+
+    Raises
+    ------
+    UnknownNameError
+        When the effect acts on links, and the element is none.
+    """
+    if effect(name).acts_on == "link":
+        return _links.joints_of(scene, element)
+    return members_of(name, scene, element)
 
 
 def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:

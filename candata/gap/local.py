@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect
-from candata.gap.candidates import Candidate, elements_of, local_candidates, on_slides
+from candata.effects import effect, sensed_at
+from candata.gap.candidates import Candidate, local_candidates, on_slides
 from candata.gap.response import Curve, Plane
 from candata.gap.robust import rho
 from candata.gap.score import Compact
@@ -123,14 +123,15 @@ def _screened(
 
 def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
     """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
-    mine = _own_columns(problem, _channel(variant), elements_of(variant, problem.replayer.scene))
+    places = sensed_at(variant.name, problem.replayer.scene, str(variant.element))
+    mine = _own_columns(problem, _channel(variant), places)
     return mine if mine.any() else None
 
 
 def _acts_at(variant: Candidate, place: str, scene: Scene) -> bool:
     """Tell whether a variant acts on a joint or fingertip itself, or on a link that the joint's drive feels."""
     if effect(variant.name).acts_on == "link":
-        return place in elements_of(variant, scene)
+        return place in sensed_at(variant.name, scene, str(variant.element))
     return variant.element == place
 
 

@@ -1,4 +1,4 @@
-"""A camera's neck: a link that turns about the vertical, and one that nods on it, heavy enough for its drives to feel."""
+"""A camera's neck: a link turns about the vertical, another nods on it; their drives feel both."""
 
 from __future__ import annotations
 

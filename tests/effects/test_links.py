@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from candata.effects import effect, members_of
+from candata.effects import effect, members_of, sensed_at
 from candata.errors import UnknownNameError, UsageError
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
@@ -70,8 +70,8 @@ def test_a_static_sag_grows_with_the_moment(neck):
 
 
 def test_a_link_is_read_at_the_joints_that_feel_it(neck):
-    assert members_of("link_mass", neck, "head") == ("pan", "nod")
-    assert members_of("link_mass", neck, "neck") == ("pan",)
+    assert sensed_at("link_mass", neck, "head") == ("pan", "nod")
+    assert sensed_at("link_mass", neck, "neck") == ("pan",)
 
 
 @pytest.mark.parametrize("name", LINKS)
@@ -102,6 +102,7 @@ def test_a_group_of_joints_is_its_links(tmp_path):
     roles = ROLES.replace("nod]", "nod, wrist]") + "groups: {outer: [nod, wrist], all: [pan, nod, wrist]}\n"
     scene = write_neck(tmp_path, xml, roles)
     assert effect("link_mass").elements(scene) == ("neck", "head", "wrist", "outer")
+    assert members_of("link_mass", scene, "outer") == ("head", "wrist")
     model = edited(scene, "link_mass", "outer", mass_scale=2.0)
     assert [model.body(n).mass[0] / scene.model.body(n).mass[0] for n in ("neck", "head", "wrist")] == [1, 2, 2]
 
