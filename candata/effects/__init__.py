@@ -1,6 +1,6 @@
 """Effects: one file each; the folder is the registry."""
 
-from candata.effects._contract import Advice, Bounds, Effect, Forces, Hook, Parameter, Trait
+from candata.effects._contract import Advice, Bounds, Effect, Forces, Hook, Parameter, Servos, Trait
 from candata.effects._file import read_effects, scene_of
 from candata.effects._lookup import (
     EFFECTS,
@@ -26,6 +26,7 @@ __all__ = [
     "Forces",
     "Hook",
     "Parameter",
+    "Servos",
     "Trait",
     "active",
     "effect",

@@ -129,9 +129,27 @@ class Forces(NamedTuple):
     touch: NDArray[np.bool_]
 
 
+class Servos(NamedTuple):
+    """Commands that the servos of n simulations take in one physics step.
+
+    Attributes
+    ----------
+    command : (n, A) float64
+        What the actuators are told, within their limits: what a hook replaces.
+    idle : (n, A) float64
+        Command at which each position law gives nothing where the joints are now: `command - idle` is the error that a
+        servo sees, in units of its command. NaN for an actuator without such a law.
+    """
+
+    command: Array
+    idle: Array
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
+
+    That of the servos acts once a physics step, and returns its state as it is: it has no memory.
 
     Attributes
     ----------
@@ -139,7 +157,8 @@ class Hook:
         `(scene, values (n, d), elements (n,)) -> state`.
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
-        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced.
+        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced; for
+        servos a `Servos`, of which `command` may be.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -182,8 +201,8 @@ class Effect:
         `(model, scene, x (d,), element)` changes a private copy of the model.
     set_const : bool
         Whether `mj_setConst` must follow the edit (masses, inertias, armature).
-    command, force, reading : Hook, optional
-        Filters of the commands, of added forces, of the readings.
+    command, force, servo, reading : Hook, optional
+        Filters of the commands, of added forces, of what the servos take, of the readings.
     moves : tuple of str
         Channels that can change where there is a reading hook; empty without one.
     elements : callable
@@ -215,6 +234,7 @@ class Effect:
     set_const: bool = False
     command: Hook | None = None
     force: Hook | None = None
+    servo: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
