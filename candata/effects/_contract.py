@@ -21,8 +21,9 @@ Readings = dict[str, Array]
 #: bench hides it as a mismatch of the solver. `one_for_all`: its one number for all joints is never just a little
 #: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them (`gap/rest_scale.py` reads them off
 #: tosses). `contact_spring`: it is one of the two numbers of the spring and damper of contacts, stiffness
-#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref").
-Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring"]
+#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref"). `reading_noise`: a diagnosis counts
+#: what it does as noise of the sensor (`gap/noise.py`), so that it is never a candidate of a search, and never drawn.
+Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring", "reading_noise"]
 
 #: Units of joints that turn, to those of joints that slide.
 RAILS = {"rad": "m", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}

@@ -16,8 +16,9 @@ EFFECTS = Registry("effects", "candata.effects", "EFFECT", Effect, "about")
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects that are searched and drawn: every one but those that are only fitted."""
-    return tuple(name for name, kind in EFFECTS.load_all().items() if not kind.fitted)
+    """Return the names of all effects that are searched and drawn: all but those only fitted, or noise of a sensor."""
+    kinds = EFFECTS.load_all().items()
+    return tuple(name for name, kind in kinds if not kind.fitted and "reading_noise" not in kind.traits)
 
 
 def effects_with(trait: Trait) -> tuple[str, ...]:

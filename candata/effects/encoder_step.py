@@ -42,6 +42,7 @@ def _apply(steps: Array, readings: Readings) -> tuple[Array, Readings]:
 EFFECT = Effect(
     about="encoders read whole steps",
     advice=Advice("Round the readings of {joint} to steps of {x}"),
+    traits=frozenset({"reading_noise"}),
     parameters=(
         Parameter(
             "step_rad",

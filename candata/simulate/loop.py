@@ -16,7 +16,7 @@ from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
-from candata.simulate.servo_laws import servo_laws, without_command_limits
+from candata.simulate.servo_laws import ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
@@ -317,13 +317,13 @@ class _Run:
             return self.batch.rollout(steps, control, record=("sensordata",), ids=group_ids)["sensordata"]
         data = []
         for k in range(steps):
-            taken = self._taken(ids, control[:, k])[:, None]
+            taken = self._taken(self.laws, ids, control[:, k])[:, None]
             data.append(self.batch.rollout(1, taken, record=("sensordata",), ids=group_ids)["sensordata"])
         return np.concatenate(data, axis=1)
 
-    def _taken(self, ids: NDArray[np.int64], control: Array) -> Array:
+    def _taken(self, laws: ServoLaws, ids: NDArray[np.int64], control: Array) -> Array:
         """Return what the servos of the simulations `ids` take of controls `(m, nu)` in one physics step."""
-        laws, actuators = self.laws, self.scene.actuator_ids
+        actuators = self.scene.actuator_ids
         command = np.zeros((self.n, len(actuators)))
         command[ids] = control[:, actuators]
         x = Servos(np.clip(command, laws.lowest, laws.highest), laws.idle(self.qpos))
