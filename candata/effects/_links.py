@@ -109,8 +109,8 @@ def _names(scene: Scene, felt: Ids) -> tuple[str, ...]:
 def _groups(scene: Scene) -> dict[str, Ids]:
     """Return, for each group of the scene whose name is no link's, the links that carry its joints."""
     moved, groups = _moved(scene), {}
-    for name, members in scene.file.groups.items():
-        carriers = [int(scene.model.jnt_bodyid[scene.model.joint(j).id]) for j in members]
+    for name, joint_names in scene.file.groups.items():
+        carriers = [int(scene.model.jnt_bodyid[scene.model.joint(j).id]) for j in joint_names]
         is_body = mujoco.mj_name2id(scene.model, mujoco.mjtObj.mjOBJ_BODY, name) in moved
         if carriers and not is_body and np.isin(carriers, moved).all():
             groups[name] = np.unique(carriers)
@@ -176,5 +176,6 @@ def _accelerations(scene: Scene) -> Array:
 
 
 def _torques(scene: Scene) -> Array:
-    """Return the largest torques `(K,)` of the drives of the finger joints [N m, or N]."""
-    return np.array([_select.joint_torque(scene, i) for i in _select.finger_joints(scene)])
+    """Return the largest torques `(K,)` of the drives of the finger joints [N m, or N], above zero."""
+    torques = [_select.joint_torque(scene, i) for i in _select.finger_joints(scene)]
+    return np.maximum(torques, mujoco.mjMINVAL)

@@ -19,14 +19,28 @@ from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
-    """Move the centre of mass in the body's frame; the inertia about it stays.
+    """Move the centre of mass in the body's frame; the inertia about it stays."""
+    model.body_ipos[_movable(scene, element)] += x
 
-    A body whose centre MuJoCo compiled onto its axis ("simple") keeps it: its mass matrix has no place for another.
+
+def _movable(scene: Scene, element: str | None) -> _links.Ids:
+    """Return ids of the links but those whose centre MuJoCo compiled onto their axis ("simple"), as a wheel's.
+
+    Their mass matrix has no place for another centre.
     """
     ids = _links.links(scene, element)
-    dofs = model.body_dofadr[ids]
-    is_fixed = (model.body_simple[ids] > 0) & (dofs >= 0) & (model.dof_simplenum[dofs] > 0)
-    model.body_ipos[ids[~is_fixed]] += x
+    dofs = scene.model.body_dofadr[ids]
+    return ids[(scene.model.body_simple[ids] == 0) | (dofs < 0) | (scene.model.dof_simplenum[dofs] == 0)]
+
+
+def _is_possible(scene: Scene) -> bool:
+    """Tell whether the drives feel links, and one of these can have another centre."""
+    return _links.has_felt(scene) and len(_movable(scene, None)) > 0
+
+
+def _elements(scene: Scene) -> tuple[str, ...]:
+    """Return the names of links and groups that can have another centre."""
+    return tuple(name for name in _links.names(scene) if len(_movable(scene, name)))
 
 
 EFFECT = Effect(
@@ -47,8 +61,8 @@ EFFECT = Effect(
         ),
     ),
     acts_on="link",
-    possible=_links.has_felt,
-    elements=_links.names,
+    possible=_is_possible,
+    elements=_elements,
     edit=_edit,
     set_const=True,
 )

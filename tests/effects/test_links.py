@@ -94,6 +94,18 @@ def test_a_small_link_is_no_element_beside_heavy_ones(tmp_path):
     assert heavier == 2 * scene.model.body("finger").mass
 
 
+def test_a_wheel_keeps_its_centre(tmp_path):
+    """MuJoCo compiles a body whose centre lies on its axis without room for another."""
+    wheel = '<body name="wheel"><joint name="wheel"/><geom size=".2" mass="2"/></body></worldbody>'
+    xml = XML.replace("</worldbody>", wheel).replace("</actuator>", '<position name="w" joint="wheel"/></actuator>')
+    scene = write_neck(tmp_path, xml, ROLES.replace("nod]", "nod, wheel]", 1).replace("nod]", "nod, w]"))
+    assert effect("link_mass").elements(scene) == ("neck", "head", "wheel")
+    assert effect("link_com").elements(scene) == ("neck", "head")
+    model = edited(scene, "link_com", offset_m=(0.05, 0, 0))
+    moved = (model.body_ipos != scene.model.body_ipos).any(1)
+    assert [model.body(int(b)).name for b in np.flatnonzero(moved)] == ["neck", "head"]
+
+
 def test_a_group_of_joints_is_its_links(tmp_path):
     wrist = '<body name="wrist" pos=".4 0 0"><joint name="wrist"/><geom pos=".1 0 0" size=".02" mass=".4"/></body>'
     xml = XML.replace("</body>", wrist + "</body>", 1).replace(
