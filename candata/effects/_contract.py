@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters and up to four pure hooks."""
+"""What an effect is: named, bounded parameters and up to five pure hooks."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ Readings = dict[str, Array]
 #: bench hides it as a mismatch of the solver. `one_for_all`: its one number for all joints is never just a little
 #: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them (`gap/rest_scale.py` reads them off
 #: tosses). `contact_spring`: it is one of the two numbers of the spring and damper of contacts, stiffness
-#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref").
-Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring"]
+#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref"). `reading_noise`: a diagnosis counts
+#: what it does as noise of the sensor (`gap/noise.py`), so that it is never a candidate of a search, and never drawn.
+Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring", "reading_noise"]
 
 #: Units of joints that turn, to those of joints that slide.
-RAILS = {"rad": "m", "N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
+RAILS = {"rad": "m", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}
 
 
 class Bounds(NamedTuple):
@@ -129,9 +130,27 @@ class Forces(NamedTuple):
     touch: NDArray[np.bool_]
 
 
+class Servos(NamedTuple):
+    """Commands that the servos of n simulations take in one physics step.
+
+    Attributes
+    ----------
+    command : (n, A) float64
+        What the actuators are told, within their limits: what a hook replaces.
+    idle : (n, A) float64
+        Command at which each position law gives nothing where the joints are now: `command - idle` is the error that a
+        servo sees, in units of its command. NaN for an actuator without such a law.
+    """
+
+    command: Array
+    idle: Array
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
+
+    That of the servos acts once a physics step, and returns its state as it is: it has no memory.
 
     Attributes
     ----------
@@ -139,7 +158,8 @@ class Hook:
         `(scene, values (n, d), elements (n,)) -> state`.
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
-        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced.
+        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced; for
+        servos a `Servos`, of which `command` may be.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -153,8 +173,8 @@ class Advice:
     Attributes
     ----------
     change : str
-        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{tip}` and
-        `{surface}` are what it acts on.
+        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{link}`,
+        `{tip}` and `{surface}` are what it acts on.
     mjcf : str
         How MJCF says it, `{raw}` the SI number; empty where MJCF has no attribute for it. Source of the attributes:
         MuJoCo manual, XML reference.
@@ -175,15 +195,15 @@ class Effect:
     parameters : tuple of Parameter
         Flattened in this order into the vector x of length d.
     acts_on : str
-        joint, fingertip, object, wrist or world: what the report says when it names where.
+        joint, link, fingertip, object, wrist or world: what the report says when it names where.
     possible : callable
         `scene -> bool`: whether the effect can act there.
     edit : callable, optional
         `(model, scene, x (d,), element)` changes a private copy of the model.
     set_const : bool
         Whether `mj_setConst` must follow the edit (masses, inertias, armature).
-    command, force, reading : Hook, optional
-        Filters of the commands, of added forces, of the readings.
+    command, force, servo, reading : Hook, optional
+        Filters of the commands, of added forces, of what the servos take, of the readings.
     moves : tuple of str
         Channels that can change where there is a reading hook; empty without one.
     elements : callable
@@ -215,6 +235,7 @@ class Effect:
     set_const: bool = False
     command: Hook | None = None
     force: Hook | None = None
+    servo: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()

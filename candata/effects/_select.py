@@ -72,7 +72,7 @@ def _with_jaws(scene: Scene, indices: Ids) -> Ids:
 
 def on_rails(scene: Scene, element: str | None) -> bool:
     """Tell whether the joints of `element`, or those of all fingers, slide: effects are in m and N there."""
-    indices = _moving_indices(scene, element)
+    indices = moving_indices(scene, element)
     return len(indices) > 0 and all(_slides(scene, i) for i in indices)
 
 
@@ -210,10 +210,10 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints that resist motion, or of the one or the group named."""
-    return scene.joint_dof[_moving_indices(scene, element)]
+    return scene.joint_dof[moving_indices(scene, element)]
 
 
-def _moving_indices(scene: Scene, element: str | None) -> Ids:
+def moving_indices(scene: Scene, element: str | None) -> Ids:
     """Return indices of the joints that resist motion, or of the one or the group named."""
     return _select_joints(scene, moving_joints(scene), _with_jaws(scene, moving_joints(scene)), element)
 
@@ -232,6 +232,13 @@ def _drives(scene: Scene, indices: Ids) -> Ids:
     """Return the ids of the actuators that pull joints."""
     ids = set(scene.joint_ids[indices].tolist())
     return np.array([a for a in scene.actuator_ids.tolist() if ids.intersection(scene.levers.get(a, ()))], int)
+
+
+def command_per_rad(scene: Scene, actuator: int) -> float:
+    """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
+    gain, bias = scene.model.actuator_gainprm[actuator, 0], scene.model.actuator_biasprm[actuator, 1]
+    lever = sum(abs(v) for v in scene.levers[actuator].values())
+    return abs(lever * bias / gain) if gain and bias < 0 else 1.0
 
 
 def fingertips(scene: Scene, element: str | None) -> Ids:
@@ -290,6 +297,24 @@ def _drive_limits(scene: Scene, element: str | None) -> NDArray[np.float64]:
     has_limit = scene.model.actuator_forcelimited[ids].astype(bool)
     assumed_limit = 0.3 * drive_reach(scene, element) * scene.stiffness(ids)
     return np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)
+
+
+def joint_torque(scene: Scene, index: int) -> float:
+    """Return the largest torque [N m, or N] that the drives of a joint of `scene.file.joints` give it together.
+
+    Unlimited servos count as in `drive_torque`.
+    """
+    joint = int(scene.joint_ids[index])
+    ids = _drives(scene, np.array([index]))
+    lever = np.array([abs(scene.levers[a][joint]) for a in ids.tolist()])
+    assumed_limit = 0.3 * drive_reach(scene, scene.file.joints[index]) * lever * scene.stiffness(ids)
+    has_limit = scene.model.actuator_forcelimited[ids].astype(bool)
+    return float((lever * np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)).sum())
+
+
+def drive_spring(scene: Scene, element: str | None = None) -> float:
+    """Return the stiffness [N m/rad; N/m of jaws on rails] of a spring that takes a motor's torque over a radian."""
+    return drive_torque(scene, element) / drive_reach(scene, element)
 
 
 def drive_damping(scene: Scene, element: str | None = None) -> float:

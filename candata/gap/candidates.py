@@ -142,7 +142,7 @@ def is_on_slides(c: Candidate, scene: Scene) -> bool:
 
 
 def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:
-    """Return the joints of a candidate on a group, or all fingertips; else its element alone."""
+    """Return the joints or links of a candidate on a group, or all fingertips; else its element alone."""
     return members_of(c.name, scene, str(c.element))
 
 

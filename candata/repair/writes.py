@@ -10,7 +10,7 @@ import numpy as np
 
 from candata.errors import SceneError
 from candata.repair.elements import Key, locate_elements
-from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, words
+from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, joint_of, words
 from candata.repair.markup import Edit, Node, at
 
 Attributes = dict[str, str | None]
@@ -66,9 +66,9 @@ def edits(source: mujoco.MjModel, target: mujoco.MjModel, spec: mujoco.MjSpec, r
     attributes: dict[Key, Attributes] = {}
     for name, (kind, attribute) in DIRECT_FIELDS.items():
         for i in changed_rows.get(name, ()):
-            key = (kind, int(source.dof_jntid[i]) if kind == "joint" else i)
+            key = (kind, joint_of(source, name, i) if kind == "joint" else i)
             attributes.setdefault(key, {})[attribute] = words(_row(target, name, i))
-    _springs(change, attributes)
+    _springs(change, changed_rows, attributes)
     for i in changed_rows.get("actuator_forcelimited", ()):
         attributes.setdefault(("actuator", i), {})["forcelimited"] = str(bool(target.actuator_forcelimited[i])).lower()
     touched_bodies = _geometry(change, changed_rows, attributes)
@@ -102,12 +102,21 @@ def _node(change: _Change, key: Key) -> Node:
     return change.nodes[key]
 
 
-def _springs(change: _Change, attributes: dict[Key, Attributes]) -> None:
-    """Spell out stiffness and damping of joints that give them as time constant and ratio."""
+def _springs(change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: dict[Key, Attributes]) -> None:
+    """Add rest angles that change; spell out stiffness and damping that are given as time constant and ratio."""
+    target = change.target
     for joint in change.spec.joints:
+        address = int(target.jnt_qposadr[joint.id])
+        if address in changed_rows.get("qpos_spring", ()):
+            is_in_degrees = change.spec.compiler.degree and target.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+            rest = float(target.qpos_spring[address])
+            rest_words = words(float(np.degrees(rest)) if is_in_degrees else rest)
+            attributes.setdefault(("joint", joint.id), {})["springref"] = rest_words
         values = attributes.get(("joint", joint.id), {})
-        if "damping" in values and np.any(joint.springdamper):
-            values |= {"springdamper": "0 0", "stiffness": words(float(change.source.jnt_stiffness[joint.id]))}
+        if np.any(joint.springdamper) and ("damping" in values or "stiffness" in values):
+            damping = float(target.dof_damping[target.jnt_dofadr[joint.id]])
+            stiffness = float(target.jnt_stiffness[joint.id])
+            values |= {"springdamper": "0 0", "stiffness": words(stiffness), "damping": words(damping)}
 
 
 def _geometry(

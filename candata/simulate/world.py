@@ -38,7 +38,7 @@ class Worlds:
         One a simulation; simulations without model edits share the scene's.
     pace : (n,) float64
         True time that passes during one recorded row, in nominal control steps.
-    command, force, reading : tuple of Filter
+    command, force, servo, reading : tuple of Filter
         Hooks of the effects present, in the order in which they act.
     """
 
@@ -46,6 +46,7 @@ class Worlds:
     pace: Array
     command: tuple[Filter, ...]
     force: tuple[Filter, ...]
+    servo: tuple[Filter, ...]
     reading: tuple[Filter, ...]
 
 
@@ -59,14 +60,14 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
     """
     cache: dict[str, mujoco.MjModel] = {}
     models = [_model(scene, tuple(settings), cache) for settings in effects]
-    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "reading": []}
+    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "servo": [], "reading": []}
     for name in sorted({s.name for settings in effects for s in settings}, key=turn):
         for hook_name, filters in kinds.items():
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
                 filters += _filters(scene, name, hook, effects)
     pace = np.array([_pace(scene, settings) for settings in effects])
-    return Worlds(models, pace, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+    return Worlds(models, pace, **{kind: tuple(filters) for kind, filters in kinds.items()})
 
 
 def _pace(scene: Scene, settings: EffectList) -> float:
