@@ -28,7 +28,10 @@ DIRECT_FIELDS = {
 #: Model arrays that take more than one attribute, or a computation.
 GEOMETRY = ("geom_size", "geom_pos", "site_pos", "body_pos", "mesh_vert")
 INERTIA = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
-SERVO = ("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited")
+SERVO = (
+    *("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm"),
+    *("actuator_forcelimited", "actuator_ctrlrange"),
+)
 FIELDS = (*DIRECT_FIELDS, *GEOMETRY, *INERTIA, *SERVO)
 #: Options of the solver and of the world.
 OPTIONS = ("gravity", "timestep", "cone", "impratio", "integrator")

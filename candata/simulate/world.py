@@ -65,8 +65,19 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
                 filters += _filters(scene, name, hook, effects)
+    kinds["command"] += _shifted_commands(scene, models)
     pace = np.array([_pace(scene, settings) for settings in effects])
     return Worlds(models, pace, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+
+
+def _shifted_commands(scene: Scene, models: Sequence[mujoco.MjModel]) -> list[Filter]:
+    """Return the filter that moves commands as far as edits moved their range; none where they moved none.
+
+    That is how a law without a constant, a DC motor's, follows an encoder that is off: kp (u + shift - q).
+    """
+    lowest = [model.actuator_ctrlrange[scene.actuator_ids, 0] for model in (scene.model, *models)]
+    shift = np.stack(lowest)[1:] - lowest[0]
+    return [Filter(lambda state, u: (state, u + state[:, None]), shift)] if shift.any() else []
 
 
 def _pace(scene: Scene, settings: EffectList) -> float:

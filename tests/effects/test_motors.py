@@ -1,0 +1,144 @@
+"""Servos as DC motors: the same motion until a voltage is limited, and closed forms of what is then."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from candata.effects import _motor, effect
+from candata.scenes import load_scene
+from candata.schema.effect import EffectSetting
+from candata.simulate import at_rest, rollout
+from candata.simulate.world import build_worlds
+from tests.effects.pendulum import SERVO, excitation, write_pendulum
+
+LIMIT_NM, KP, KV = 0.3, 2.0, 0.06
+
+
+def setting(name: str, **parameters) -> EffectSetting:
+    return EffectSetting(name=name, parameters=parameters)
+
+
+@pytest.fixture(scope="module")
+def pendulum(tmp_path_factory):
+    return write_pendulum(tmp_path_factory.mktemp("pendulum"))
+
+
+def motion(model: mujoco.MjModel, commands: np.ndarray, substeps: int = 4) -> np.ndarray:
+    """Positions `(T,)` of plain MuJoCo."""
+    data, out = mujoco.MjData(model), []
+    for command in commands:
+        data.ctrl[:] = command
+        for _ in range(substeps):
+            mujoco.mj_step(model, data)
+        out.append(data.qpos[0])
+    return np.array(out)
+
+
+def follow(scene, commands, *effects: EffectSetting, start: float = 0.0) -> np.ndarray:
+    """Positions `(T,)` of one joint that follows commands `(T, 1)`."""
+    qpos, qvel = at_rest(scene, 1)
+    played = rollout(scene, np.asarray(commands, float)[None], qpos + start, qvel, [effects])
+    return played.readings["joint_position"][0, :, 0]
+
+
+@pytest.mark.parametrize("limit", ["", 'forcerange="-0.3 0.3"', 'forcerange="-0.1 0.3"'])
+@pytest.mark.parametrize("integrator", ["Euler", "RK4", "implicit", "implicitfast", "discrete"])
+def test_a_servo_and_its_motor_move_alike(tmp_path, integrator, limit):
+    servo = SERVO.replace('forcerange="-0.3 0.3"', limit)
+    scene = write_pendulum(tmp_path, servo, integrator=integrator)
+    motor = build_worlds(scene, [()]).models[0].__copy__()
+    _motor.convert(motor, scene.actuator_ids)
+    own, converted = (motion(model, excitation(1)) for model in (scene.model, motor))
+    assert np.ptp(own) > 1
+    assert np.abs(converted - own).max() < 1e-9
+    motor.actuator_gainprm[0, _motor.VOLTAGE] = 0.1
+    assert np.abs(motion(motor, excitation(1)) - own).max() > 0.1, "a limit of the voltage shows"
+
+
+def test_a_motor_by_its_fields_is_the_one_that_mujoco_compiles(pendulum, tmp_path):
+    """The places in `gainprm` are those of the compiler."""
+    element = (
+        '<dcmotor name="a" joint="a" input="pos" motorconst="0.2 0.2" resistance="0.4" controller="2 0 0.06 0 0 0.7" '
+        'saturation="0.3 0 0" ctrlrange="-3 3"/>'
+    )
+    compiled = write_pendulum(tmp_path, element).model
+    motor = pendulum.model.__copy__()
+    _motor.convert(motor, pendulum.actuator_ids)
+    motor.actuator_gainprm[0, [_motor.RESISTANCE, _motor.CONSTANT, _motor.VOLTAGE]] = 0.4, 0.2, 0.7
+    names = [n for n in dir(motor) if n.startswith("actuator_") and isinstance(getattr(motor, n), np.ndarray)]
+    different = [n for n in names if not np.array_equal(getattr(motor, n), getattr(compiled, n))]
+    assert different in ([], ["actuator_acc0"])
+
+
+def test_a_motor_out_of_voltage_turns_no_faster_than_its_no_load_speed(pendulum):
+    """Without weight or friction, a share s of the supply gives s times the usual no-load speed."""
+    scene = pendulum
+    free = scene.model.__copy__()
+    free.opt.gravity[:], free.dof_damping[:] = 0, 0
+    _motor.set_stall_share(free, scene, scene.actuator_ids, 0.5)
+    data = mujoco.MjData(free)
+    data.ctrl[0] = 3.0
+    speeds = []
+    while data.qpos[0] < 2:
+        mujoco.mj_step(free, data)
+        speeds.append(data.qvel[0])
+    # The torque that is left falls with speed: 1 - exp(-t / T), T = inertia / slope = 0.05 s; 2 rad take over 0.6 s.
+    assert speeds[-1] == pytest.approx(0.5 * _motor.NO_LOAD_RAD_S, rel=1e-3)
+
+
+def test_a_motor_in_pwm_mode_is_a_clamped_voltage(pendulum):
+    """kd = K^2 / R: torque = clamp(kp error, stall) - K^2 / R speed, as drives without a current loop have it."""
+    motor = pendulum.model.__copy__()
+    motor.actuator_forcelimited[0] = False
+    _motor.set_stall_share(motor, pendulum, pendulum.actuator_ids, 0.6)
+    _motor.set_slope(motor, pendulum, pendulum.actuator_ids, KV)
+    data, commands = mujoco.MjData(motor), excitation(2)
+    for command in commands:
+        data.ctrl[:] = command
+        for _ in range(4):
+            torque = np.clip(KP * (command[0] - data.qpos[0]), -0.6 * LIMIT_NM, 0.6 * LIMIT_NM) - KV * data.qvel[0]
+            mujoco.mj_step(motor, data)
+            assert data.actuator_force[0] == pytest.approx(torque, abs=1e-12)
+
+
+def test_edits_of_the_servo_and_of_its_motor_are_one_world_in_any_order(pendulum):
+    some = (
+        setting("drive_voltage", voltage_scale=0.4),
+        setting("servo_gain", kp_scale=1.5),
+        setting("back_emf", emf_Nms_rad=0.08),
+        setting("servo_damping", kv_scale=2.0),
+        setting("joint_offset", offset_rad=0.1),
+        setting("torque_limit", limit_Nm=0.25),
+    )
+    one, other = (follow(pendulum, excitation(3), *effects) for effects in (some, some[::-1]))
+    np.testing.assert_allclose(one, other, atol=1e-12)
+    model = build_worlds(pendulum, [some]).models[0]
+    np.testing.assert_allclose(
+        model.actuator_gainprm[0, [_motor.KP, _motor.KD, _motor.CONSTANT, _motor.VOLTAGE]],
+        [1.5 * KP, 2 * KV, 0.08, 0.4 * LIMIT_NM],
+    )
+
+
+def test_an_encoder_offset_acts_inside_the_limit_of_the_voltage(pendulum):
+    """The motor's law has no constant: commands move instead, and so does their range."""
+    offset, weak = setting("joint_offset", offset_rad=0.1), setting("drive_voltage", voltage_scale=0.5)
+    commands = excitation(4)
+    read = follow(pendulum, commands, offset, weak)
+    shifted = follow(pendulum, commands - 0.1, weak)
+    np.testing.assert_allclose(read, shifted + 0.1, atol=1e-12)
+
+
+def test_where_no_servo_can_be_a_motor_the_effects_cannot_act(tmp_path):
+    servos = {
+        "torque": '<motor name="a" joint="a" forcerange="-1 1"/>',
+        "unlimited": '<position name="a" joint="a" kp="2" kv="0.06"/>',
+        "filtered": SERVO.replace("/>", ' timeconst="0.05"/>'),
+        "units": '<general name="a" joint="a" biastype="affine" gainprm="1" biasprm="0 -2" forcerange="-1 1"/>',
+    }
+    for name, servo in servos.items():
+        scene = write_pendulum(tmp_path / name, servo)
+        assert not effect("drive_voltage").possible(scene), name
+        assert not effect("back_emf").possible(scene), name
+    assert effect("drive_voltage").possible(load_scene("xhand_tabletop"))
