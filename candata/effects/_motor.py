@@ -17,6 +17,8 @@ _GAIN, _BIAS, _DYN = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
 #: Places in `actuator_gainprm` of a motor: resistance, torque constant, kp, kd, Vmax. Source: what MuJoCo 4.0 compiles
 #: `dcmotor` to; a test compares.
 RESISTANCE, CONSTANT, KP, KD, VOLTAGE = 0, 1, 4, 6, 7
+#: Place in `actuator_dynprm` of the farthest that the set point moves a second.
+SLEW = 7
 #: No-load speed of a servo at the supply for which its torque limit is its stall torque [rad/s]. Chosen: data sheets of
 #: geared servos for hands and small arms state 45 to 75 turns a minute.
 NO_LOAD_RAD_S = 6.0
@@ -30,8 +32,8 @@ def is_motor(model: mujoco.MjModel, ids: Ids) -> np.ndarray:
 def convertible(scene: Scene, ids: Ids) -> Ids:
     """Return those of some actuators that a DC motor can stand for.
 
-    They obey gain (u - length) + constant - kv speed, have no activation, and have a torque limit, which is taken as
-    the stall torque. Tendons whose command has another unit, muscles and torque motors are left out.
+    They obey gain (u - length) + constant - kv speed and have no activation. Tendons whose command has another unit,
+    muscles and torque motors are left out.
     """
     model = scene.model
     gain, bias = model.actuator_gainprm[ids], model.actuator_biasprm[ids]
@@ -40,19 +42,24 @@ def convertible(scene: Scene, ids: Ids) -> Ids:
     )
     is_direct = (model.actuator_dyntype[ids] == _DYN.mjDYN_NONE) & (model.actuator_plugin[ids] < 0)
     is_position = (gain[:, 0] > 0) & np.isclose(gain[:, 0], -bias[:, 1], rtol=1e-12, atol=0) & ~bias[:, 3:].any(1)
-    is_limited = model.actuator_forcelimited[ids].astype(bool) & (model.actuator_forcerange[ids, 1] > 0)
-    return ids[is_affine & is_direct & is_position & is_limited]
+    return ids[is_affine & is_direct & is_position]
 
 
-def has_convertible(scene: Scene) -> bool:
-    """Tell whether a DC motor can stand for one of the servos."""
-    return len(convertible(scene, _select.actuators(scene, None))) > 0
+def saturating(scene: Scene, ids: Ids) -> Ids:
+    """Return those of some actuators that are `convertible` and have a torque limit, taken as the stall torque."""
+    ids, model = convertible(scene, ids), scene.model
+    return ids[model.actuator_forcelimited[ids].astype(bool) & (model.actuator_forcerange[ids, 1] > 0)]
+
+
+def has_saturating(scene: Scene) -> bool:
+    """Tell whether a DC motor with a limit of its voltage can stand for one of the servos."""
+    return len(saturating(scene, _select.actuators(scene, None))) > 0
 
 
 def places(scene: Scene) -> tuple[str, ...]:
-    """Return the names that `motor_places` gives, of those whose motors are all `convertible`."""
+    """Return the names that `motor_places` gives, of those whose motors are all `saturating`."""
     ids_of = {name: _select.actuators(scene, name) for name in _select.motor_places(scene)}
-    return tuple(name for name, ids in ids_of.items() if len(convertible(scene, ids)) == len(ids))
+    return tuple(name for name, ids in ids_of.items() if len(saturating(scene, ids)) == len(ids))
 
 
 def stall_slope(scene: Scene, element: str | None = None) -> float:

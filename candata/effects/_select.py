@@ -234,6 +234,13 @@ def _drives(scene: Scene, indices: Ids) -> Ids:
     return np.array([a for a in scene.actuator_ids.tolist() if ids.intersection(scene.levers.get(a, ()))], int)
 
 
+def command_per_rad(scene: Scene, actuator: int) -> float:
+    """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
+    gain, bias = scene.model.actuator_gainprm[actuator, 0], scene.model.actuator_biasprm[actuator, 1]
+    lever = sum(abs(v) for v in scene.levers[actuator].values())
+    return abs(lever * bias / gain) if gain and bias < 0 else 1.0
+
+
 def fingertips(scene: Scene, element: str | None) -> Ids:
     """Return indices into `scene.file.fingertips`: all, or the one named.
 

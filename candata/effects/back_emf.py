@@ -25,7 +25,7 @@ from candata.scenes.assemble import Scene
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Let the torque limit fall by x N m for each rad/s; zero leaves the servos as they are."""
     if x[0]:
-        _motor.set_slope(model, scene, _motor.convertible(scene, _select.actuators(scene, element)), x[0])
+        _motor.set_slope(model, scene, _motor.saturating(scene, _select.actuators(scene, element)), x[0])
 
 
 EFFECT = Effect(
@@ -47,7 +47,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="joint",
-    possible=_motor.has_convertible,
+    possible=_motor.has_saturating,
     elements=_motor.places,
     edit=_edit,
 )

@@ -11,7 +11,7 @@ from candata.scenes.assemble import Scene
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Limit the drive voltage: stall torque and no-load speed are `x` times those at which they are nominal."""
-    _motor.set_stall_share(model, scene, _motor.convertible(scene, _select.servos(scene, element)), x[0])
+    _motor.set_stall_share(model, scene, _motor.saturating(scene, _select.servos(scene, element)), x[0])
 
 
 EFFECT = Effect(
@@ -32,7 +32,7 @@ EFFECT = Effect(
         ),
     ),
     acts_on="joint",
-    possible=_motor.has_convertible,
+    possible=_motor.has_saturating,
     elements=_motor.places,
     edit=_edit,
 )

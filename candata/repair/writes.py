@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from candata.effects._motor import KD, KP, VOLTAGE
+from candata.effects._motor import KD, KP, SLEW, VOLTAGE
 from candata.errors import SceneError
 from candata.repair.elements import Key, locate_elements
 from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, words
@@ -189,7 +189,7 @@ def _servos(
     change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: Mapping[Key, Attributes]
 ) -> list[Edit]:
     """Return the edits of actuators: gains in the words of a position servo where it can say them."""
-    gain_fields = ("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_ctrlrange")
+    gain_fields = ("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm", "actuator_ctrlrange")
     gain_ids = {i for field in gain_fields for i in changed_rows.get(field, ())}
     actuator_ids = sorted(gain_ids | {i for kind, i in attributes if kind == "actuator"})
     out = []
@@ -247,7 +247,7 @@ def _motor(change: _Change, node: Node, i: int) -> Attributes:
         "input": "pos",
         "motorconst": words(np.array([constant, constant])),
         "resistance": words(float(resistance)),
-        "controller": words(np.array([gain[KP], 0.0, gain[KD], 0.0, 0.0, gain[VOLTAGE]])),
+        "controller": words(np.array([gain[KP], 0.0, gain[KD], target.actuator_dynprm[i, SLEW], 0.0, gain[VOLTAGE]])),
         "saturation": words(np.array([high if target.actuator_forcelimited[i] else 0.0, 0.0, 0.0])),
     }
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from candata.effects import _motor, effect
+from candata.repair import export_mjcf
 from candata.scenes import load_scene
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
@@ -142,3 +143,81 @@ def test_where_no_servo_can_be_a_motor_the_effects_cannot_act(tmp_path):
         assert not effect("drive_voltage").possible(scene), name
         assert not effect("back_emf").possible(scene), name
     assert effect("drive_voltage").possible(load_scene("xhand_tabletop"))
+
+
+def test_a_set_point_moves_at_its_speed_and_no_faster(pendulum):
+    """A slow ramp passes; a step becomes a ramp that ends at the step."""
+    limit = setting("speed_limit", speed_rad_s=1.0)
+    slow = np.linspace(0, 0.9, 101)[:, None]
+    # The steps of 9 mrad between rows become ramps.
+    assert np.abs(follow(pendulum, slow, limit) - follow(pendulum, slow)).max() < 0.009
+    step = np.r_[0.0, np.full(150, 0.5)][:, None]
+    # Each physics step of 2.5 ms moves by 2.5 mrad; held commands of 10 ms would be off by up to 7.5 mrad.
+    ramp = rollout(
+        pendulum, np.minimum(np.arange(151) / 100, 0.5)[None, :, None], *at_rest(pendulum, 1), [()]
+    ).readings["joint_position"][0, :, 0]
+    limited = follow(pendulum, step, limit)
+    assert np.abs(limited - ramp).max() < 0.02
+    assert limited[-1] == pytest.approx(ramp[-1], abs=1e-6)
+    assert np.abs(limited - follow(pendulum, step)).max() > 0.2
+
+
+def test_a_limited_set_point_is_exported_as_a_motor_of_plain_mujoco(pendulum, tmp_path):
+    effects = (setting("speed_limit", speed_rad_s=0.8), setting("drive_voltage", voltage_scale=0.6))
+    export = export_mjcf(pendulum, effects, tmp_path / "out")
+    assert (len(export.held), export.left) == (2, ())
+    plain = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / export.model))
+    commands = excitation(5)
+    own = follow(pendulum, commands, *effects)
+    # Rows are read before their command is held; the activation is the set point, which begins at the first command, 0.
+    np.testing.assert_allclose(motion(plain, commands)[:-1], own[1:], atol=1e-9)
+    assert np.abs(follow(pendulum, commands) - own).max() > 0.1
+
+
+def test_a_limited_set_point_of_what_is_no_servo_is_left_with_the_reason(tmp_path):
+    scene = write_pendulum(tmp_path / "scene", SERVO.replace("/>", ' timeconst="0.05"/>'))
+    export = export_mjcf(scene, [setting("speed_limit", speed_rad_s=0.8)], tmp_path / "out")
+    assert export.held == ()
+    (entry,) = export.left
+    assert "DC motors alone" in entry.why
+
+
+def test_friction_that_fades_holds_at_rest_and_is_gone_at_speed(pendulum, tmp_path):
+    """At rest it is dry friction of the same size; at ten times the speed of fading nothing is left."""
+    limp = write_pendulum(tmp_path, SERVO.replace('kp="2" kv="0.06"', 'kp="1e-6" kv="0"'))
+    extra = setting("stribeck", breakaway_Nm=0.15)
+    rest = np.zeros((100, 1))
+    # The arm pulls with 0.1 x 0.1 x 9.81 N m from the sphere and half of a fifth of that from the rod: 0.108 N m.
+    held, dry = (follow(limp, rest, s) for s in (extra, setting("joint_dry_friction", frictionloss_Nm=0.15)))
+    # MuJoCo's friction is soft: both creep, by 0.05 rad in a second, where 3 % of the extra friction are gone.
+    assert np.abs(held).max() < 0.06
+    np.testing.assert_allclose(held, dry, rtol=0.1)
+    assert np.ptp(follow(limp, rest, setting("stribeck", breakaway_Nm=0.1))) > 0.5, "less than the weight does not hold"
+    start = np.zeros((2, 1)), np.full((2, 1), 3.0)
+    fast, free = rollout(limp, np.repeat(rest[None], 2, 0), *start, [(extra,), ()]).readings["joint_position"]
+    assert free[20] > 0.5
+    np.testing.assert_allclose(fast[:20], free[:20], atol=1e-6)
+
+
+def test_friction_of_load_is_a_share_of_the_motors_torque(pendulum):
+    """Held up and let down slowly, the servo's torque differs by what friction takes of it: (1 + s) / (1 - s)."""
+    share = 0.4
+    up_and_down = np.r_[np.linspace(0.3, -0.3, 600), np.linspace(-0.3, 0.3, 600)][:, None]
+    torque = {}
+    for name, effects in {"plain": (), "gears": (setting("load_friction", torque_share=share),)}.items():
+        position = follow(pendulum, up_and_down, *effects, start=0.3)
+        torque[name] = KP * (up_and_down[:, 0] - position) - KV * np.gradient(position, 0.01)
+    middle_up, middle_down = slice(250, 350), slice(850, 950)
+    weight = np.abs(torque["plain"][middle_up]).mean()
+    # Friction is a share of the torque with which the motor works against it or is helped by it.
+    assert np.abs(torque["gears"][middle_up]).mean() == pytest.approx(weight / (1 - share), rel=0.05)
+    assert np.abs(torque["gears"][middle_down]).mean() == pytest.approx(weight / (1 + share), rel=0.05)
+
+
+def test_worlds_of_changing_friction_do_not_share_it(pendulum):
+    """Two worlds of one model, one of them without friction, move as each alone does."""
+    commands, gears = excitation(6), setting("load_friction", torque_share=0.5)
+    both = rollout(pendulum, np.repeat(commands[None], 2, 0), *at_rest(pendulum, 2), [(gears,), ()])
+    for row, effects in enumerate([(gears,), ()]):
+        assert np.array_equal(both.readings["joint_position"][row, :, 0], follow(pendulum, commands, *effects))
+    assert pendulum.model.dof_frictionloss[0] == 0
