@@ -56,12 +56,6 @@ def has_saturating(scene: Scene) -> bool:
     return len(saturating(scene, _select.actuators(scene, None))) > 0
 
 
-def places(scene: Scene) -> tuple[str, ...]:
-    """Return the names that `motor_places` gives, of those whose motors are all `saturating`."""
-    ids_of = {name: _select.actuators(scene, name) for name in _select.motor_places(scene)}
-    return tuple(name for name, ids in ids_of.items() if len(saturating(scene, ids)) == len(ids))
-
-
 def stall_slope(scene: Scene, element: str | None = None) -> float:
     """Return by how much the torque of the fingers' servos falls with speed [N m s/rad; N s/m of jaws on rails].
 

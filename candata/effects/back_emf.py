@@ -39,7 +39,7 @@ EFFECT = Effect(
             "emf_Nms_rad",
             "N m s/rad",
             scaled_bounds(_motor.stall_slope, 0.0, 8.0),
-            scaled_probes(_motor.stall_slope, 0.5, 1.0, 2.0, 4.0),
+            scaled_probes(_motor.stall_slope, 0.7, 1.8, 5.0),
             scaled_spans(_motor.stall_slope, (1.5, 5.0)),
             "data sheets of geared servos: stall torque over no-load speed",
             always(0.0),
@@ -48,6 +48,5 @@ EFFECT = Effect(
     ),
     acts_on="joint",
     possible=_motor.has_saturating,
-    elements=_motor.places,
     edit=_edit,
 )

@@ -47,7 +47,7 @@ EFFECT = Effect(
             "torque_share",
             "1",
             constant_bounds(0.0, 0.95),
-            values(0.1, 0.3, 0.6),
+            values(0.1, 0.3, 0.7),
             spans((0.25, 0.7)),
             "geared servos: K_l of 0 to 0.5 (arXiv 2410.08650), which is a share of 0 to 1",
             always(0.0),

@@ -85,7 +85,7 @@ EFFECT = Effect(
             "speed_rad_s",
             "rad/s",
             scaled_bounds(_select.drive_reach, 0.05, 20.0),
-            scaled_probes(_select.drive_reach, 0.15, 0.3, 0.6, 1.2, 2.5, 5.0),
+            scaled_probes(_select.drive_reach, 0.2, 0.5, 1.4, 4.0),
             scaled_spans(_select.drive_reach, (0.25, 0.8)),
             "speed profiles of servo firmware; usual commands of hands move by 0.5 to 5 rad/s",
             neutral=lambda scene: 20.0 * _select.drive_reach(scene),

@@ -64,7 +64,7 @@ EFFECT = Effect(
             "breakaway_Nm",
             "N m",
             scaled_bounds(_select.drive_torque, 0.0, 0.6),
-            scaled_probes(_select.drive_torque, 0.02, 0.06, 0.18),
+            scaled_probes(_select.drive_torque, 0.02, 0.07, 0.25),
             scaled_spans(_select.drive_torque, (0.08, 0.25)),
             "friction of servos of 1 to 3 N m: up to 0.2 N m more at rest than at speed (arXiv 2410.08650)",
             always(0.0),
