@@ -1,4 +1,4 @@
-"""Position servos as DC motors: the places of MuJoCo's `dcmotor` in a compiled model, and edits that serve both laws.
+"""Position servos as DC motors: MuJoCo's `dcmotor`, and edits that serve both laws.
 
 A `position` servo and a `dcmotor` without limit of its voltage move alike (tests hold that to 1e-9 rad). The motor
 needs no activation then, so that a servo turns into one by its fields, in a private copy of the compiled model.
@@ -12,21 +12,12 @@ import numpy as np
 from candata.effects import _select
 from candata.effects._select import Ids
 from candata.scenes.assemble import Scene
+from candata.scenes.motors import CONSTANT, KD, KP, RESISTANCE, VOLTAGE, is_motor
 
 _GAIN, _BIAS, _DYN = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn
-#: Places in `actuator_gainprm` of a motor: resistance, torque constant, kp, kd, Vmax. Source: what MuJoCo 4.0 compiles
-#: `dcmotor` to; a test compares.
-RESISTANCE, CONSTANT, KP, KD, VOLTAGE = 0, 1, 4, 6, 7
-#: Place in `actuator_dynprm` of the farthest that the set point moves a second.
-SLEW = 7
 #: No-load speed of a servo at the supply for which its torque limit is its stall torque [rad/s]. Chosen: data sheets of
 #: geared servos for hands and small arms state 45 to 75 turns a minute.
 NO_LOAD_RAD_S = 6.0
-
-
-def is_motor(model: mujoco.MjModel, ids: Ids) -> np.ndarray:
-    """Return `(n,) bool` which actuators are DC motors."""
-    return np.asarray(model.actuator_gaintype[ids] == _GAIN.mjGAIN_DCMOTOR)
 
 
 def convertible(scene: Scene, ids: Ids) -> Ids:

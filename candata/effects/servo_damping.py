@@ -7,6 +7,7 @@ import mujoco
 from candata.effects import _motor, _select
 from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
+from candata.scenes.motors import affine_law
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
@@ -16,7 +17,8 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 def _has_damping(scene: Scene) -> bool:
     """Tell whether a servo has a velocity gain that could be scaled."""
-    return bool(scene.model.actuator_biasprm[_select.servos(scene, None), 2].any())
+    _, bias = affine_law(scene.model, _select.servos(scene, None))
+    return bool(bias[:, 2].any())
 
 
 EFFECT = Effect(

@@ -21,6 +21,7 @@ from candata.effects._contract import (
 )
 from candata.errors import SceneError
 from candata.scenes.assemble import Scene
+from candata.scenes.motors import SLEW
 
 
 class _SetPoint(NamedTuple):
@@ -71,7 +72,7 @@ def _native(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) 
             fix="limit the commands in the code that sends them",
         )
     _motor.convert(model, ids)
-    model.actuator_dynprm[ids, _motor.SLEW] = [x[0] * _select.command_per_rad(scene, a) for a in ids.tolist()]
+    model.actuator_dynprm[ids, SLEW] = [x[0] * _select.command_per_rad(scene, a) for a in ids.tolist()]
 
 
 EFFECT = Effect(

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from candata.effects._motor import KD, KP, SLEW, VOLTAGE
 from candata.errors import SceneError
 from candata.repair.elements import Key, locate_elements
 from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, words
 from candata.repair.markup import Edit, Node, at
+from candata.scenes.motors import KD, KP, SLEW, VOLTAGE, is_motor
 
 Attributes = dict[str, str | None]
 #: What an inertial element may say instead of `quat` and `diaginertia`.
@@ -197,7 +197,7 @@ def _servos(
         node, values = _node(change, ("actuator", i)), dict(attributes.get(("actuator", i), {}))
         if i not in gain_ids:
             out.append(Edit(node, values))
-        elif change.target.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_DCMOTOR:
+        elif is_motor(change.target, [i])[0]:
             out.append(Edit(node, _motor(change, node, i), tag=None if node.tag == "dcmotor" else "dcmotor"))
         elif node.tag == "position" and _is_position(change.target, i):
             out.append(Edit(node, values | _gains(change, i)))

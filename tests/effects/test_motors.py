@@ -6,9 +6,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from candata.effects import _motor, effect
+from candata.effects import _motor, _select, effect
+from candata.gap.lagged import drives
+from candata.policies._drive import servos
 from candata.repair import export_mjcf
-from candata.scenes import load_scene
+from candata.scenes import load_scene, motors
+from candata.scenes.drives import drive_of
 from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
 from candata.simulate.world import build_worlds
@@ -54,7 +57,7 @@ def test_a_servo_and_its_motor_move_alike(tmp_path, integrator, limit):
     own, converted = (motion(model, excitation(1)) for model in (scene.model, motor))
     assert np.ptp(own) > 1
     assert np.abs(converted - own).max() < 1e-9
-    motor.actuator_gainprm[0, _motor.VOLTAGE] = 0.1
+    motor.actuator_gainprm[0, motors.VOLTAGE] = 0.1
     assert np.abs(motion(motor, excitation(1)) - own).max() > 0.1, "a limit of the voltage shows"
 
 
@@ -67,10 +70,29 @@ def test_a_motor_by_its_fields_is_the_one_that_mujoco_compiles(pendulum, tmp_pat
     compiled = write_pendulum(tmp_path, element).model
     motor = pendulum.model.__copy__()
     _motor.convert(motor, pendulum.actuator_ids)
-    motor.actuator_gainprm[0, [_motor.RESISTANCE, _motor.CONSTANT, _motor.VOLTAGE]] = 0.4, 0.2, 0.7
+    motor.actuator_gainprm[0, [motors.RESISTANCE, motors.CONSTANT, motors.VOLTAGE]] = 0.4, 0.2, 0.7
     names = [n for n in dir(motor) if n.startswith("actuator_") and isinstance(getattr(motor, n), np.ndarray)]
     different = [n for n in names if not np.array_equal(getattr(motor, n), getattr(compiled, n))]
     assert different in ([], ["actuator_acc0"])
+
+
+def test_a_scene_of_motors_is_read_as_one_of_position_servos(pendulum, tmp_path):
+    """A repaired model is the nominal one of the next diagnosis."""
+    export = export_mjcf(pendulum, [setting("drive_voltage", voltage_scale=1.2)], tmp_path / "out")
+    scene, ids = load_scene(tmp_path / "out" / export.scene), pendulum.actuator_ids
+    assert motors.is_position_motor(scene.model, ids).all()
+    assert scene.stiffness(ids) == pendulum.stiffness(ids)
+    assert drive_of(scene.model, 0)[1:] == drive_of(pendulum.model, 0)[1:]
+    assert _select.drive_damping(scene) == _select.drive_damping(pendulum)
+    assert (servos(scene) == servos(pendulum)).all()
+    assert drives(scene) == drives(pendulum)
+    changed = (setting("servo_gain", kp_scale=1.5), setting("servo_damping", kv_scale=0.5))
+    again, own = build_worlds(scene, [changed]).models[0], build_worlds(pendulum, [changed]).models[0]
+    for one, other in zip(motors.affine_law(again, ids), motors.affine_law(own, ids), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    # Commands stay within +-0.1 rad of the arm, where no voltage is limited.
+    slow = 0.05 * excitation(1)
+    np.testing.assert_allclose(follow(scene, slow, *changed), follow(pendulum, slow, *changed), atol=1e-9)
 
 
 def test_a_motor_out_of_voltage_turns_no_faster_than_its_no_load_speed(pendulum):
@@ -117,7 +139,7 @@ def test_edits_of_the_servo_and_of_its_motor_are_one_world_in_any_order(pendulum
     np.testing.assert_allclose(one, other, atol=1e-12)
     model = build_worlds(pendulum, [some]).models[0]
     np.testing.assert_allclose(
-        model.actuator_gainprm[0, [_motor.KP, _motor.KD, _motor.CONSTANT, _motor.VOLTAGE]],
+        model.actuator_gainprm[0, [motors.KP, motors.KD, motors.CONSTANT, motors.VOLTAGE]],
         [1.5 * KP, 2 * KV, 0.08, 0.4 * LIMIT_NM],
     )
 
