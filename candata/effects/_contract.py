@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters and up to four pure hooks."""
+"""What an effect is: named, bounded parameters and up to five pure hooks."""
 
 from __future__ import annotations
 
