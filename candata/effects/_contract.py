@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters and up to five pure hooks."""
+"""What an effect is: named, bounded parameters and up to six pure hooks."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Readings = dict[str, Array]
 Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring", "reading_noise"]
 
 #: Units of joints that turn, to those of joints that slide.
-RAILS = {"rad": "m", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}
+RAILS = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}
 
 
 class Bounds(NamedTuple):
@@ -146,6 +146,24 @@ class Servos(NamedTuple):
     idle: Array
 
 
+class DryFriction(NamedTuple):
+    """Limits of the dry friction of n simulations, and what the control step begins with.
+
+    Attributes
+    ----------
+    added : (n, nv) float64
+        Limits [N, N m] over the step, beside the model's own `dof_frictionloss`: what a hook adds to.
+    qvel : (n, nv) float64
+        True velocities.
+    effort : (n, nv) float64
+        Generalised forces of the actuators in the last physics step [N, N m].
+    """
+
+    added: Array
+    qvel: Array
+    effort: Array
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
@@ -158,8 +176,8 @@ class Hook:
         `(scene, values (n, d), elements (n,)) -> state`.
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
-        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced; for
-        servos a `Servos`, of which `command` may be.
+        readings a dict of channel to `(n, ...)`; for forces x is a `Forces` and for friction a `DryFriction`, of which
+        `added` may be replaced; for servos a `Servos`, of which `command` may be.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -200,10 +218,13 @@ class Effect:
         `scene -> bool`: whether the effect can act there.
     edit : callable, optional
         `(model, scene, x (d,), element)` changes a private copy of the model.
+    native : callable, optional
+        `(model, scene, x (d,), element)` gives a copy of the model what MJCF holds in place of the hooks. An export
+        writes it; candata does not simulate it. Raises SceneError where MJCF cannot hold it.
     set_const : bool
         Whether `mj_setConst` must follow the edit (masses, inertias, armature).
-    command, force, servo, reading : Hook, optional
-        Filters of the commands, of added forces, of what the servos take, of the readings.
+    command, force, friction, servo, reading : Hook, optional
+        Filters of the commands, of added forces, of limits of dry friction, of what the servos take, of the readings.
     moves : tuple of str
         Channels that can change where there is a reading hook; empty without one.
     elements : callable
@@ -232,9 +253,11 @@ class Effect:
     acts_on: str
     possible: Callable[[Scene], bool]
     edit: Callable[[mujoco.MjModel, Scene, Array, str | None], None] | None = None
+    native: Callable[[mujoco.MjModel, Scene, Array, str | None], None] | None = None
     set_const: bool = False
     command: Hook | None = None
     force: Hook | None = None
+    friction: Hook | None = None
     servo: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.errors import UnknownNameError
 from candata.scenes.assemble import Scene, subtree
+from candata.scenes.motors import affine_law
 
 Ids = NDArray[np.int64]
 #: Usual turn of a finger's hinge [rad], and usual travel of a jaw without limits [m]. Chosen.
@@ -236,7 +237,7 @@ def _drives(scene: Scene, indices: Ids) -> Ids:
 
 def command_per_rad(scene: Scene, actuator: int) -> float:
     """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
-    gain, bias = scene.model.actuator_gainprm[actuator, 0], scene.model.actuator_biasprm[actuator, 1]
+    (gain,), ((_, bias, _),) = affine_law(scene.model, [actuator])
     lever = sum(abs(v) for v in scene.levers[actuator].values())
     return abs(lever * bias / gain) if gain and bias < 0 else 1.0
 
@@ -327,7 +328,7 @@ def drive_damping(scene: Scene, element: str | None = None) -> float:
         return 1.0
     model, firsts = scene.model, [next(iter(scene.levers[a].items())) for a in ids.tolist()]
     dof, lever = model.jnt_dofadr[[joint for joint, _ in firsts]], np.array([v for _, v in firsts])
-    damping = model.dof_damping[dof] - lever**2 * model.actuator_biasprm[ids, 2]
+    damping = model.dof_damping[dof] - lever**2 * affine_law(model, ids)[1][:, 2]
     critical = 0.2 * np.sqrt(lever**2 * np.maximum(scene.stiffness(ids), 0) * model.dof_M0[dof])
     return float(np.median(np.maximum(damping, critical)))
 

@@ -7,13 +7,14 @@ import numpy as np
 from candata.effects import _select
 from candata.effects._contract import Array, Elements
 from candata.scenes.assemble import Scene
+from candata.scenes.motors import affine_law
 
 
 def has_law(scene: Scene) -> bool:
     """Tell whether every drive of the fingers follows a position, of all that effects of servos act on."""
     ids = _select.actuators(scene, None) if _select.has_drives(scene) else np.zeros(0, int)
-    follows = (scene.model.actuator_gainprm[ids, 0] > 0) & (scene.model.actuator_biasprm[ids, 1] < 0)
-    return len(ids) > 0 and bool(follows.all())
+    gain, bias = affine_law(scene.model, ids)
+    return len(ids) > 0 and bool(((gain > 0) & (bias[:, 1] < 0)).all())
 
 
 def in_commands(scene: Scene, x: Array, elements: Elements) -> Array:

@@ -30,7 +30,10 @@ DIRECT_FIELDS = {
 GEOMETRY = ("geom_size", "geom_pos", "site_pos", "body_pos", "mesh_vert")
 INERTIA = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
 SPRING = ("qpos_spring",)
-SERVO = ("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited")
+SERVO = (
+    *("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm"),
+    *("actuator_forcelimited", "actuator_ctrlrange"),
+)
 FIELDS = (*DIRECT_FIELDS, *GEOMETRY, *INERTIA, *SPRING, *SERVO)
 #: Options of the solver and of the world.
 OPTIONS = ("gravity", "timestep", "cone", "impratio", "integrator")

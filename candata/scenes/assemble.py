@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
-from candata.scenes import sensors, transmission
+from candata.scenes import motors, sensors, transmission
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
@@ -90,8 +90,8 @@ class Scene:
 
     def stiffness(self, actuators: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the position gains `(n,)` of actuators: a servo's gain on its length, else that on its command."""
-        length_gain = -self.model.actuator_biasprm[actuators, 1]
-        return np.where(length_gain > 0, length_gain, self.model.actuator_gainprm[actuators, 0])
+        gain, bias = motors.affine_law(self.model, actuators)
+        return np.where(bias[:, 1] < 0, -bias[:, 1], gain)
 
     @cached_property
     def driven_hinges(self) -> NDArray[np.int64]:

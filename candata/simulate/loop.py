@@ -10,7 +10,7 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
-from candata.effects import Forces, Servos
+from candata.effects import DryFriction, Forces, Servos
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
@@ -164,12 +164,13 @@ class _Run:
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         # Outputs are copied after every call: only where something reads them.
-        self.effort = self.batch.bind("qfrc_actuator") if worlds.force or push else np.zeros(0)
+        needs_effort = worlds.force or worlds.friction or push
+        self.effort = self.batch.bind("qfrc_actuator") if needs_effort else np.zeros(0)
+        self.own_friction = np.array([model.dof_frictionloss for model in worlds.models])
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
-        self.states = {
-            kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "servo", "reading")
-        }
+        kinds = ("command", "force", "friction", "servo", "reading")
+        self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in kinds}
         parts = [self.batch.bind(name) for name in MEMORY] if memory_size(scene.model) else []
         self.memory = [part.reshape(self.n, -1) for part in parts]
         self.first_memory = self._remembered()[0] if parts and self.n else np.zeros(0)
@@ -226,6 +227,7 @@ class _Run:
                 held_commands = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held_commands[drifting_ids] = retimed_commands[:, k]
                 self._apply_forces(k, force[-1], touch)
+                self._apply_friction()
                 sensor_data, touch = self._step(held_commands)
                 failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
         state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
@@ -288,6 +290,15 @@ class _Run:
         x = Forces(no_force, self.qpos.copy(), self.qvel.copy(), self.effort.copy(), tip_force, touch)
         x = self._filter("force", x)
         self.applied[:] = x.added if self.push is None else x.added + self.push(row, x)
+
+    def _apply_friction(self) -> None:
+        """Set the limits of dry friction over the next step, in the models, which are private then."""
+        if not self.worlds.friction:
+            return
+        x = DryFriction(np.zeros_like(self.own_friction), self.qvel.copy(), self.effort.copy())
+        limits = self.own_friction + self._filter("friction", x).added
+        for model, row in zip(self.worlds.models, limits, strict=True):
+            model.dof_frictionloss[:] = row
 
     def _step(self, commands: Array) -> tuple[list[Array], NDArray[np.bool_]]:
         """Advance one row under commands `(n, S, A)`; return what the sensors of the worlds read at each physics step

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law
 
 Array = NDArray[np.float64]
 
@@ -41,34 +42,24 @@ class ServoLaws:
 
 
 def servo_laws(scene: Scene, models: Sequence[mujoco.MjModel]) -> ServoLaws:
-    """Return the laws of the scene's actuators in the worlds' models.
-
-    A `dcmotor` that takes positions has the law u - length times its gain (MuJoCo manual, XML reference).
-    """
+    """Return the laws of the scene's actuators in the worlds' models."""
     ids = scene.actuator_ids
     lever = np.zeros((len(ids), scene.model.nq))
     for row, a in enumerate(ids.tolist()):
         for joint, length in scene.levers.get(a, {}).items():
             lever[row, scene.model.jnt_qposadr[joint]] = length
-    gain, offset, slope = (
-        np.stack([values(m)[ids] for m in models])
-        for values in (
-            lambda m: m.actuator_gainprm[:, 0],
-            lambda m: m.actuator_biasprm[:, 0],
-            lambda m: m.actuator_biasprm[:, 1],
-        )
-    )
-    is_motor = np.stack([m.actuator_gaintype[ids] == mujoco.mjtGain.mjGAIN_DCMOTOR for m in models])
-    has_law = (gain > 0) & (slope < 0) & lever.any(1)
-    scale = np.where(has_law, gain, np.nan)
+    laws = [affine_law(m, ids) for m in models]
+    gain = np.stack([gains for gains, _ in laws])
+    offset, slope = (np.stack([bias[:, term] for _, bias in laws]) for term in (0, 1))
+    scale = np.where((gain > 0) & (slope < 0) & lever.any(1), gain, np.nan)
     ranges = np.stack([m.actuator_ctrlrange[ids] for m in models])
     is_limited = np.stack([m.actuator_ctrllimited[ids] for m in models]).astype(bool)
     return ServoLaws(
         lowest=np.where(is_limited, ranges[..., 0], -np.inf),
         highest=np.where(is_limited, ranges[..., 1], np.inf),
         lever=lever,
-        slope=np.where(is_motor, -1.0, slope / scale),
-        offset=np.where(is_motor, 0.0, offset / scale),
+        slope=slope / scale,
+        offset=offset / scale,
     )
 
 

@@ -35,10 +35,10 @@ class Worlds:
     Attributes
     ----------
     models : list of MjModel
-        One a simulation; simulations without model edits share the scene's.
+        One a simulation; simulations without model edits share the scene's, unless friction changes from step to step.
     pace : (n,) float64
         True time that passes during one recorded row, in nominal control steps.
-    command, force, servo, reading : tuple of Filter
+    command, force, friction, servo, reading : tuple of Filter
         Hooks of the effects present, in the order in which they act.
     """
 
@@ -46,6 +46,7 @@ class Worlds:
     pace: Array
     command: tuple[Filter, ...]
     force: tuple[Filter, ...]
+    friction: tuple[Filter, ...]
     servo: tuple[Filter, ...]
     reading: tuple[Filter, ...]
 
@@ -60,14 +61,27 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
     """
     cache: dict[str, mujoco.MjModel] = {}
     models = [_model(scene, tuple(settings), cache) for settings in effects]
-    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "servo": [], "reading": []}
+    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "friction": [], "servo": [], "reading": []}
     for name in sorted({s.name for settings in effects for s in settings}, key=turn):
         for hook_name, filters in kinds.items():
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
                 filters += _filters(scene, name, hook, effects)
+    kinds["command"] += _shifted_commands(scene, models)
     pace = np.array([_pace(scene, settings) for settings in effects])
+    if kinds["friction"]:
+        models = [copy.copy(model) for model in models]
     return Worlds(models, pace, **{kind: tuple(filters) for kind, filters in kinds.items()})
+
+
+def _shifted_commands(scene: Scene, models: Sequence[mujoco.MjModel]) -> list[Filter]:
+    """Return the filter that moves commands as far as edits moved their range; none where they moved none.
+
+    That is how a law without a constant, a DC motor's, follows an encoder that is off: kp (u + shift - q).
+    """
+    lowest = [model.actuator_ctrlrange[scene.actuator_ids, 0] for model in (scene.model, *models)]
+    shift = np.stack(lowest)[1:] - lowest[0]
+    return [Filter(lambda state, u: (state, u + state[:, None]), shift)] if shift.any() else []
 
 
 def _pace(scene: Scene, settings: EffectList) -> float:
