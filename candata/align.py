@@ -105,6 +105,8 @@ def resample(
 ROLES: dict[str, Role] = {
     "action": "command",
     "joint_effort": "measurement",
+    "supply_voltage": "measurement",
+    "torque_on": "command",
     "fingertip_force": "measurement",
     "fingertip_contact": "flag",
     "contact": "flag",

@@ -112,6 +112,10 @@ def _print_summary(summary: Summary, meta: EpisodeMeta | None) -> None:
     if meta is not None:
         labels = (meta.source, meta.scene, meta.object, meta.task, meta.outcome)
         console.out(f"episode {meta.id}: {', '.join(filter(None, labels))}, {meta.rate_hz:g} Hz")
+        if meta.labels:
+            console.out(f"labels: {', '.join(f'{name} {value}' for name, value in meta.labels.items())}")
+        if meta.unscaled:
+            console.out(f"in the source's own unit: {', '.join(meta.unscaled)}")
     console.out(f"{summary.episodes} episodes, {summary.rows} rows, {summary.duration_s:.1f} s")
     for label in ("sources", "scenes", "objects", "tasks"):
         counts = sorted(getattr(summary, label).items())

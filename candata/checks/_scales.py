@@ -28,7 +28,7 @@ def scales(view: EpisodeView) -> dict[str, float]:
     the origin.
     """
     out: dict[str, float] = {}
-    for channel in SCALED_CHANNELS:
+    for channel in _scaled(view):
         values = view.complete_values(channel)
         if values is None:
             continue
@@ -51,6 +51,12 @@ def scales(view: EpisodeView) -> dict[str, float]:
     return _positive(out)
 
 
+def _scaled(view: EpisodeView) -> tuple[str, ...]:
+    """Return the channels whose scale is compared: those that an episode keeps in the source's unit are not."""
+    unscaled = view.meta.unscaled if view.meta else ()
+    return tuple(channel for channel in SCALED_CHANNELS if channel not in unscaled)
+
+
 def _names(view: EpisodeView, channel: str, count: int) -> tuple[str, ...]:
     """Return the names of a channel's columns that are compared; their numbers where they have none."""
     names = view.elements(channel)
@@ -69,7 +75,7 @@ def reaches(view: EpisodeView) -> tuple[dict[str, float], dict[str, float]]:
     """
     reach: dict[str, float] = {}
     noise_levels: dict[str, float] = {}
-    for channel in (*SCALED_CHANNELS, "fingertip_force"):
+    for channel in (*_scaled(view), "fingertip_force"):
         values = view.complete_values(channel)
         if values is None:
             continue

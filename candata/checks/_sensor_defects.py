@@ -40,10 +40,8 @@ def finger_dead(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.
 
 
 def force_saturated(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
-    """Return arrays whose forces end at `1 - severity` of the largest component."""
-    force = arrays["fingertip_force"]
-    limit = (1 - severity) * float(np.nanmax(np.abs(force), initial=0.0))
-    return with_columns(arrays, fingertip_force=np.clip(force, -limit, limit))
+    """Return arrays in which no component of a force is larger than `severity` N: the sensors' full scale."""
+    return with_columns(arrays, fingertip_force=np.clip(arrays["fingertip_force"], -severity, severity))
 
 
 def force_nan(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
@@ -67,6 +65,39 @@ def quaternion_not_unit(arrays: Arrays, rate_hz: float, severity: float, rng: np
 def quaternion_swapped(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
     """Return arrays whose quaternions are x y z w."""
     return arrays | {n: arrays[n][:, [0, 1, 2, 4, 5, 6, 3]] for n in QUATERNION if n in arrays}
+
+
+def encoder_spiked(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which one joint's reading is `severity` radian less in two rows, each by itself."""
+    joint = arrays["joint_position"].copy()
+    rows = 2 + rng.choice((len(joint) - 4) // 4, 2, replace=False) * 4
+    joint[rows, int(rng.integers(joint.shape[1]))] -= severity
+    return with_columns(arrays, joint_position=joint)
+
+
+def joint_stuck(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which the fastest joint's reading is repeated for `severity` rows where it moves fastest."""
+    joint, rows = arrays["joint_position"].copy(), int(severity)
+    ways = np.abs(joint[rows + 4 : -4] - joint[4 : -rows - 4])
+    start, fastest = np.unravel_index(np.nanargmax(ways), ways.shape)
+    joint[start + 4 : start + 4 + rows, fastest] = joint[start + 4, fastest]
+    return with_columns(arrays, joint_position=joint)
+
+
+def supply_sagged(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays with a supply of 12 V that falls by a share `severity` where commands move most."""
+    command = np.nan_to_num(arrays["action"].astype(np.float64))
+    load = np.abs(np.gradient(command, axis=0)).sum(axis=1)
+    sag = severity * load / max(float(load.max(initial=0.0)), np.finfo(float).tiny)
+    voltage = np.repeat(12.0 * (1 - sag)[:, None], command.shape[1], axis=1)
+    return arrays | {"supply_voltage": voltage.astype(np.float32)}
+
+
+def torque_off(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:
+    """Return arrays in which the first actuator does not drive in the last share `severity` of the rows."""
+    torque_on = np.ones(arrays["action"].shape, bool)
+    torque_on[round((1 - severity) * len(torque_on)) :, 0] = False
+    return arrays | {"torque_on": torque_on}
 
 
 def joint_beyond_limits(arrays: Arrays, rate_hz: float, severity: float, rng: np.random.Generator) -> Arrays:

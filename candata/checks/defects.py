@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from candata.checks._sensor_defects import (
     contact_inverted,
+    encoder_spiked,
     fall_scaled,
     finger_dead,
     force_drift,
@@ -25,11 +26,14 @@ from candata.checks._sensor_defects import (
     force_nan,
     force_saturated,
     joint_beyond_limits,
+    joint_stuck,
     object_far,
     object_sunk,
     pose_in_millimetres,
     quaternion_not_unit,
     quaternion_swapped,
+    supply_sagged,
+    torque_off,
 )
 from candata.checks._time_defects import (
     Damage,
@@ -126,7 +130,7 @@ DEFECTS: Mapping[str, Defect] = MappingProxyType(
         ),
         "finger_dead": Defect("one fingertip reads nothing", _FORCE, ("dead_finger",), finger_dead),
         "force_saturated": Defect(
-            "forces end at a limit", _FORCE, ("saturation",), force_saturated, 0.5, "1", (0.3, 0.1, 0.03, 0.01)
+            "forces end at a limit", _FORCE, ("saturation",), force_saturated, 2.0, "N", (3.0, 4.0, 6.0, 8.0)
         ),
         "force_nan": Defect("NaN in forces", _FORCE, ("finite",), force_nan, 0.05, "1", (0.0,)),
         "pose_in_millimetres": Defect(
@@ -214,6 +218,30 @@ DEFECTS: Mapping[str, Defect] = MappingProxyType(
         "pose_lost": Defect("poses at the origin", _POSE, ("lost_poses",), pose_lost, 0.02, "1", (0.01,)),
         "stamps_scaled": Defect(
             "stamps twice as far apart", ("time_ns",), ("time", "scene_match"), stamps_scaled, 2.0, "1", (0.5,)
+        ),
+        "encoder_spiked": Defect(
+            "joint readings jump out for one row",
+            ("joint_position",),
+            ("encoder_spikes",),
+            encoder_spiked,
+            float(np.pi),
+            "rad",
+            (0.5, 0.2, 0.1),
+        ),
+        "joint_stuck": Defect(
+            "a joint reading is repeated within a motion",
+            ("joint_position",),
+            ("stuck_readings",),
+            joint_stuck,
+            6.0,
+            "rows",
+            (5.0, 4.0),
+        ),
+        "supply_sagged": Defect(
+            "the supply sags under load", ("action",), ("supply_sag",), supply_sagged, 0.3, "1", (0.2, 0.15, 0.05)
+        ),
+        "torque_off": Defect(
+            "a servo is switched off", ("action",), ("torque_off",), torque_off, 0.3, "1", (0.1, 0.02)
         ),
         "joint_in_degrees": Defect("joints in degrees", ("joint_position",), ("scale", "joint_unit"), joint_in_degrees),
     }

@@ -13,8 +13,11 @@ from candata.checks._finding import Finding, Rule
 from candata.checks._view import EpisodeView, round_evidence
 from candata.schema.channels import CHANNELS
 
-#: Hashes of rows kept of an episode, the smallest: those that two cuts of one recording share (Broder 1997).
+#: Hashes kept of an episode, the smallest: those that two cuts of one recording share (Broder 1997).
 HASHES_KEPT = 16
+#: Rows in a row that are hashed together, all different from one another. Readings of few digits have the same row in
+#: many recordings, at rest above all; so many in the same order only copies have. Chosen.
+SHINGLE_ROWS = 8
 #: Share of them that two episodes must share.
 LEAST_SHARE = 0.5
 REMEDY = "keep one of them: a recording in two splits spoils the test"
@@ -22,11 +25,14 @@ REMEDY = "keep one of them: a recording in two splits spoils the test"
 
 @dataclass(frozen=True)
 class _FingerPrint:
-    """Finger-print of an episode: the hash of all rows without names and absolute time, and the smallest row hashes."""
+    """Finger-print of an episode: the hash of all rows without names and absolute time, and the smallest of hashes.
+
+    Those are of `SHINGLE_ROWS` rows each; there are none where nothing moves for so long.
+    """
 
     id: str
     rows_hash: bytes
-    row_hashes: tuple[int, ...]
+    shingle_hashes: tuple[int, ...]
 
 
 def _gather(view: EpisodeView) -> _FingerPrint | None:
@@ -42,9 +48,11 @@ def _gather(view: EpisodeView) -> _FingerPrint | None:
         return None
     table = np.concatenate([c.view(np.uint8).reshape(total, -1) for c in columns], axis=1)
     differs = np.r_[True, (table[1:] != table[:-1]).any(axis=1)]
-    digests = (hashlib.blake2b(row.tobytes(), digest_size=8).digest() for row in table[differs])
-    rows = sorted({int.from_bytes(d, "little") for d in digests})[:HASHES_KEPT]
-    return _FingerPrint(view.id, hashlib.blake2b(table.tobytes(), digest_size=16).digest(), tuple(rows))
+    rows = [row.tobytes() for row in table[differs]]
+    shingles = (rows[k : k + SHINGLE_ROWS] for k in range(len(rows) - SHINGLE_ROWS + 1))
+    digests = (hashlib.blake2b(b"".join(s), digest_size=8).digest() for s in shingles if len({*s}) == SHINGLE_ROWS)
+    hashes = sorted({int.from_bytes(d, "little") for d in digests})[:HASHES_KEPT]
+    return _FingerPrint(view.id, hashlib.blake2b(table.tobytes(), digest_size=16).digest(), tuple(hashes))
 
 
 def _judge(episodes: Sequence[_FingerPrint]) -> Iterator[Finding]:
@@ -52,7 +60,7 @@ def _judge(episodes: Sequence[_FingerPrint]) -> Iterator[Finding]:
     first_ids: dict[bytes, str] = {}
     owners: dict[int, list[int]] = defaultdict(list)
     for index, episode in enumerate(episodes):
-        if episode.rows_hash in first_ids:
+        if episode.shingle_hashes and episode.rows_hash in first_ids:
             problem = "an episode stands twice"
             yield Finding(
                 "warning",
@@ -66,8 +74,8 @@ def _judge(episodes: Sequence[_FingerPrint]) -> Iterator[Finding]:
             continue
         first_ids[episode.rows_hash] = episode.id
         yield from _overlaps(episode, episodes, owners)
-        for row in episode.row_hashes:
-            owners[row].append(index)
+        for shingle in episode.shingle_hashes:
+            owners[shingle].append(index)
 
 
 def _overlaps(
@@ -75,19 +83,21 @@ def _overlaps(
 ) -> Iterator[Finding]:
     """Yield that an episode shares many rows with an earlier one."""
     counts: dict[int, int] = defaultdict(int)
-    for row in episode.row_hashes:
-        for index in owners.get(row, ())[:50]:
+    for shingle in episode.shingle_hashes:
+        for index in owners.get(shingle, ())[:50]:
             counts[index] += 1
     nearest_index = max(counts, key=lambda k: counts[k], default=None)
     if (
         nearest_index is None
-        or len(episode.row_hashes) < HASHES_KEPT
-        or len(episodes[nearest_index].row_hashes) < HASHES_KEPT
+        or len(episode.shingle_hashes) < HASHES_KEPT
+        or len(episodes[nearest_index].shingle_hashes) < HASHES_KEPT
     ):
         return
     # The share of the smallest hashes that both episodes have estimates the share of rows that both have.
-    smallest_hashes = sorted({*episode.row_hashes, *episodes[nearest_index].row_hashes})[:HASHES_KEPT]
-    share = len({*smallest_hashes} & {*episode.row_hashes} & {*episodes[nearest_index].row_hashes}) / HASHES_KEPT
+    smallest_hashes = sorted({*episode.shingle_hashes, *episodes[nearest_index].shingle_hashes})[:HASHES_KEPT]
+    share = (
+        len({*smallest_hashes} & {*episode.shingle_hashes} & {*episodes[nearest_index].shingle_hashes}) / HASHES_KEPT
+    )
     if share >= LEAST_SHARE:
         problem = "two episodes share their rows"
         yield Finding(

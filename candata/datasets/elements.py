@@ -20,6 +20,8 @@ JOINT_UNITS = {
     "joint_effort": "joint effort",
     "action": "command",
 }
+#: What stands for the unit of a channel that an episode keeps in the source's own.
+UNSCALED = "source's unit"
 
 
 @dataclass(frozen=True)
@@ -57,12 +59,12 @@ def elements(meta: EpisodeMeta, channel: str, shape: tuple[int, ...]) -> tuple[E
     shape : tuple of int
         Its shape without the time axis.
     """
-    unit = JOINT_UNITS.get(channel, CHANNELS[channel].unit)
+    unit = UNSCALED if channel in meta.unscaled else JOINT_UNITS.get(channel, CHANNELS[channel].unit)
     if channel in ("object_pose", "hand_pose"):
         return tuple(Element(*pair) for pair in POSE)
     if channel == "object_velocity":
         return tuple(Element(*pair) for pair in VELOCITY)
-    if channel == "action":
+    if channel in ("action", "supply_voltage", "torque_on"):
         return tuple(Element(name, unit) for name in actuator_labels(meta, shape[0]))
     if channel in JOINT_UNITS:
         return tuple(Element(name, unit) for name in joint_labels(meta, shape[0]))

@@ -21,6 +21,7 @@ _SAME_KIND: dict[str, frozenset[str]] = {
     "N": frozenset({"N", "mN", "gf", "kgf"}),
     "N m": frozenset({"N m", "mN m"}),
     "s": frozenset({"s", "ms", "us", "ns"}),
+    "V": frozenset({"V", "mV"}),
     "1": frozenset({"1"}),
 }
 #: SI units that an element of a channel may have; for `joint` channels the scene says which.

@@ -11,6 +11,9 @@ Array = NDArray[np.float64]
 #: How many times the usual bend of an episode's poses a spike is, and the least that it is [m, rad]. Chosen: an object
 #: that bounces at 1 m/s turns round within 10 mm a row, but goes on from there.
 TIMES, LEAST = 12.0, (0.005, 0.2)
+#: Share of a spike's size that its neighbours may be apart. Chosen: of a motion that takes one row they are twice as
+#: far from one another as that row is from their middle.
+RETURNS = 0.5
 #: Least jump to a value that stands for nothing [m], chosen: a finger's width; fewest rows that show it.
 LOST_M, FEWEST = 0.02, 5
 
@@ -35,6 +38,21 @@ def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:
     total = int(np.isfinite(poses).all(2).sum())
     note = f"object_pose: {spike.sum()} of {total} poses jump out for one row and back, and are left out"
     return np.where(spike[..., None], np.nan, poses), (note,)
+
+
+def spike_rows(values: Array, least: float) -> NDArray[np.bool_]:
+    """Return `(T,) bool`: rows of readings `(T, D)` that jump out for one row and back, by at least `least`.
+
+    As for poses: far from the neighbours' middle and from both straight lines; and much farther than its neighbours are
+    from one another, which a quick motion that stops is not.
+    """
+    if len(values) < 5:
+        return np.zeros(len(values), bool)
+    at = values[None, 2:-2]
+    around = [values[None, 2 + k : len(values) - 2 + k] - at for k in (-2, -1, 1, 2)]
+    before, after = around[1:3]
+    returns = np.linalg.norm(after - before, axis=2) < RETURNS * np.linalg.norm(before + after, axis=2) / 2
+    return np.pad((_spikes(around, least) & returns)[0], 2)
 
 
 def without_lost(poses: Array) -> tuple[Array, tuple[str, ...]]:
@@ -80,7 +98,7 @@ def _jumped_to(place: Array, seen: NDArray[np.bool_]) -> NDArray[np.int64] | Non
 
 
 def _spikes(around: list[Array], least: float) -> NDArray[np.bool_]:
-    """Return `(E, N)` which rows are spikes, by where the two rows before and after lie from each `(E, N, 3)`."""
+    """Return `(E, N)` which rows are spikes, by where the two rows before and after lie from each `(E, N, D)`."""
     first, before, after, last = around
     lines = (2 * before - first, 2 * after - last, (before + after) / 2)
     away = np.stack([np.sqrt((line**2).sum(2)) for line in lines])

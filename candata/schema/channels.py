@@ -137,6 +137,22 @@ _TABLE = (
         meaning="any fingertip touches the object",
     ),
     Channel(
+        name="supply_voltage",
+        unit="V",
+        shape=("T", "A"),
+        dtype="float32",
+        role="measurement",
+        meaning="voltage at each actuator's supply",
+    ),
+    Channel(
+        name="torque_on",
+        unit="1",
+        shape=("T", "A"),
+        dtype="bool",
+        role="command",
+        meaning="the actuator drives; where false it does not hold its joint, whatever its command",
+    ),
+    Channel(
         name="taxels",
         unit="count",
         shape=("T", "F", "N", 3),

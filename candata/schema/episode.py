@@ -38,7 +38,9 @@ class Alignment(Record):
 class EpisodeMeta(Record):
     """Who, what, when of an episode; `effects` null means not known or withheld.
 
-    `newton_per_count` is the scale of `taxels`.
+    `newton_per_count` is the scale of `taxels`. `labels` are what is known of the run: settings and quantities, with
+    the unit in the name. `unscaled` lists channels that are kept in a unit of the source that is no SI unit, or not
+    known: their shape in time counts, their size does not.
     """
 
     id: str
@@ -60,6 +62,8 @@ class EpisodeMeta(Record):
     point_cloud: str | None = None
     alignment: Alignment | None = None
     invalid_counts: dict[str, int] = {}
+    labels: dict[str, bool | int | float | str] = {}
+    unscaled: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,7 +34,7 @@ WEAKEST = {
     "force_in_grams": 10.0,
     "force_late": 0.0125,
     "force_drift": 0.25,
-    "force_saturated": 0.1,
+    "force_saturated": 6.0,
     "force_nan": 0.0,
     "pose_in_millimetres": 100.0,
     "quaternion_not_unit": 0.002,
@@ -68,6 +68,10 @@ OTHERS = (
     "clock_drift",
     "action_shifted",
     "joint_in_degrees",
+    "encoder_spiked",
+    "joint_stuck",
+    "supply_sagged",
+    "torque_off",
 )
 
 

@@ -1,0 +1,41 @@
+"""Rule: joint readings do not jump out for one row and back, as those of an encoder that was misread do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from candata.checks._finding import Finding, Rule
+from candata.checks._view import EpisodeView
+from candata.gap.spikes import spike_rows
+
+#: Least jump of a joint that counts [rad, m, 1]: a joint that runs at 2 rad/s and is stopped makes 0.04 rad less in a
+#: row of 50 Hz, and goes on from there.
+LEAST = 0.05
+REMEDY = "mark these rows invalid (NaN in the table, then --allow-gaps), and look at the encoder's wire and bus"
+
+
+def _episode(view: EpisodeView) -> Iterator[Finding]:
+    """Yield joints whose readings jump out for one row and back."""
+    joint = view.values("joint_position")
+    if joint is None:
+        return
+    for column, name in enumerate(view.elements("joint_position")):
+        reading = joint[:, column : column + 1]
+        rows = spike_rows(reading, LEAST)
+        if rows.any():
+            sizes = [abs(float(reading[k, 0] - (reading[k - 1, 0] + reading[k + 1, 0]) / 2)) for k in rows.nonzero()[0]]
+            yield view.finding(
+                "warning",
+                "encoder_spikes",
+                "a joint reading jumps out for one row and back",
+                f"joint {name} by up to {max(sizes):.3g}, {rows.sum()} times",
+                "joint_position",
+                rows,
+                REMEDY,
+                joint=name,
+                spikes=int(rows.sum()),
+                largest=max(sizes),
+            )
+
+
+RULE = Rule(meaning="joint readings do not jump out and back", episode=_episode, needs=("joint_position",))
