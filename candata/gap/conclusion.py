@@ -67,6 +67,8 @@ class Diagnosis:
         What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
     stopgap : EffectsFile or None
         The same with a force fitted to what remains, for `learned_residual.yaml`; None where there is none.
+    calibration : EffectsFile or None
+        A joint fit that claims no names, for `calibration.yaml`; None where there is none.
     """
 
     report: Report
@@ -74,6 +76,7 @@ class Diagnosis:
     effects: EffectsFile
     motion: tuple[Motion, ...] = ()
     stopgap: EffectsFile | None = None
+    calibration: EffectsFile | None = None
 
 
 @dataclass(frozen=True)
