@@ -8,7 +8,7 @@ from dataclasses import replace
 from candata.gap.attribute import Attribution
 from candata.gap.budget import BudgetSpent
 from candata.gap.candidates import candidates
-from candata.gap.conclusion import Diagnosis, Findings
+from candata.gap.conclusion import Diagnosis, Findings, simulator
 from candata.gap.joint_fit import JointFit, joint_fit
 from candata.gap.pace import Span
 from candata.gap.search import Fit, Problem
@@ -81,4 +81,4 @@ def _added(problem: Problem, diagnosis: Diagnosis, fitted: JointFit, size: Gap) 
     numbers = sum(c.size for c, _ in fitted.fit.members)
     record = Calibration(effects=settings, gap=size, numbers=numbers, combinations=fitted.combinations)
     report = diagnosis.report.model_copy(update={"calibration": record})
-    return replace(diagnosis, report=report, calibration=diagnosis.effects.model_copy(update={"effects": settings}))
+    return replace(diagnosis, report=report, calibration=simulator(problem.replayer.scene, settings))

@@ -78,7 +78,7 @@ def diagnose(
     dataset : Dataset
         Recordings of the real world (or of a stand-in) on the scene's joints.
     scene : Scene
-        The nominal simulator.
+        The nominal simulator; `candata.simulate.with_effects` makes effects part of it.
     jobs : int
         Threads that step simulations; the result does not depend on it.
     seed : int

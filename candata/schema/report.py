@@ -195,7 +195,10 @@ class DiagnosisData(ResultRecord):
 
 
 class Report(ResultRecord):
-    """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms."""
+    """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms.
+
+    `given_effects` belong to the nominal simulator: gap and effects are what comes on top of them.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
 
@@ -211,6 +214,7 @@ class Report(ResultRecord):
     next_motion: NextMotion | None = None
     edit: EditTest | None = None
     calibration: Calibration | None = None
+    given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData
     measures: dict[str, dict[str, float]] = {}
     provenance: dict[str, str] = {}
