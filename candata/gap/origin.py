@@ -30,7 +30,7 @@ def given_note(scene: Scene) -> tuple[str, ...]:
     if not scene.given_effects:
         return ()
     names = ", ".join(f"{s.name} {s.element}" if s.element else s.name for s in scene.given_effects)
-    return (f"the nominal simulator holds {len(scene.given_effects)} given effects: {names}",)
+    return (f"effects that the nominal simulator holds already: {names}",)
 
 
 def title(dataset: Dataset) -> str:
