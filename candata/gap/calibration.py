@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from candata.effects import effect
 from candata.gap.attribute import Attribution
 from candata.gap.budget import BudgetSpent
 from candata.gap.candidates import candidates
@@ -59,12 +60,16 @@ def with_calibration(findings: Findings, diagnosis: Diagnosis, measure: Measure)
 
 
 def _fitted(problem: Problem, found: Attribution, replays: float) -> JointFit | None:
-    """Return the joint fit of what was named and of every other effect, those first that gain most alone."""
+    """Return the joint fit of what was named and of every other effect, those first that gain most alone.
+
+    An effect on the pace of time is a property of the recording's clock, and no repair of a simulator.
+    """
     named = found.chosen.members if found.chosen else ()
     everywhere = candidates(problem.replayer.scene, list(problem.recs.readings))
     gains = {f.labels[0]: f.gain for f in found.first.fits}
     still = {*found.first.dead, *(c.label for c, _ in named)} | problem.ruled_out
-    kinds = [c for c in everywhere if c.label not in still and c.name not in {n.name for n, _ in named}]
+    names = {c.name for c, _ in named}
+    kinds = [c for c in everywhere if c.label not in still and c.name not in names and effect(c.name).pace is None]
     return joint_fit(problem, sorted(kinds, key=lambda c: -gains.get(c.label, 0.0)), named, replays)
 
 
