@@ -47,6 +47,10 @@ def diagnose(
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
+    effects: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Effects that the nominal simulator holds already: an effects.yaml."),
+    ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of folds, null replays and resamples.")] = 0,
     fail_on: Annotated[
@@ -88,8 +92,9 @@ def diagnose(
     from candata.reports import summary
     from candata.scenes import load_scene
 
-    world = load_scene(scene)
-    edit_data = None if edit is None else (console.open_named(edit), load_scene(edit_scene) if edit_scene else world)
+    world = _nominal(load_scene(scene), effects)
+    edit_world = _nominal(load_scene(edit_scene), effects) if edit_scene else world
+    edit_data = None if edit is None else (console.open_named(edit), edit_world)
     if edit_data is not None:
         _check_edit(*edit_data)
     kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
@@ -117,6 +122,19 @@ def diagnose(
     console.note(f"report: {page}")
     if diagnosis.report.verdict in failing_verdicts:
         raise typer.Exit(1)
+
+
+def _nominal(scene: Scene, effects: Path | None) -> Scene:
+    """Return the scene with the effects of a file as part of it."""
+    from candata.effects import read_effects
+    from candata.simulate import with_effects
+    from candata_cli.effects_option import note_other_scene
+
+    if effects is None:
+        return scene
+    effects_file = read_effects(effects)
+    note_other_scene(effects_file, effects, scene.digest)
+    return with_effects(scene, effects_file.effects)
 
 
 def _refuse_pairs(edit: str | None, edit_scene: str | None, cache_dir: Path | None, keep: bool) -> None:
@@ -172,11 +190,10 @@ def _with_edit_test(
 
     from candata.gap.edit import edit_test
 
-    if not diagnosis.effects.effects:
+    if not diagnosis.named:
         console.note("no effect is named, so there is nothing to test on --edit")
         return diagnosis
     size = diagnosis.report.gap
     reference = size.closed if size is not None and size.closed is not None else 1.0
-    effects = diagnosis.effects.effects
-    test = edit_test(dataset, scene, effects, reference=reference, jobs=jobs, seed=seed, progress=stage)
+    test = edit_test(dataset, scene, diagnosis.named, reference=reference, jobs=jobs, seed=seed, progress=stage)
     return replace(diagnosis, report=diagnosis.report.model_copy(update={"edit": test}))

@@ -270,6 +270,10 @@ class Effect:
     advice: Advice | None = None
     traits: frozenset[Trait] = frozenset()
 
+    def replaces(self, scene: Scene) -> bool:
+        """Tell whether the effect puts its values in the place of the model's own: it has no identity."""
+        return any(bool(np.isnan(p.identity(scene))) for p in self.parameters)
+
 
 def constant_bounds(low: float, high: float) -> Callable[[Scene], Bounds]:
     """Return bounds that are the same in every scene."""

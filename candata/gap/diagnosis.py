@@ -17,6 +17,7 @@ from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.averaged import ALL, SOME, sizes_in_mean
 from candata.gap.budget import Budget, BudgetSpent
+from candata.gap.calibration import with_calibration
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.floor import spread
@@ -27,6 +28,7 @@ from candata.gap.noise import sensor_noise
 from candata.gap.null_test import leaves_gap, with_names_tested
 from candata.gap.origin import title
 from candata.gap.outlook import say_outlook
+from candata.gap.own_floor import in_world
 from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
 from candata.gap.reference import changed_since
@@ -80,7 +82,7 @@ def diagnose(
     dataset : Dataset
         Recordings of the real world (or of a stand-in) on the scene's joints.
     scene : Scene
-        The nominal simulator.
+        The nominal simulator; `candata.simulate.with_effects` makes effects part of it.
     jobs : int
         Threads that step simulations; the result does not depend on it.
     seed : int
@@ -156,7 +158,14 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
         # What does not pass says nothing where there is no gap: nulls of a chaotic world hold as much.
         found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
         world, held = problem, held_out(problem, None)
-    return concluded(Findings(dataset, scene, problem, found, world, held, len(everything)), problem.rng)
+    findings = Findings(dataset, scene, problem, found, world, held, len(everything))
+
+    def measured(fit: Fit) -> HeldOut:
+        if len(untouched):
+            return _untouched(problem, everything.take(untouched), fit)[1]
+        return held_out(in_world(problem, fit.members), fit)
+
+    return with_calibration(findings, concluded(findings, problem.rng), measured)
 
 
 def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:

@@ -49,6 +49,8 @@ class SoFar:
         Every candidate alone, once all were looked at.
     best : Fit or None
         The set of effects that explains most, in units of its own floor.
+    episodes_replayed : int
+        Episodes whose replays were asked for, one for each set of effects, whether they were simulated or kept.
     """
 
     step: str = ""
@@ -56,6 +58,7 @@ class SoFar:
     problem: Problem | None = None
     first: Stage | None = None
     best: Fit | None = None
+    episodes_replayed: int = 0
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,7 @@ class Problem:
 
     def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts where none is kept."""
+        self.sofar.episodes_replayed += len(variants) * len(self.recs)
         names, ids = [name_of(some) for some in variants], list(zip(self.recs.ids, self.begin.keys, strict=True))
         kept = {(name, i): self.played[name, i] for name in names for i in ids if (name, i) in self.played}
         missing: dict[tuple[int, ...], dict[str, EffectSet]] = {}
@@ -147,6 +151,7 @@ class Problem:
 
         What alters forces only as they are read needs no simulation: it is read off the replay of the recording.
         """
+        self.sofar.episodes_replayed += len(points) * len(self.recs)
         settings = [self.setting([point]) for point in points]
         kept = iter(self.library.signatures([some for some in settings if needs_simulation(some)]))
         return [self.score.normal(next(kept) if needs_simulation(some) else self._sensed(some)) for some in settings]

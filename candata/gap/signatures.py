@@ -177,7 +177,7 @@ class Library:
 
     def _residual(self, some: EffectSet) -> Compact:
         """Return the residual of noise-free recordings of a world under the nominal replay."""
-        begin = true_start(self.replayer.scene, self.recs, self.begin, some) if self._is_read(some) else self.begin
+        begin = true_start(self.replayer.scene, self.recs, self.begin, some if self._is_read(some) else ())
         return _recorded(self.replayer, self.recs, begin, self.plan, some)
 
     def nulls(self, noise: Noise) -> Array:

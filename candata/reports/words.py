@@ -205,6 +205,20 @@ def edit_words(edit: EditTest) -> str:
     return f"It {predicate} in {edit.dataset}: {percent(edit.closed)} closes there{interval}, {numbers}."
 
 
+def calibration_sentence(report: Report) -> str:
+    """Return the sentence that says what a calibration closes, and that it names no causes; empty without one."""
+    calibration = report.calibration
+    if calibration is None:
+        return ""
+    size, names = calibration.gap, enumeration([effect_title(e.name, e.element) for e in calibration.effects])
+    known = f"{calibration.combinations} combinations" if calibration.combinations < calibration.numbers else "all"
+    return (
+        f"calibration.yaml closes {percent(size.closed or 0.0)} of the gap on held-out episodes (90 % interval "
+        f"{_interval(size.low or 0.0, size.high or 0.0)}): a better simulator, no claim of causes. Fitted together: "
+        f"{readable_name(names)}; the recordings tell {known} of their {calibration.numbers} numbers."
+    )
+
+
 def unknowns_sentence(report: Report) -> str:
     """Return what the diagnosis does not know: the unknown part, ties, bounds and a guessed floor."""
     parts = []
