@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from candata.effects import effect
 from candata.gap.attribute import Attribution
 from candata.gap.budget import BudgetSpent
-from candata.gap.candidates import candidates
+from candata.gap.candidates import Candidate, candidates, typical_size
 from candata.gap.conclusion import Diagnosis, Findings, simulator
-from candata.gap.joint_fit import JointFit, joint_fit
+from candata.gap.joint_fit import ROUGH, JointFit, joint_fit
+from candata.gap.null_test import SURE_GAP, leaves_gap
 from candata.gap.pace import Span
+from candata.gap.replay import EffectSet
 from candata.gap.search import Fit, Problem
 from candata.gap.shrink import HeldOut, gap
 from candata.gap.starts import is_toss
@@ -71,6 +75,30 @@ def _fitted(problem: Problem, found: Attribution, replays: float) -> JointFit | 
     names = {c.name for c, _ in named}
     kinds = [c for c in everywhere if c.label not in still and c.name not in names and effect(c.name).pace is None]
     return joint_fit(problem, sorted(kinds, key=lambda c: -gains.get(c.label, 0.0)), named, replays)
+
+
+def reference_fit(problem: Problem) -> EffectSet:
+    """Return the effects of the joint fit to reference recordings; none where they leave no gap, or nothing helps.
+
+    What changed is then judged in a world near the reference: the misfit that is taken off is small, and with it what
+    the change does to the misfit.
+    """
+    if is_toss(problem.replayer.scene) or not leaves_gap(problem, (), SURE_GAP):
+        return ()
+    everywhere = candidates(problem.replayer.scene, list(problem.recs.readings))
+    kinds = [c for c in everywhere if not c.choices and effect(c.name).pace is None and c.name not in problem.ruled_out]
+    fitted = joint_fit(problem, _by_first_step(problem, kinds), (), MOST_REPLAYS)
+    return problem.setting(fitted.fit.members) if fitted else ()
+
+
+def _by_first_step(problem: Problem, kinds: Sequence[Candidate]) -> list[Candidate]:
+    """Return quantities, those first along whose first step the residuals lie most; one replay each."""
+    scene, at = problem.replayer.scene, problem.nominal
+    steps = [np.clip(c.neutral + ROUGH * typical_size(c, scene), c.low, c.high) for c in kinds]
+    moved = problem.residuals([problem.setting(((c, u),)) for c, u in zip(kinds, steps, strict=True)])
+    gains = [float((at * (at - z)).sum() ** 2 / max(((at - z) ** 2).sum(), 1e-9)) for z in moved]
+    order = sorted(range(len(kinds)), key=lambda i: -gains[i])
+    return [kinds[i] for i in order]
 
 
 def _helps(size: Gap, diagnosis: Diagnosis) -> bool:

@@ -17,7 +17,7 @@ from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.averaged import ALL, SOME, sizes_in_mean
 from candata.gap.budget import Budget, BudgetSpent
-from candata.gap.calibration import with_calibration
+from candata.gap.calibration import reference_fit, with_calibration
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.floor import spread
@@ -46,6 +46,7 @@ from candata.gap.unfinished import unfinished
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, verdict
 from candata.scenes import Scene
+from candata.simulate import with_effects
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -113,16 +114,22 @@ def diagnose(
     """
     limit = None if budget is None else Budget(budget)
     sofar, forecast = SoFar(), Forecast(ends)
-    replayer = Replayer(scene, jobs, forecast.count)
 
     def tell(step: str) -> None:
         sofar.step = step
         progress(step)
 
+    def replayer() -> Replayer:
+        made = Replayer(scene, jobs, forecast.count)
+        return limit.watched(made) if limit else made
+
     try:
+        if against is not None and not scene.given_effects:
+            tell("fitting the scene to the reference")
+            scene = _near(against, replayer(), seed)
         some = posed(
             dataset,
-            limit.watched(replayer) if limit else replayer,
+            replayer(),
             seed,
             cache,
             only,
@@ -134,6 +141,15 @@ def diagnose(
         return _searched(dataset, scene, some)
     except BudgetSpent as spent:
         return unfinished(dataset, scene, sofar, spent.budget)
+
+
+def _near(reference: Dataset, replayer: Replayer, seed: int) -> Scene:
+    """Return the scene with the effects that bring it nearest to reference recordings."""
+    try:
+        problem = posed(reference, replayer, seed, None).problem
+    except DataError:  # what contradicts the scene in both data sets is no news
+        return replayer.scene
+    return replayer.scene if problem is None else with_effects(replayer.scene, reference_fit(problem))
 
 
 def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:

@@ -14,7 +14,7 @@ from candata.gap.replay import Replayer
 from tests.gap.test_repeats import runs
 
 #: The machine as it is: its servos are late and weaker than the scene says.
-LATE_S, WEAK = 0.01, 0.9
+LATE_S, WEAK = 0.03, 0.6
 
 
 @pytest.fixture(scope="module")
@@ -31,15 +31,16 @@ def test_another_run_of_the_same_machine_has_not_changed(arm, judge, arm_episode
     assert any(note == "12 of 12 episodes play a motion of the reference" for note in report.data.notes)
     alone = recordings(arm, again)
     played = changed_since(Replayer(arm), alone, recordings(arm, before.episodes()), "before")
-    assert np.abs(played.misfit).mean() > 0.003
+    assert np.abs(played.misfit).mean() > 0.01
 
 
-@pytest.mark.slow
 def test_what_changed_is_named_with_its_size(arm, judge, arm_episodes, before):
     changed = runs(arm_episodes, 3, gain=0.65 * WEAK, varies=0.02, delay_s=LATE_S, seed=9)
     report = judge(arm, changed, against=before).report
-    assert report.effects[0].name == "servo_gain"
+    assert [e.name for e in report.effects] == ["servo_gain"]
     assert report.effects[0].parameters["kp_scale"].value == pytest.approx(0.65, rel=0.05)
+    # The scene was brought near the reference first.
+    assert {"servo_gain", "actuation_delay"} <= {e.name for e in report.given_effects}
 
 
 def test_motions_that_the_reference_lacks_are_compared_after_a_model_of_its_misfit(arm, arm_episodes, before):
