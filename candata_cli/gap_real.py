@@ -15,7 +15,8 @@ EXAMPLE = """\b
 Example: candata gap real servo --out out/servo
 
 \b
-The folder holds labels.yaml, a dataset, a scene, and a table with a row for each episode:
+The folder holds labels.yaml, a dataset, a scene, and a table with a row for each episode (without one, the labels that
+the episodes keep count):
   dataset: runs
   scene: scene.yaml
   settings: settings.csv          columns: episode, gain, mass_kg

@@ -133,7 +133,8 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     DataError
         When no episode fits the scene: of the first, what does not fit.
     """
-    found, shared, notes = _sound(scene, list(episodes))
+    driven, off_notes = _while_driven(list(episodes))
+    found, shared, notes = _sound(scene, driven)
     if not shared:
         raise DataError(
             "nothing to compare",
@@ -175,9 +176,28 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*notes, *slower, *spiky),
+        (*off_notes, *notes, *slower, *spiky),
         sources=slow,
     )
+
+
+def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ...]]:
+    """Return episodes that end where a servo is switched off, and a note on how many do: a replay goes on to follow."""
+    kept, cut = [], 0
+    for episode in episodes:
+        off = np.flatnonzero(~episode["torque_on"].all(1)) if "torque_on" in episode else np.zeros(0, int)
+        end = int(off[0]) if len(off) else len(episode)
+        cut += end < len(episode)
+        kept.append(episode if end == len(episode) else piece(episode, 0, end))
+    note = f"{cut} of {len(kept)} episodes end where a servo is switched off: it does not follow its commands any more"
+    return kept, (note,) * bool(cut)
+
+
+def piece(episode: Episode, begin: int, end: int, **meta: str) -> Episode:
+    """Return the rows from `begin` to `end` of an episode as an episode, its time from zero; `meta` replaces fields."""
+    arrays = {n: np.asarray(v)[begin:end] for n, v in episode.arrays.items()}
+    arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][:1]
+    return Episode(episode.meta.model_copy(update=meta), arrays)
 
 
 def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:

@@ -27,14 +27,14 @@ class LabelCause(Record):
 class LabelledSetFile(Record):
     """`labels.yaml`: a dataset, a scene, the table of settings, and what each of its labels changes.
 
-    `settings` is a CSV file with a row for each episode: `episode`, and a column for each label. Episodes whose labels
-    are the same are one setting. Settings with the same text in the column `same` cannot be told apart by any
-    measurement. `cut_s` cuts long runs into episodes of that length [s].
+    `settings` is a CSV file with a row for each episode: `episode`, and a column for each label. Without it the labels
+    are those that the episodes keep. Episodes whose labels are the same are one setting. Settings with the same text in
+    the column `same` cannot be told apart by any measurement. `cut_s` cuts long runs into episodes of that length [s].
     """
 
     dataset: str
     scene: str
-    settings: str
+    settings: str | None = None
     causes: dict[str, LabelCause]
     same: str | None = None
     cut_s: Annotated[float, Field(gt=0)] | None = None

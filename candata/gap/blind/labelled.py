@@ -12,13 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from candata.datasets import append, create_dataset, open_dataset
+from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.datasets.registry import resolve
 from candata.effects import effect_names
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.gap.blind.crew import Crew
 from candata.gap.blind.running import finished, spread
 from candata.gap.diagnosis import diagnose
+from candata.gap.recordings import piece
 from candata.scenes import load_scene
 from candata.schema.bench import BenchFile, BenchRow, Miss
 from candata.schema.episode import Episode
@@ -84,36 +85,60 @@ def read_labelled(folder: Path) -> LabelledSet:
         for name in cause.effects:
             if name not in effect_names():
                 raise UnknownNameError(f"effect of the label {label}", name, effect_names())
-    table = folder / file.settings
-    rows = _table(table)
-    columns = ["episode", *file.causes, *([file.same] if file.same else [])]
-    for name in columns:
-        if name not in rows[0]:
-            raise DataError(
-                f"the table of settings has no column {name}",
-                expected=", ".join(columns),
-                found=", ".join(rows[0]),
-                where=Where(path=str(table)),
-                fix="add the column, or take the label out of `causes`",
-            )
-    known = set(open_dataset(resolve(str(folder / file.dataset))[0]).ids)
+    dataset = open_dataset(resolve(str(folder / file.dataset))[0])
+    columns = [*file.causes, *([file.same] if file.same else [])]
+    rows = _labels_of(dataset, columns) if file.settings is None else _table(folder / file.settings, dataset, columns)
     labels: dict[str, dict[str, str]] = {}
     episodes: dict[str, tuple[str, ...]] = {}
-    for number, row in enumerate(rows, 2):
-        if row["episode"] not in known:
-            raise DataError(
-                "the table names an episode that is not in the dataset",
-                found=row["episode"],
-                expected=f"one of {len(known)} ids",
-                where=Where(path=str(table), index=number),
-            )
+    for episode, row in rows.items():
         name = "_".join(f"{label}-{row[label]}" for label in file.causes)
-        labels[name] = {c: row[c] for c in columns[1:]}
-        episodes[name] = (*episodes.get(name, ()), row["episode"])
+        labels[name] = row
+        episodes[name] = (*episodes.get(name, ()), episode)
     return LabelledSet(folder, file, labels, episodes)
 
 
-def _table(path: Path) -> list[dict[str, str]]:
+def _labels_of(dataset: Dataset, columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the labels of each episode as the dataset keeps them."""
+    rows = {}
+    for episode in dataset.episodes():
+        for name in columns:
+            if name not in episode.meta.labels:
+                raise DataError(
+                    f"an episode has no label {name}",
+                    expected=", ".join(columns),
+                    found=", ".join(episode.meta.labels) or "no labels",
+                    where=Where(path=str(dataset.path), episode=episode.meta.id),
+                    fix="give a table of settings, or take the label out of `causes`",
+                )
+        rows[episode.meta.id] = {name: str(episode.meta.labels[name]) for name in columns}
+    return rows
+
+
+def _table(path: Path, dataset: Dataset, columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the labels of each episode from a CSV file."""
+    wanted = ["episode", *columns]
+    rows = _rows(path)
+    for name in wanted:
+        if name not in rows[0]:
+            raise DataError(
+                f"the table of settings has no column {name}",
+                expected=", ".join(wanted),
+                found=", ".join(rows[0]),
+                where=Where(path=str(path)),
+                fix="add the column, or take the label out of `causes`",
+            )
+    for number, row in enumerate(rows, 2):
+        if row["episode"] not in dataset.ids:
+            raise DataError(
+                "the table names an episode that is not in the dataset",
+                found=row["episode"],
+                expected=f"one of {len(dataset.ids)} ids",
+                where=Where(path=str(path), index=number),
+            )
+    return {row["episode"]: {name: row[name] for name in columns} for row in rows}
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a CSV file."""
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -175,16 +200,15 @@ def write_settings(labelled: LabelledSet, out: Path) -> None:
 
 
 def _cut(runs: Sequence[Episode], length_s: float | None) -> Iterator[Episode]:
-    """Yield runs, or pieces of them that are `length_s` long."""
+    """Yield runs, or pieces of them that are `length_s` long; a piece is a motion of its own."""
     for run in runs:
-        rows = len(run) if length_s is None else max(2, round(length_s * run.meta.rate_hz))
-        for k in range(max(1, len(run) // rows)):
-            part = slice(k * rows, (k + 1) * rows)
-            arrays = {n: np.asarray(v)[part] for n, v in run.arrays.items()}
-            arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][0]
-            name = run.meta.id if length_s is None else f"{run.meta.id}-{k}"
-            task = run.meta.task if length_s is None else f"{run.meta.task or ''}-{k}"
-            yield Episode(run.meta.model_copy(update={"id": name, "task": task}), arrays)
+        if length_s is None:
+            yield run
+            continue
+        rows = max(2, round(length_s * run.meta.rate_hz))
+        for k in range(len(run) // rows):
+            name, task = f"{run.meta.id}-{k}", f"{run.meta.task or ''}-{k}"
+            yield piece(run, k * rows, (k + 1) * rows, id=name, task=task)
 
 
 def run_pairs(
