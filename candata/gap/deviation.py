@@ -71,7 +71,7 @@ class SlowDeviation:
         for row in range(1, len(paths)):
             paths[row] += kept * paths[row - 1]
         size, weights = rng.standard_normal(len(pieces)), rng.standard_normal((len(pieces), self.shapes.shape[1]))
-        has_shape = np.append(self.shapes.reshape(len(self.shapes), -1).any(1), False)
+        has_shape = np.append(np.any(self.shapes, axis=(1, 2, 3)), False)
         known = has_shape[self.motion] if len(self.shapes) else np.zeros(len(self.sd), bool)
         size = np.where(known, 1.0, size[number])
         out = size[:, None, None] * paths.swapaxes(0, 1)[number] * self.sd

@@ -188,8 +188,9 @@ def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ..
         off = np.flatnonzero(~episode["torque_on"].all(1)) if "torque_on" in episode else np.zeros(0, int)
         end = int(off[0]) if len(off) else len(episode)
         cut += end < len(episode)
-        kept.append(episode if end == len(episode) else piece(episode, 0, end))
-    note = f"{cut} of {len(kept)} episodes end where a servo is switched off: it does not follow its commands any more"
+        if end:
+            kept.append(episode if end == len(episode) else piece(episode, 0, end))
+    note = f"{cut} of {len(episodes)} episodes end where a servo is switched off: it does not follow its commands any more"
     return kept, (note,) * bool(cut)
 
 
