@@ -68,6 +68,7 @@ def diagnose(
     cache: Path | None = None,
     only: tuple[str, ...] = (),
     budget: float | None = None,
+    calibrate: bool = True,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
@@ -90,6 +91,9 @@ def diagnose(
         Effects to search among; all that can act and show by default.
     budget : float, optional
         CPU seconds, of all threads, after which it ends with the best answer so far: the verdict `out_of_budget`.
+    calibrate : bool
+        Whether a joint fit of all quantities is made where the verdict leaves much unexplained; no verdict depends on
+        it.
     progress : callable
         Called with the name of each stage.
     ends : callable
@@ -123,12 +127,12 @@ def diagnose(
             forecast=forecast,
             sofar=sofar,
         )
-        return _searched(dataset, scene, some)
+        return _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
         return unfinished(dataset, scene, sofar, spent.budget)
 
 
-def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
+def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> Diagnosis:
     """Return the diagnosis of the problem that a dataset poses."""
     everything, untouched, problem = some
     if problem is None:
@@ -151,13 +155,14 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
         found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
         world, held = problem, held_out(problem, None)
     findings = Findings(dataset, scene, problem, found, world, held, len(everything))
+    diagnosis = concluded(findings, problem.rng)
 
     def measured(fit: Fit) -> HeldOut:
         if len(untouched):
             return _untouched(problem, everything.take(untouched), fit)[1]
         return held_out(in_world(problem, fit.members), fit)
 
-    return with_calibration(findings, concluded(findings, problem.rng), measured)
+    return with_calibration(findings, diagnosis, measured) if calibrate else diagnosis
 
 
 def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:
