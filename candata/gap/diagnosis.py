@@ -73,6 +73,7 @@ def diagnose(
     only: tuple[str, ...] = (),
     against: Dataset | None = None,
     budget: float | None = None,
+    calibrate: bool = True,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
@@ -98,6 +99,9 @@ def diagnose(
         the diagnosis is of what changed since.
     budget : float, optional
         CPU seconds, of all threads, after which it ends with the best answer so far: the verdict `out_of_budget`.
+    calibrate : bool
+        Whether a joint fit of all quantities is made where the verdict leaves much unexplained; no verdict depends on
+        it.
     progress : callable
         Called with the name of each stage.
     ends : callable
@@ -138,7 +142,7 @@ def diagnose(
             sofar=sofar,
             against=against,
         )
-        return _searched(dataset, scene, some)
+        return _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
         return unfinished(dataset, scene, sofar, spent.budget)
 
@@ -152,7 +156,7 @@ def _near(reference: Dataset, replayer: Replayer, seed: int) -> Scene:
     return replayer.scene if problem is None else with_effects(replayer.scene, reference_fit(problem))
 
 
-def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
+def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> Diagnosis:
     """Return the diagnosis of the problem that a dataset poses."""
     everything, untouched, problem = some
     if problem is None:
@@ -175,13 +179,14 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
         found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
         world, held = problem, held_out(problem, None)
     findings = Findings(dataset, scene, problem, found, world, held, len(everything))
+    diagnosis = concluded(findings, problem.rng)
 
     def measured(fit: Fit) -> HeldOut:
         if len(untouched):
             return _untouched(problem, everything.take(untouched), fit)[1]
         return held_out(in_world(problem, fit.members), fit)
 
-    return with_calibration(findings, concluded(findings, problem.rng), measured)
+    return with_calibration(findings, diagnosis, measured) if calibrate else diagnosis
 
 
 def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:

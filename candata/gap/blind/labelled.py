@@ -239,8 +239,8 @@ def diagnose_pair(
     report: Report | None = None
     error = None
     try:
-        found = diagnose(open_dataset(folder / b), load_scene(scene), seed=seed, against=open_dataset(folder / a))
-        report = found.report
+        data, reference = open_dataset(folder / b), open_dataset(folder / a)
+        report = diagnose(data, load_scene(scene), seed=seed, against=reference, calibrate=False).report
     except CandataError as fault:
         error = str(fault)
     cpu_s = time.process_time() - start
