@@ -41,52 +41,60 @@ def register(app: typer.Typer) -> None:
     app.command(epilog=EXAMPLES)(diagnose)
 
 
+GivenEffects = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Effects that the nominal simulator holds already: an effects.yaml."),
+]
+Against = Annotated[
+    str | None,
+    typer.Option(
+        metavar="DATASET",
+        help="Say what changed since these recordings: what the simulator leaves open in them is no news.",
+    ),
+]
+Edit = Annotated[
+    str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
+]
+BudgetS = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
+]
+Keep = Annotated[
+    bool,
+    typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of these recordings."),
+]
+CacheDir = Annotated[
+    Path | None,
+    typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
+]
+
+
 @console.stoppable()
 def diagnose(
     dataset: Annotated[str, typer.Argument(help="Dataset of recordings: its folder or registered name.")],
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
-    effects: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Effects that the nominal simulator holds already: an effects.yaml."),
-    ] = None,
+    effects: GivenEffects = None,
     jobs: Annotated[int, typer.Option(min=1, help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of folds, null replays and resamples.")] = 0,
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
-    against: Annotated[
-        str | None,
-        typer.Option(
-            metavar="DATASET",
-            help="Say what changed since these recordings: what the simulator leaves open in them is no news.",
-        ),
-    ] = None,
-    edit: Annotated[
-        str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
-    ] = None,
+    against: Against = None,
+    edit: Edit = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
     only: Annotated[
         str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
     ] = "",
-    budget: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
-    ] = None,
-    keep: Annotated[
-        bool,
-        typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of these recordings."),
-    ] = True,
-    cache_dir: Annotated[
-        Path | None,
-        typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
-    ] = None,
+    budget: BudgetS = None,
+    keep: Keep = True,
+    cache_dir: CacheDir = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     failing_verdicts, names = _verdicts(fail_on), console.words(only)
-    _refuse_pairs(edit, edit_scene, cache_dir, keep)
+    _refuse_pairs(edit, edit_scene, against, cache_dir, keep)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as run
     from candata.reports import summary
@@ -137,10 +145,14 @@ def _nominal(scene: Scene, effects: Path | None) -> Scene:
     return with_effects(scene, effects_file.effects)
 
 
-def _refuse_pairs(edit: str | None, edit_scene: str | None, cache_dir: Path | None, keep: bool) -> None:
+def _refuse_pairs(
+    edit: str | None, edit_scene: str | None, against: str | None, cache_dir: Path | None, keep: bool
+) -> None:
     """Refuse options that mean nothing without, or with, another."""
     from candata.errors import UsageError
 
+    if edit is not None and against is not None:
+        raise UsageError("--edit with --against", expected="one of them", fix="test the repair without --against")
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
     if cache_dir is not None and not keep:
