@@ -130,10 +130,10 @@ def test_a_defect_of_tosses_is_found(tosses, judged, name):
     assert caught(judged, defects.inject(tosses, name, rng()), name)
 
 
-@pytest.mark.parametrize("share", [1.0, 0.5])
 @pytest.mark.parametrize("name", AGAINST_MOTION)
-def test_what_the_scenes_own_motion_contradicts_is_an_error(light, light_scene, judged, name, share):
-    found = judged(defects.inject(light, name, rng(), share=share), light_scene, ["scene_match"])
+def test_what_the_scenes_own_motion_contradicts_in_half_of_the_episodes_is_an_error(light, light_scene, judged, name):
+    """In all of them: `test_silent_mistakes.py` and `test_scene_match.py`."""
+    found = judged(defects.inject(light, name, rng(), share=0.5), light_scene, ["scene_match"])
     assert "error" in {f.level for f in found}
 
 

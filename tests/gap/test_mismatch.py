@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from candata.effects import effect, effect_names, setting
+from candata.effects import effect, effect_names
 from candata.errors import DataError
 from candata.gap import mismatch_shifts as shifts
 from candata.gap.candidates import candidate
 from candata.gap.mismatch import checked, mismatch
 from candata.gap.mismatch_commands import paired
-from candata.gap.mismatch_sensors import tips
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
 from candata.scenes import Scene, load_scene
 from candata.schema.episode import Episode, EpisodeMeta
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import add_noise
-from candata.simulate.seal import draw_parameter
+from tests.gap.recording_faults import FAULTS, changed, channel, columns, drawn, found, frozen, to_world
 
-Change = Callable[[Scene, Episode], dict[str, np.ndarray]]
 GRIPPER = """<mujoco><compiler angle="radian"/><option timestep="0.0025" integrator="implicitfast"/>
 <default><geom friction="0.9 .005 .0001" condim="4" solref="0.01 1"/></default><worldbody>
   <geom name="table" type="plane" size=".5 .5 .05"/>
@@ -70,64 +67,6 @@ def gripped(gripper, played) -> list[Episode]:
     return played(gripper, policies=MOTIONS, count=6)
 
 
-@pytest.fixture(scope="module")
-def handled(hand, played) -> list[Episode]:
-    return played(hand, policies=("grasp_lift_shake", "push", "free_sweep"), count=6)
-
-
-@pytest.fixture(scope="module")
-def grasped(hand, played) -> list[Episode]:
-    return played(hand, policies=("grasp_lift_shake", "free_sweep", "squeeze", "roll"), count=12)
-
-
-def changed(scene: Scene, episodes: Sequence[Episode], change: Change) -> list[Episode]:
-    """Episodes with some channels replaced; contact flags go, as they follow from forces."""
-    kept = [{k: v for k, v in e.arrays.items() if not k.endswith("contact")} for e in episodes]
-    return [Episode(e.meta, k | change(scene, e)) for e, k in zip(episodes, kept, strict=True)]
-
-
-def channel(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    return lambda scene, e: {name: change(np.array(e[name], float))}
-
-
-def columns(name: str, joints: Sequence[int], change: Callable[[np.ndarray], np.ndarray]) -> Change:
-    def one(values: np.ndarray) -> np.ndarray:
-        values[:, joints] = change(values[:, joints])
-        return values
-
-    return channel(name, one)
-
-
-def later(rows: int) -> Change:
-    """Commands that are logged some rows late."""
-    return channel("action", lambda a: np.concatenate([np.repeat(a[:1], rows, axis=0), a[:-rows]]))
-
-
-def to_world(scene: Scene, e: Episode) -> dict[str, np.ndarray]:
-    frames = tips(scene, np.array(e["joint_position"]))[1]
-    return {"fingertip_force": np.einsum("nfij,nfj->nfi", frames, e["fingertip_force"])}
-
-
-def frozen(scene: Scene, e: Episode) -> dict[str, np.ndarray]:
-    return {c: np.repeat(e[c][:1], len(e), axis=0) for c in ("action", "joint_position", "object_pose")}
-
-
-MILLI = np.r_[1e3, 1e3, 1e3, 1, 1, 1, 1]
-#: Faults of any hand with forces: what is done to the recording, and the kind of finding.
-FAULTS: dict[str, tuple[Change, str]] = {
-    "later 1": (later(1), "shifted_commands"),
-    "later 3": (later(3), "shifted_commands"),
-    "dead": (channel("joint_position", lambda q: 0 * q + q[:1]), "dead_joint"),
-    "millimetres": (channel("object_pose", lambda p: p * MILLI), "pose_unit"),
-    "under the table": (channel("object_pose", lambda p: p - np.r_[0, 0, 0.8, 0, 0, 0, 0]), "pose_frame"),
-    "beside the hand": (channel("object_pose", lambda p: p + np.r_[0.6, 0, 0, 0, 0, 0, 0]), "pose_frame"),
-    "force sign": (channel("fingertip_force", np.negative), "force_sign"),
-    "force in world": (to_world, "force_frame"),
-    "force turned": (channel("fingertip_force", lambda f: f[..., [2, 0, 1]]), "force_frame"),
-    "force in mN": (channel("fingertip_force", lambda f: 1e3 * f), "force_unit"),
-    "force in gf": (channel("fingertip_force", lambda f: f / 9.80665e-3), "force_unit"),
-    "force in kgf": (channel("fingertip_force", lambda f: f / 9.80665), "force_unit"),
-}
 GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
     "swapped": (columns("action", [1, 2], lambda a: a[:, ::-1]), "swapped_commands"),
     "swapped kinds": (columns("action", [0, 1], lambda a: a[:, ::-1]), "swapped_commands"),
@@ -137,20 +76,6 @@ GRIPPER_FAULTS = {k: v for k, v in FAULTS.items() if k != "force in world"} | {
     "reversed": (columns("action", [2], np.negative), "reversed_commands"),
     "other zero": (columns("joint_position", [1], lambda q: q + 1.57), "zero"),
 }
-HAND_FAULTS = {k: v for k, v in FAULTS.items() if k != "later 3"} | {
-    "swapped": (columns("action", [3, 7], lambda a: a[:, ::-1]), "swapped_commands"),
-    "joints swapped": (columns("joint_position", [3, 7], lambda q: q[:, ::-1]), "swapped_joints"),
-    "tips swapped": (columns("fingertip_force", [1, 2], lambda f: f[:, ::-1]), "swapped_fingertips"),
-    "tips in a cycle": (columns("fingertip_force", [0, 2, 4], lambda f: f[:, [1, 2, 0]]), "swapped_fingertips"),
-    "cycle": (columns("action", [3, 4, 5], lambda a: a[:, [1, 2, 0]]), "swapped_commands"),
-    "degrees": (columns("action", range(3, 15), np.degrees), "command_unit"),
-    "tip in gf": (columns("fingertip_force", [3], lambda f: f / 9.80665e-3), "force_unit"),
-    "x y z w": (channel("object_pose", lambda p: p[:, [0, 1, 2, 4, 5, 6, 3]]), "quaternion_order"),
-}
-
-
-def found(scene: Scene, episodes: Sequence[Episode]) -> list[tuple[str, bool]]:
-    return [(f.kind, f.definite) for f in mismatch(Replayer(scene), recordings(scene, episodes))]
 
 
 @pytest.mark.parametrize("fault", GRIPPER_FAULTS)
@@ -159,77 +84,14 @@ def test_a_fault_of_a_users_gripper_is_found(gripper, gripped, fault):
     assert found(gripper, changed(gripper, gripped, change))[0] == (kind, True)
 
 
-@pytest.mark.parametrize("fault", HAND_FAULTS)
-def test_a_fault_of_a_hand_is_found(hand, handled, fault):
-    change, kind = HAND_FAULTS[fault]
-    assert found(hand, changed(hand, handled, change))[0] == (kind, True)
-
-
-#: Faults that some episodes have, and what the message says of where.
-PARTS: dict[str, tuple[Change, str, str]] = {
-    "commands": (columns("action", [3, 7], lambda a: a[:, ::-1]), "swapped_commands", "`action` in the order"),
-    "joints": (columns("joint_position", [3, 7], lambda q: q[:, ::-1]), "swapped_joints", "`joint_position` in the"),
-    "tips": (columns("fingertip_force", [1, 2], lambda f: f[:, ::-1]), "swapped_fingertips", "`fingertip_force` in"),
-}
-
-
-@pytest.mark.parametrize("every", [2, 3])
-@pytest.mark.parametrize("part", PARTS)
-def test_an_exchange_in_some_episodes_is_found_and_they_are_named(hand, grasped, part, every):
-    change, kind, fix = PARTS[part]
-    mixed = [changed(hand, [e], change)[0] if i % every == 0 else e for i, e in enumerate(grasped)]
-    (one,) = mismatch(Replayer(hand), recordings(hand, mixed))
-    assert (one.kind, one.definite) == (kind, True)
-    assert fix in one.fix
-    # Those without a touch, or in which a joint hardly moves, have no say.
-    named = set(re.findall(r"e\d\d\d", one.found))
-    assert len(named) >= 2
-    assert named <= {e.meta.id for e in grasped[::every]}
-
-
-#: Effects on top of which faults are found, and are not told without one.
-EFFECTS = {
-    "heavy": ("object_mass", None, {"mass_scale": 1.5}),
-    "slippery": ("sliding_friction", None, {"scale": 0.5}),
-    "numb": ("tactile_gain", None, {"gain": 0.7}),
-    "tared": ("tactile_bias", None, {"bias_N": (0.3, -0.2, 0.4) * 5}),
-    "weak": ("torque_limit", "index1", {"limit_Nm": 0.15}),
-}
-
-
-@pytest.mark.parametrize("name", EFFECTS)
-def test_exchanged_tips_and_a_unit_are_found_on_top_of_an_effect(hand, played, planted, name):
-    cause, element, numbers = EFFECTS[name]
-    made = played(hand, planted(cause, element, **numbers), count=6, policies=("grasp_lift_shake", "squeeze"))
-    assert found(hand, made) == []
-    # Slipping, index and middle finger feel alike; the thumb does not.
-    exchanged = columns("fingertip_force", [0, 4], lambda f: f[:, ::-1])
-    assert found(hand, changed(hand, made, exchanged)) == [("swapped_fingertips", True)]
-    assert found(hand, changed(hand, made, FAULTS["force in kgf"][0])) == [("force_unit", True)]
-
-
-def test_a_dead_fingertip_is_not_taken_for_an_exchange_and_does_not_hide_one(hand, handled):
-    dead = changed(hand, handled, columns("fingertip_force", [4], lambda f: 0 * f))
-    assert found(hand, dead) == []
-    assert found(hand, changed(hand, dead, HAND_FAULTS["tips swapped"][0])) == [("swapped_fingertips", True)]
-
-
 def test_a_frame_that_hardly_differs_is_not_refused(gripper, gripped):
     """The fingertips of this gripper close nearly along the world's axes: at most a note is due."""
     assert not any(definite for _, definite in found(gripper, changed(gripper, gripped, to_world)))
 
 
-def test_sound_recordings_have_no_finding(gripper, gripped, hand, handled, arm, arm_episodes):
-    for scene, episodes in ((gripper, gripped), (hand, handled), (arm, arm_episodes())):
+def test_sound_recordings_have_no_finding(gripper, gripped, arm, arm_episodes):
+    for scene, episodes in ((gripper, gripped), (arm, arm_episodes())):
         assert found(scene, episodes) == []
-
-
-def drawn(scene: Scene, name: str, seed: int):
-    """An effect at its drawn size, on one element where the seed is odd."""
-    rng = np.random.default_rng([effect_names().index(name), seed])
-    values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(name).parameters])
-    parts = effect(name).elements(scene)
-    return setting(name, values, scene, str(rng.choice(parts)) if seed % 2 and len(parts) > 1 else None)
 
 
 @pytest.mark.parametrize("name", effect_names())
@@ -239,17 +101,6 @@ def test_no_effect_is_taken_for_a_fault(gripper, played, name):
     for seed in (0, 1):
         made = played(gripper, (drawn(gripper, name, seed),), count=4, seed=seed, duration_s=1.2, policies=MOTIONS)
         assert not any(definite for _, definite in found(gripper, made))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", effect_names())
-def test_no_effect_on_a_hand_is_taken_for_a_fault(hand, played, name):
-    if not effect(name).possible(hand):
-        pytest.skip("cannot act in this scene")
-    motions = ((), ("free_sweep", "push"), ("grasp_lift_shake",), ("squeeze", "roll"))
-    for seed, policies in enumerate(motions):
-        made = played(hand, (drawn(hand, name, seed),), count=6, seed=100 + seed, policies=policies)
-        assert not any(definite for _, definite in found(hand, made))
 
 
 @pytest.mark.parametrize(("broken", "definite"), [(4, True), (1, False)])
@@ -285,13 +136,6 @@ def test_joints_that_move_otherwise_in_all_of_a_task_and_in_no_other_may_be_too_
     far = [Episode(e.meta, dict(e.arrays) | {"joint_position": e["joint_position"] + other}) for e in made[:4]]
     (one,) = (f for f in mismatch(Replayer(arm), recordings(arm, [*far, *made[4:]])) if f.kind == "broken_episodes")
     assert one.definite == definite
-
-
-def test_forces_turned_about_their_normal_are_noted(hand, handled):
-    turned = changed(
-        hand, handled, channel("fingertip_force", lambda f: np.stack([-f[..., 1], f[..., 0], f[..., 2]], -1))
-    )
-    assert found(hand, turned)[0][0] == "force_frame"
 
 
 def test_commands_that_are_whole_steps_early_are_noted(gripper, gripped):
@@ -374,18 +218,6 @@ def test_joints_that_face_each_other_are_exchanged_not_reversed(tmp_path, grippe
     if name is not None:
         episodes = changed(scene, episodes, columns(name, [1, 2], lambda a: a[:, ::-1]))
     assert found(scene, episodes) == ([(kind, True)] if kind else [])
-
-
-def test_one_dead_joint_is_held_where_it_was_and_left_out(hand, handled):
-    joint = hand.file.joints.index("index1")
-    dead = changed(hand, handled, columns("joint_position", [joint], lambda q: 0 * q + q[:1]))
-    kept = checked(Replayer(hand), recordings(hand, dead))
-    assert ["still: index1" in n for n in kept.notes] == [True]
-    # After the tenth of a second from which a replay starts.
-    assert np.isnan(kept.readings["joint_position"][:, 8:, joint]).all()
-    assert np.isfinite(kept.readings["joint_position"][:, :, joint + 1]).all()
-    held = np.array([e["joint_position"][0, joint] for e in dead])
-    assert kept.commands[:, :, joint] == pytest.approx(np.repeat(held[:, None], kept.commands.shape[1], axis=1))
 
 
 def test_a_scene_whose_joint_is_locked_is_refused(gripper, gripped, tmp_path):
