@@ -190,7 +190,7 @@ def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ..
         cut += end < len(episode)
         if end:
             kept.append(episode if end == len(episode) else piece(episode, 0, end))
-    note = f"{cut} of {len(episodes)} episodes end where a servo is switched off: it does not follow its commands any more"
+    note = f"{cut} of {len(episodes)} episodes end where a servo is switched off: it follows no command any more"
     return kept, (note,) * bool(cut)
 
 
