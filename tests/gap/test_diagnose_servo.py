@@ -1,4 +1,4 @@
-"""End to end on a joint with a real servo: what a `position` actuator lacks is named, and ties are told."""
+"""End to end on one joint with a real servo: what a `position` actuator lacks is named, ties are said to be ties."""
 
 from __future__ import annotations
 
