@@ -31,6 +31,7 @@ TO_SI: dict[str, float] = {
     "N m/rad": 1.0,
     "N m s/rad": 1.0,
     "N s/m": 1.0,
+    "N/m": 1.0,
     "V": 1.0,
     "mV": 1e-3,
     "kg": 1.0,

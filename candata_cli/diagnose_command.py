@@ -29,9 +29,44 @@ VERDICTS = (
 )
 
 
+EXAMPLES = """\b
+Examples:
+  candata diagnose real --scene scene.yaml --out out/diagnosis
+  candata diagnose today --against yesterday --scene scene.yaml --out out/change
+"""
+
+
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(epilog="Example: candata diagnose real --scene scene.yaml --out out/diagnosis")(diagnose)
+    app.command(epilog=EXAMPLES)(diagnose)
+
+
+GivenEffects = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Effects that the nominal simulator holds already: an effects.yaml."),
+]
+Against = Annotated[
+    str | None,
+    typer.Option(
+        metavar="DATASET",
+        help="Say what changed since these recordings: what the simulator leaves open in them is no news.",
+    ),
+]
+Edit = Annotated[
+    str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
+]
+BudgetS = Annotated[
+    float | None,
+    typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
+]
+Keep = Annotated[
+    bool,
+    typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of these recordings."),
+]
+CacheDir = Annotated[
+    Path | None,
+    typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
+]
 
 
 @console.stoppable()
@@ -40,49 +75,50 @@ def diagnose(
     scene: Annotated[str, typer.Option(help="Nominal simulator: a scene.yaml or a built-in scene.")],
     out: Annotated[Path, typer.Option(help="Folder for report.json, report.html and effects.yaml.")],
     version: Annotated[str | None, typer.Option(help="Version of the dataset (default: the newest).")] = None,
+    effects: GivenEffects = None,
     jobs: Annotated[int, typer.Option(min=1, help="Threads; the result does not depend on it.")] = os.cpu_count() or 1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of folds, null replays and resamples.")] = 0,
     fail_on: Annotated[
         str, typer.Option(help=f"Exit 1 on these verdicts, comma separated: {', '.join(VERDICTS)}.")
     ] = "",
-    edit: Annotated[
-        str | None, typer.Option(help="Recordings of another object or task: is the shrinkage kept, nothing refitted?")
-    ] = None,
+    against: Against = None,
+    edit: Edit = None,
     edit_scene: Annotated[str | None, typer.Option(help="Nominal simulator of --edit (default: --scene).")] = None,
     only: Annotated[
         str, typer.Option(help="Effects to search among, comma separated (default: all that can act).")
     ] = "",
-    budget: Annotated[
-        float | None,
-        typer.Option(metavar="SECONDS", help="Give the best answer so far after so many CPU seconds: out_of_budget."),
-    ] = None,
-    keep: Annotated[
-        bool,
-        typer.Option("--cache/--no-cache", help="Keep what was simulated for the next diagnosis of these recordings."),
-    ] = True,
-    cache_dir: Annotated[
-        Path | None,
-        typer.Option(help="Where that is kept (default: the user's cache); see candata gap signatures."),
-    ] = None,
+    budget: BudgetS = None,
+    keep: Keep = True,
+    cache_dir: CacheDir = None,
     json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Say where recordings and simulator differ, which effect causes it, and how far it shrinks."""
     failing_verdicts, names = _verdicts(fail_on), console.words(only)
-    _refuse_pairs(edit, edit_scene, cache_dir, keep)
+    _refuse_pairs(edit, edit_scene, against, cache_dir, keep)
     cache = _try_outputs(out, cache_dir, keep)
     from candata.gap import diagnose as run
     from candata.reports import summary
     from candata.scenes import load_scene
 
-    world = load_scene(scene)
-    edit_data = None if edit is None else (console.open_named(edit), load_scene(edit_scene) if edit_scene else world)
+    world = _nominal(load_scene(scene), effects)
+    edit_world = _nominal(load_scene(edit_scene), effects) if edit_scene else world
+    edit_data = None if edit is None else (console.open_named(edit), edit_world)
     if edit_data is not None:
         _check_edit(*edit_data)
     kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
     with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
         diagnosis = run(
-            data, world, jobs=jobs, seed=seed, cache=cache, only=names, budget=budget, progress=stage, ends=stage.ends
+            data,
+            world,
+            jobs=jobs,
+            seed=seed,
+            cache=cache,
+            only=names,
+            against=None if against is None else console.open_named(against),
+            budget=budget,
+            progress=stage,
+            ends=stage.ends,
         )
         stage.ends(None)
         page = _write_report(diagnosis, world, out, stage)
@@ -96,10 +132,27 @@ def diagnose(
         raise typer.Exit(1)
 
 
-def _refuse_pairs(edit: str | None, edit_scene: str | None, cache_dir: Path | None, keep: bool) -> None:
+def _nominal(scene: Scene, effects: Path | None) -> Scene:
+    """Return the scene with the effects of a file as part of it."""
+    from candata.effects import read_effects
+    from candata.simulate import with_effects
+    from candata_cli.effects_option import note_other_scene
+
+    if effects is None:
+        return scene
+    effects_file = read_effects(effects)
+    note_other_scene(effects_file, effects, scene.digest)
+    return with_effects(scene, effects_file.effects)
+
+
+def _refuse_pairs(
+    edit: str | None, edit_scene: str | None, against: str | None, cache_dir: Path | None, keep: bool
+) -> None:
     """Refuse options that mean nothing without, or with, another."""
     from candata.errors import UsageError
 
+    if edit is not None and against is not None:
+        raise UsageError("--edit with --against", expected="one of them", fix="test the repair without --against")
     if edit_scene is not None and edit is None:
         raise UsageError("--edit-scene without --edit", expected="--edit DATASET")
     if cache_dir is not None and not keep:
@@ -149,11 +202,10 @@ def _with_edit_test(
 
     from candata.gap.edit import edit_test
 
-    if not diagnosis.effects.effects:
+    if not diagnosis.named:
         console.note("no effect is named, so there is nothing to test on --edit")
         return diagnosis
     size = diagnosis.report.gap
     reference = size.closed if size is not None and size.closed is not None else 1.0
-    effects = diagnosis.effects.effects
-    test = edit_test(dataset, scene, effects, reference=reference, jobs=jobs, seed=seed, progress=stage)
+    test = edit_test(dataset, scene, diagnosis.named, reference=reference, jobs=jobs, seed=seed, progress=stage)
     return replace(diagnosis, report=diagnosis.report.model_copy(update={"edit": test}))

@@ -121,12 +121,12 @@ def bench(
     from candata.gap.blind.cluster import crew_of
 
     request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
-    baseline_names, end_time = listed_words(baselines, BASELINES, "baseline"), _end_time(minutes)
-    with console.stoppable(lambda: _kept_text(out), goes_on=True), _with_lock(out), crew_of(jobs, ray, out) as crew:
+    baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), bench_lock(out), crew_of(jobs, ray, out) as crew:
         make(out, request, crew)
         # What an ambiguous report proposes is recorded by candata's own loop: no part of a plain world.
         follow = follow and not world
-        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, baseline_names, baseline_cases, end_time, follow)
+        run = _Run(out, out / CASES, out / LABELS, crew, seed, None, baseline_names, baseline_cases, stop_time, follow)
         _diagnose_and_score(run, json)
 
 
@@ -148,12 +148,14 @@ def score(
     check_output(out, "folder")
     from candata.gap.blind.cluster import crew_of
 
-    baseline_names, end_time = listed_words(baselines, BASELINES, "baseline"), _end_time(minutes)
-    with console.stoppable(lambda: _kept_text(out), goes_on=True), _with_lock(out), crew_of(jobs, ray, out) as crew:
-        _diagnose_and_score(_Run(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, end_time), json)
+    baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), bench_lock(out), crew_of(jobs, ray, out) as crew:
+        _diagnose_and_score(
+            _Run(out, cases, labels, crew, seed, scene, baseline_names, baseline_cases, stop_time), json
+        )
 
 
-def _with_lock(out: Path) -> AbstractContextManager[None]:
+def bench_lock(out: Path) -> AbstractContextManager[None]:
     """Refuse a folder in which another run is at work: both would write the same results."""
     from candata.datasets.durable import ensure_folder, exclusive_lock
 
@@ -271,7 +273,7 @@ def _kept_text(out: Path) -> str:
     return f"{cases}{len(standing_results(out))} results are kept in {out}"
 
 
-def _end_time(minutes: float | None) -> float:
+def end_time(minutes: float | None) -> float:
     """Return the time [s since the epoch] from which on no case is begun."""
     return inf if minutes is None else time.time() + 60 * minutes
 

@@ -147,6 +147,7 @@ def export(
     from candata.errors import UnknownNameError, UsageError
     from candata.scenes import load_scene
     from candata_cli.console import note, out_json
+    from candata_cli.effects_option import note_other_scene
 
     if target not in TARGETS:
         raise UnknownNameError("target", target, TARGETS)
@@ -156,7 +157,7 @@ def export(
     effects_file = read_effects(effects)
     world = load_scene(scene or scene_of(effects_file, effects))
     if scene is not None:
-        _note_other(effects_file, effects, world.digest)
+        note_other_scene(effects_file, effects, world.digest)
     export_result = _export(effects_file, world, dataset, out)
     if json:
         out_json(export_result.model_dump(mode="json"))
@@ -173,23 +174,6 @@ def _export(effects_file: EffectsFile, world: Scene, dataset: Path | None, out: 
     if dataset is None:
         return export_mjcf(world, effects_file.effects, out)
     return export_sysid(world, effects_file.effects, open_dataset(dataset), out)
-
-
-def _note_other(effects_file: EffectsFile, path: Path, digest: str) -> None:
-    """Say that the effects were found in another scene, where that one can still be read."""
-    from candata.effects import scene_of
-    from candata.errors import CandataError
-    from candata.scenes import load_scene
-    from candata_cli.console import note
-
-    if effects_file.scene is None:
-        return
-    try:
-        is_same = load_scene(scene_of(effects_file, path)).digest == digest
-    except CandataError:
-        is_same = False
-    if not is_same:
-        note(f"{path.name} was made for another scene: {effects_file.scene}")
 
 
 def _print_export(result: MjcfExport | SysidExport) -> None:

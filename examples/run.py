@@ -69,8 +69,8 @@ def _servos(name: str, asked: argparse.Namespace) -> list[Step]:
     ]
 
 
-#: Real servo sets: the label that says most, and the episodes that are diagnosed: those that a replay can follow (the
-#: servo drives), of the longer sets a part that takes minutes.
+#: Real servo sets: the label that says most, and the episodes that are diagnosed: those in which the servo drives, and
+#: of the longer sets a part that takes minutes.
 REAL_SERVOS = {
     "xl330_pendulum": ("kp", "task <> 'lift_and_drop'"),
     "so101_motions": ("kp", "rows < 2600"),

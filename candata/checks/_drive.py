@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from candata.checks._view import EpisodeView
+from candata.scenes.motors import affine_law
 
 
 def pairs(view: EpisodeView) -> tuple[tuple[int, int], ...]:
@@ -20,7 +21,8 @@ def _is_place(view: EpisodeView, column: int) -> bool:
     if scene is None or names[column] not in scene.file.actuator_names:
         return True
     actuator = scene.actuator_ids[scene.file.actuator_names.index(names[column])]
-    return bool(scene.model.actuator_biasprm[actuator, 1] != 0)
+    _, bias = affine_law(scene.model, [actuator])
+    return bool(bias[0, 1] != 0)
 
 
 def _columns_by_name(view: EpisodeView) -> tuple[tuple[int, int], ...]:

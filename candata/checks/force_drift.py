@@ -13,10 +13,14 @@ from candata.checks._signal import SEGMENTS, moving_mean, quiet_noise, spread
 from candata.checks._view import EpisodeView
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 #: Rows that are looked at, evenly spread; a drift must run through the `SEGMENTS` of the episode.
 LOOKED_AT = 400
 #: Segments in which enough readings lie on one line, the share of readings that is enough, and the share over all.
 COVERED_SEGMENTS, COVERED_SHARE, LINE_SHARE = 7, 0.2, 0.4
+#: Readings out of contact that are needed, as any two lie on a line, and by how much nearer to it than to a constant
+#: they lie. Chosen.
+FREE_ROWS, FREE_RATIO = 3, 0.7
 #: Rows over which a reading is averaged before it is laid on a line: of one out of contact noise is left, and less.
 #: A force in contact that crosses the line stays off it as before. Chosen.
 OVER_ROWS = 9
@@ -37,12 +41,13 @@ def _episode(view: EpisodeView) -> Iterator[Finding]:
     if force is None or view.time_s is None or len(force.xyz) < 5 * SEGMENTS:
         return
     flag = flags(view, force.total.shape[1])
+    free = ~force.touch if flag is None else flag == 0
     drift_by_tip: dict[str, float] = {}
     for tip, name in enumerate(force.names):
-        drifts = [_drift(view.time_s, force.xyz[:, tip, axis]) for axis in range(3)]
+        drifts = [_drift(view.time_s, axis, free[:, tip]) for axis in force.xyz[:, tip].T]
         if flag is not None and not any(drifts):
-            free = np.where(flag[:, tip, None] == 0, force.xyz[:, tip], np.nan)
-            drifts = [_drift(view.time_s, free[:, axis]) for axis in range(3)]
+            out_of_contact = np.where(free[:, tip, None], force.xyz[:, tip], np.nan)
+            drifts = [_drift(view.time_s, axis, free[:, tip]) for axis in out_of_contact.T]
         largest_drift = max(drifts, key=abs)
         if largest_drift:
             drift_by_tip[name] = largest_drift
@@ -64,13 +69,17 @@ def _episode(view: EpisodeView) -> Iterator[Finding]:
         yield from _tare(view, force)
 
 
-def _drift(time_s: Array, series: Array) -> float:
-    """Return by how much a reading drifts along one line [N]; 0 where no line runs through the episode."""
+def _drift(time_s: Array, series: Array, free: Mask) -> float:
+    """Return by how much a reading `(T,)` drifts along one line [N]; 0 where no line runs through the episode.
+
+    What is pressed may rise and fall along a line by itself: the readings out of contact, `free (T,)`, must follow the
+    line too, and no constant.
+    """
     noise_level, series = _reading_noise(series[np.isfinite(series)]), _average(series)
     keep = np.flatnonzero(np.isfinite(series))
     keep = keep[np.unique(np.linspace(0, len(keep) - 1, min(LOOKED_AT, len(keep))).astype(int))] if len(keep) else keep
-    t, x = time_s[keep], series[keep]
-    if len(keep) < 5 * SEGMENTS or np.ptp(x) < DRIFT_N:
+    t, x, free = time_s[keep], series[keep], free[keep]
+    if free.sum() < FREE_ROWS or len(keep) < 5 * SEGMENTS or np.ptp(x) < DRIFT_N:
         return 0.0
     duration = time_s[-1] - time_s[0]
     if t[-1] - t[0] < SPAN * duration:
@@ -84,16 +93,17 @@ def _drift(time_s: Array, series: Array) -> float:
     if not steep.any():
         return 0.0
     i, slopes = i[steep], slopes[steep]
-    is_near = np.abs(x - (x[i, None] + slopes[:, None] * (t - t[i, None]))) < tolerance
+    distance = np.abs(x - (x[i, None] + slopes[:, None] * (t - t[i, None])))
+    is_near = distance < tolerance
     parts = np.array_split(is_near, SEGMENTS, axis=1)
     covered_segments = np.sum([part.mean(axis=1) > COVERED_SHARE for part in parts], axis=0)
     ends = (parts[0].mean(axis=1) > COVERED_SHARE) & (parts[-1].mean(axis=1) > COVERED_SHARE)
-    # A reading that rests at zero before it rises in contact is no drift: that one runs from the first row on.
-    begins = np.concatenate(parts[:2], axis=1).mean(axis=1) > _level(x[: sum(p.shape[1] for p in parts[:2])], tolerance)
+    from_line = np.minimum(distance[:, free], tolerance).mean(axis=1)
+    from_constant = np.minimum(np.abs(x[free] - np.median(x[free])), tolerance).mean()
     is_drift = (
         (covered_segments >= COVERED_SEGMENTS)
         & ends
-        & begins
+        & (from_line < FREE_RATIO * from_constant)
         & (is_near.mean(axis=1) > max(LINE_SHARE, 1.3 * _level(x, tolerance)))
     )
     return float(slopes[np.argmax(np.where(is_drift, is_near.mean(axis=1), 0))] * duration) if is_drift.any() else 0.0

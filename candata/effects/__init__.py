@@ -1,6 +1,6 @@
 """Effects: one file each; the folder is the registry."""
 
-from candata.effects._contract import Advice, Bounds, Effect, Forces, Hook, Parameter, Trait
+from candata.effects._contract import Advice, Bounds, DryFriction, Effect, Forces, Hook, Parameter, Servos, Trait
 from candata.effects._file import read_effects, scene_of
 from candata.effects._lookup import (
     EFFECTS,
@@ -12,6 +12,7 @@ from candata.effects._lookup import (
     members_of,
     parameters_on,
     rail_units,
+    sensed_at,
     setting,
     together_on,
     turn,
@@ -21,10 +22,12 @@ __all__ = [
     "EFFECTS",
     "Advice",
     "Bounds",
+    "DryFriction",
     "Effect",
     "Forces",
     "Hook",
     "Parameter",
+    "Servos",
     "Trait",
     "active",
     "effect",
@@ -36,6 +39,7 @@ __all__ = [
     "rail_units",
     "read_effects",
     "scene_of",
+    "sensed_at",
     "setting",
     "together_on",
     "turn",

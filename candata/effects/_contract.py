@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters and up to four pure hooks."""
+"""What an effect is: named, bounded parameters and up to six pure hooks."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ Readings = dict[str, Array]
 #: bench hides it as a mismatch of the solver. `one_for_all`: its one number for all joints is never just a little
 #: wrong. `tracked_length`: it changes lengths or heights as a tracker reports them (`gap/rest_scale.py` reads them off
 #: tosses). `contact_spring`: it is one of the two numbers of the spring and damper of contacts, stiffness
-#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref").
-Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring"]
+#: 1 / (timeconst dampratio)^2 and damping 2 / timeconst (MuJoCo manual, "solref"). `reading_noise`: a diagnosis counts
+#: what it does as noise of the sensor (`gap/noise.py`), so that it is never a candidate of a search, and never drawn.
+Trait = Literal["simulator", "solver", "one_for_all", "tracked_length", "contact_spring", "reading_noise"]
 
 #: Units of joints that turn, to those of joints that slide.
-RAILS = {"rad": "m", "N m": "N", "N m s/rad": "N s/m", "kg m^2": "kg"}
+RAILS = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "kg m^2": "kg"}
 
 
 class Bounds(NamedTuple):
@@ -129,9 +130,45 @@ class Forces(NamedTuple):
     touch: NDArray[np.bool_]
 
 
+class Servos(NamedTuple):
+    """Commands that the servos of n simulations take in one physics step.
+
+    Attributes
+    ----------
+    command : (n, A) float64
+        What the actuators are told, within their limits: what a hook replaces.
+    idle : (n, A) float64
+        Command at which each position law gives nothing where the joints are now: `command - idle` is the error that a
+        servo sees, in units of its command. NaN for an actuator without such a law.
+    """
+
+    command: Array
+    idle: Array
+
+
+class DryFriction(NamedTuple):
+    """Limits of the dry friction of n simulations, and what the control step begins with.
+
+    Attributes
+    ----------
+    added : (n, nv) float64
+        Limits [N, N m] over the step, beside the model's own `dof_frictionloss`: what a hook adds to.
+    qvel : (n, nv) float64
+        True velocities.
+    effort : (n, nv) float64
+        Generalised forces of the actuators in the last physics step [N, N m].
+    """
+
+    added: Array
+    qvel: Array
+    effort: Array
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
+
+    That of the servos acts once a physics step, and returns its state as it is: it has no memory.
 
     Attributes
     ----------
@@ -139,7 +176,8 @@ class Hook:
         `(scene, values (n, d), elements (n,)) -> state`.
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
-        readings a dict of channel to `(n, ...)`; for forces x is a `Forces`, of which `added` may be replaced.
+        readings a dict of channel to `(n, ...)`; for forces x is a `Forces` and for friction a `DryFriction`, of which
+        `added` may be replaced; for servos a `Servos`, of which `command` may be.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -153,8 +191,8 @@ class Advice:
     Attributes
     ----------
     change : str
-        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{tip}` and
-        `{surface}` are what it acts on.
+        A sentence without its full stop. `{x}` is the value with its interval; `{joint}`, `{servo}`, `{link}`,
+        `{tip}` and `{surface}` are what it acts on.
     mjcf : str
         How MJCF says it, `{raw}` the SI number; empty where MJCF has no attribute for it. Source of the attributes:
         MuJoCo manual, XML reference.
@@ -175,15 +213,18 @@ class Effect:
     parameters : tuple of Parameter
         Flattened in this order into the vector x of length d.
     acts_on : str
-        joint, fingertip, object, wrist or world: what the report says when it names where.
+        joint, link, fingertip, object, wrist or world: what the report says when it names where.
     possible : callable
         `scene -> bool`: whether the effect can act there.
     edit : callable, optional
         `(model, scene, x (d,), element)` changes a private copy of the model.
+    native : callable, optional
+        `(model, scene, x (d,), element)` gives a copy of the model what MJCF holds in place of the hooks. An export
+        writes it; candata does not simulate it. Raises SceneError where MJCF cannot hold it.
     set_const : bool
         Whether `mj_setConst` must follow the edit (masses, inertias, armature).
-    command, force, reading : Hook, optional
-        Filters of the commands, of added forces, of the readings.
+    command, force, friction, servo, reading : Hook, optional
+        Filters of the commands, of added forces, of limits of dry friction, of what the servos take, of the readings.
     moves : tuple of str
         Channels that can change where there is a reading hook; empty without one.
     elements : callable
@@ -212,9 +253,12 @@ class Effect:
     acts_on: str
     possible: Callable[[Scene], bool]
     edit: Callable[[mujoco.MjModel, Scene, Array, str | None], None] | None = None
+    native: Callable[[mujoco.MjModel, Scene, Array, str | None], None] | None = None
     set_const: bool = False
     command: Hook | None = None
     force: Hook | None = None
+    friction: Hook | None = None
+    servo: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
@@ -225,6 +269,10 @@ class Effect:
     early: bool = False
     advice: Advice | None = None
     traits: frozenset[Trait] = frozenset()
+
+    def replaces(self, scene: Scene) -> bool:
+        """Tell whether the effect puts its values in the place of the model's own: it has no identity."""
+        return any(bool(np.isnan(p.identity(scene))) for p in self.parameters)
 
 
 def constant_bounds(low: float, high: float) -> Callable[[Scene], Bounds]:

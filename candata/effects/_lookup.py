@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import _contact, _select
+from candata.effects import _contact, _links, _select
 from candata.effects._contract import Array, Effect, Parameter, Trait
 from candata.errors import UnknownNameError, UsageError
 from candata.plugins import Registry
@@ -16,8 +16,9 @@ EFFECTS = Registry("effects", "candata.effects", "EFFECT", Effect, "about")
 
 
 def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects that are searched and drawn: every one but those that are only fitted."""
-    return tuple(name for name, kind in EFFECTS.load_all().items() if not kind.fitted)
+    """Return the names of all effects that are searched and drawn: all but those only fitted, or noise of a sensor."""
+    kinds = EFFECTS.load_all().items()
+    return tuple(name for name, kind in kinds if not kind.fitted and "reading_noise" not in kind.traits)
 
 
 def effects_with(trait: Trait) -> tuple[str, ...]:
@@ -59,10 +60,25 @@ def together_on(name: str, scene: Scene) -> NDArray[np.int64]:
 
 
 def members_of(name: str, scene: Scene, element: str) -> tuple[str, ...]:
-    """Return the joints of a group, or the fingertips where an element is all of them; else the element alone."""
+    """Return the joints or links of a group, or the fingertips where an element is all of them; else it alone."""
+    if effect(name).acts_on == "link":
+        return _links.members(scene, element)
     if effect(name).acts_on == "joint":
         return scene.file.groups.get(element, (element,))
     return _contact.members(scene, element)
+
+
+def sensed_at(name: str, scene: Scene, element: str) -> tuple[str, ...]:
+    """Return the joints or fingertips whose readings show an element first: its members, or the joints of a link.
+
+    Raises
+    ------
+    UnknownNameError
+        When the effect acts on links, and the element is none.
+    """
+    if effect(name).acts_on == "link":
+        return _links.joints_of(scene, element)
+    return members_of(name, scene, element)
 
 
 def rail_units(name: str, scene: Scene, element: str | None = None) -> dict[str, str]:

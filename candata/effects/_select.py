@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.errors import UnknownNameError
 from candata.scenes.assemble import Scene, subtree
+from candata.scenes.motors import affine_law
 
 Ids = NDArray[np.int64]
 #: Usual turn of a finger's hinge [rad], and usual travel of a jaw without limits [m]. Chosen.
@@ -72,7 +73,7 @@ def _with_jaws(scene: Scene, indices: Ids) -> Ids:
 
 def on_rails(scene: Scene, element: str | None) -> bool:
     """Tell whether the joints of `element`, or those of all fingers, slide: effects are in m and N there."""
-    indices = _moving_indices(scene, element)
+    indices = moving_indices(scene, element)
     return len(indices) > 0 and all(_slides(scene, i) for i in indices)
 
 
@@ -210,10 +211,10 @@ def fingertip_names(scene: Scene) -> tuple[str, ...]:
 
 def dofs(scene: Scene, element: str | None) -> Ids:
     """Return addresses in qvel of the joints that resist motion, or of the one or the group named."""
-    return scene.joint_dof[_moving_indices(scene, element)]
+    return scene.joint_dof[moving_indices(scene, element)]
 
 
-def _moving_indices(scene: Scene, element: str | None) -> Ids:
+def moving_indices(scene: Scene, element: str | None) -> Ids:
     """Return indices of the joints that resist motion, or of the one or the group named."""
     return _select_joints(scene, moving_joints(scene), _with_jaws(scene, moving_joints(scene)), element)
 
@@ -232,6 +233,13 @@ def _drives(scene: Scene, indices: Ids) -> Ids:
     """Return the ids of the actuators that pull joints."""
     ids = set(scene.joint_ids[indices].tolist())
     return np.array([a for a in scene.actuator_ids.tolist() if ids.intersection(scene.levers.get(a, ()))], int)
+
+
+def command_per_rad(scene: Scene, actuator: int) -> float:
+    """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
+    (gain,), ((_, bias, _),) = affine_law(scene.model, [actuator])
+    lever = sum(abs(v) for v in scene.levers[actuator].values())
+    return abs(lever * bias / gain) if gain and bias < 0 else 1.0
 
 
 def fingertips(scene: Scene, element: str | None) -> Ids:
@@ -292,6 +300,24 @@ def _drive_limits(scene: Scene, element: str | None) -> NDArray[np.float64]:
     return np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)
 
 
+def joint_torque(scene: Scene, index: int) -> float:
+    """Return the largest torque [N m, or N] that the drives of a joint of `scene.file.joints` give it together.
+
+    Unlimited servos count as in `drive_torque`.
+    """
+    joint = int(scene.joint_ids[index])
+    ids = _drives(scene, np.array([index]))
+    lever = np.array([abs(scene.levers[a][joint]) for a in ids.tolist()])
+    assumed_limit = 0.3 * drive_reach(scene, scene.file.joints[index]) * lever * scene.stiffness(ids)
+    has_limit = scene.model.actuator_forcelimited[ids].astype(bool)
+    return float((lever * np.where(has_limit, scene.model.actuator_forcerange[ids, 1], assumed_limit)).sum())
+
+
+def drive_spring(scene: Scene, element: str | None = None) -> float:
+    """Return the stiffness [N m/rad; N/m of jaws on rails] of a spring that takes a motor's torque over a radian."""
+    return drive_torque(scene, element) / drive_reach(scene, element)
+
+
 def drive_damping(scene: Scene, element: str | None = None) -> float:
     """Return the median damping of the fingers' joints, joint and servo together [N m s/rad; N s/m of jaws on rails].
 
@@ -302,7 +328,7 @@ def drive_damping(scene: Scene, element: str | None = None) -> float:
         return 1.0
     model, firsts = scene.model, [next(iter(scene.levers[a].items())) for a in ids.tolist()]
     dof, lever = model.jnt_dofadr[[joint for joint, _ in firsts]], np.array([v for _, v in firsts])
-    damping = model.dof_damping[dof] - lever**2 * model.actuator_biasprm[ids, 2]
+    damping = model.dof_damping[dof] - lever**2 * affine_law(model, ids)[1][:, 2]
     critical = 0.2 * np.sqrt(lever**2 * np.maximum(scene.stiffness(ids), 0) * model.dof_M0[dof])
     return float(np.median(np.maximum(damping, critical)))
 

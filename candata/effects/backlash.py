@@ -35,15 +35,8 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _Gears:
     ids = scene.actuator_ids.tolist()
     for row, element in enumerate(elements):
         for a in _select.actuators(scene, element).tolist():
-            half_gap[row, ids.index(a)] = x[row, 0] / 2 * _command_per_rad(scene, a)
+            half_gap[row, ids.index(a)] = x[row, 0] / 2 * _select.command_per_rad(scene, a)
     return _Gears(None, half_gap)
-
-
-def _command_per_rad(scene: Scene, actuator: int) -> float:
-    """Return by how much a servo's command rises when what it pulls turns by 1 rad, all joints alike; 1 for a motor."""
-    gain, bias = scene.model.actuator_gainprm[actuator, 0], scene.model.actuator_biasprm[actuator, 1]
-    lever = sum(abs(v) for v in scene.levers[actuator].values())
-    return abs(lever * bias / gain) if gain and bias < 0 else 1.0
 
 
 def _apply(gears: _Gears, u: Array) -> tuple[_Gears, Array]:

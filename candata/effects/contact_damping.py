@@ -21,7 +21,9 @@ def _with_dampratio(solref: Array, ratio: float) -> Array:
 
 
 def _nominal_dampratio(scene: Scene) -> float:
-    """Return the median damping ratio of the object's geoms."""
+    """Return the median damping ratio of the object's geoms; critical where there is no object."""
+    if not len(scene.object_geoms):
+        return 1.0
     return float(np.median(_contact.time_form(scene.model.geom_solref[scene.object_geoms])[:, 1]))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from candata.effects import _select
+from candata.effects import _motor, _select
 from candata.effects._contract import (
     Advice,
     Array,
@@ -34,7 +34,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
     offsets = dict(zip(scene.joint_ids.tolist(), _of_joints(scene, x, element), strict=True))
     for a in _select.actuators(scene, element):
         length_change = sum(lever * offsets[joint] for joint, lever in scene.levers[int(a)].items() if joint in offsets)
-        model.actuator_biasprm[a, 0] += model.actuator_biasprm[a, 1] * length_change
+        _motor.shift_length(model, int(a), length_change)
 
 
 def _start(scene: Scene, x: Array, elements: Elements) -> Array:

@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects import _select
+from candata.effects import _motor, _select
 from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
+from candata.scenes.motors import affine_law
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Scale the velocity gain; the position gain stays (`servo_gain` is another effect)."""
-    model.actuator_biasprm[_select.servos(scene, element), 2] *= x[0]
+    _motor.scale_damping(model, _select.servos(scene, element), x[0])
 
 
 def _has_damping(scene: Scene) -> bool:
     """Tell whether a servo has a velocity gain that could be scaled."""
-    return bool(scene.model.actuator_biasprm[_select.servos(scene, None), 2].any())
+    _, bias = affine_law(scene.model, _select.servos(scene, None))
+    return bool(bias[:, 2].any())
 
 
 EFFECT = Effect(

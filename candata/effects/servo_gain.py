@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import mujoco
 
-from candata.effects import _select
+from candata.effects import _motor, _select
 from candata.effects._contract import Advice, Array, Effect, Parameter, always, constant_bounds, spans, values
 from candata.scenes.assemble import Scene
 
 
 def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) -> None:
     """Scale the whole position law kp (u - q - offset); the velocity gain stays (`servo_damping` is another)."""
-    ids = _select.servos(scene, element)
-    model.actuator_gainprm[ids, 0] *= x[0]
-    model.actuator_biasprm[ids, :2] *= x[0]
+    _motor.scale_stiffness(model, _select.servos(scene, element), x[0])
 
 
 EFFECT = Effect(
@@ -23,7 +21,7 @@ EFFECT = Effect(
         Parameter(
             "kp_scale",
             "1",
-            constant_bounds(0.15, 4.0),
+            constant_bounds(0.1, 8.0),
             values(0.5, 0.75, 1.35, 2.0),
             spans((0.5, 0.8), (1.3, 2.0)),
             "drives of small hands vary by tens of per cent with supply voltage and temperature",

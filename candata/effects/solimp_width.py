@@ -21,7 +21,9 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 
 
 def _nominal_width(scene: Scene) -> float:
-    """Return the median width of the object's geoms [m]."""
+    """Return the median width of the object's geoms [m]; MuJoCo's default where there is no object."""
+    if not len(scene.object_geoms):
+        return 0.001
     return float(np.median(scene.model.geom_solimp[scene.object_geoms, 2]))
 
 

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import active, effect, effect_names, members_of, parameters_on, setting, together_on
+from candata.effects import (
+    Bounds,
+    Parameter,
+    active,
+    effect,
+    effect_names,
+    members_of,
+    parameters_on,
+    setting,
+    together_on,
+)
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 
@@ -91,8 +101,8 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     """Return the candidate for one effect in a scene, everywhere or on one element."""
     rows: list[tuple[float, float, float, float, bool]] = []
     for p in parameters_on(name, scene, element):
-        bounds = p.bounds(scene)
         own = p.neutral(scene) if p.neutral else p.identity(scene)
+        bounds = _bounds(p, scene, own)
         is_log = not p.choices and bounds.low > 0 and own > 0
         low, high, at = np.log([bounds.low, bounds.high, own]) if is_log else (bounds.low, bounds.high, own)
         rows += [(at, low, high, own, is_log)] * p.size(scene)
@@ -104,6 +114,18 @@ def candidate(name: str, scene: Scene, element: str | None = None) -> Candidate:
     return Candidate(
         name, element, neutral, low_end, high_end, table[mine, 4].astype(bool), discrete, mine, table[:, 3].copy()
     )
+
+
+def _bounds(parameter: Parameter, scene: Scene, neutral: float) -> Bounds:
+    """Return the bounds of a parameter, such that a file of the scene's own effects and of this one can be read.
+
+    Values of a file are judged by the scene without its given effects.
+    """
+    low, high = parameter.bounds(scene)
+    if scene.plain is not None:
+        plain = parameter.bounds(scene.plain)
+        low, high = max(low, plain.low), min(high, plain.high)
+    return Bounds(min(low, neutral), max(high, neutral))
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
@@ -142,7 +164,7 @@ def is_on_slides(c: Candidate, scene: Scene) -> bool:
 
 
 def elements_of(c: Candidate, scene: Scene) -> tuple[str, ...]:
-    """Return the joints of a candidate on a group, or all fingertips; else its element alone."""
+    """Return the joints or links of a candidate on a group, or all fingertips; else its element alone."""
     return members_of(c.name, scene, str(c.element))
 
 

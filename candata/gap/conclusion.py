@@ -19,7 +19,7 @@ from candata.gap.example import example
 from candata.gap.exhibits import collinearity, elements, ranges
 from candata.gap.locate import acts_on, locate, slides, symptoms
 from candata.gap.mending import mended
-from candata.gap.origin import data_used, provenance, title
+from candata.gap.origin import data_used, given_note, provenance, title
 from candata.gap.profile import Known, known
 from candata.gap.proposal import more, separating
 from candata.gap.recordings import Recordings
@@ -46,6 +46,7 @@ from candata.schema.report import (
     Symptom,
     Verdict,
 )
+from candata.simulate.world import all_effects
 from candata.statistics import resamples
 
 Array = NDArray[np.float64]
@@ -62,11 +63,15 @@ class Diagnosis:
     report : Report
     evidence : Evidence
     effects : EffectsFile
-        Ready to be written as `effects.yaml`; empty where nothing is named.
+        Ready to be written as `effects.yaml`: the scene's given effects and the named ones.
     motion : tuple of Motion
         What to record next, ready to be written as `motion.parquet`; empty where nothing is proposed.
     stopgap : EffectsFile or None
         The same with a force fitted to what remains, for `learned_residual.yaml`; None where there is none.
+    calibration : EffectsFile or None
+        A joint fit that claims no names, for `calibration.yaml`; None where there is none.
+    named : tuple of EffectSetting
+        The named effects alone, on top of the scene with its given effects.
     """
 
     report: Report
@@ -74,6 +79,8 @@ class Diagnosis:
     effects: EffectsFile
     motion: tuple[Motion, ...] = ()
     stopgap: EffectsFile | None = None
+    calibration: EffectsFile | None = None
+    named: EffectSet = ()
 
 
 @dataclass(frozen=True)
@@ -125,6 +132,7 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
         next_motion=proposed,
         data=data_used(f.dataset, f.problem, f.episodes, len(f.held.recs)),
         measures=measures(f.held, np.isin(f.scene.file.joints, slides(f.scene))),
+        given_effects=f.scene.given_effects,
         provenance=provenance(f.scene),
     )
     losses = EpisodeLosses(
@@ -143,8 +151,8 @@ def concluded(f: Findings, rng: np.random.Generator) -> Diagnosis:
         ranges(named, f.scene),
     )
     stand_in = (*repaired, *rest.stopgap) if rest and rest.stopgap else ()
-    files = [EffectsFile(scene=lasting(f.scene.name), effects=some) for some in (repaired, stand_in)]
-    return Diagnosis(report, evidence, files[0], motion, files[1] if stand_in else None)
+    stopgap = simulator(f.scene, stand_in) if stand_in else None
+    return Diagnosis(report, evidence, simulator(f.scene, repaired), motion, stopgap, named=repaired)
 
 
 def _unseated(
@@ -181,6 +189,11 @@ def _rest(
         return describe(_judged(f) if repaired else f.problem, repaired, left, nearest, rng)
     found = f.found.doubt.force()
     return described(found, (), left, nearest) if found else None
+
+
+def simulator(scene: Scene, settings: EffectSet) -> EffectsFile:
+    """Return effects on top of a scene as a file of the plain scene, its given effects among them."""
+    return EffectsFile(scene=lasting(scene.name), effects=all_effects(scene, settings))
 
 
 def lasting(name: str) -> str:
@@ -293,9 +306,10 @@ def too_little(dataset: Dataset, scene: Scene, recs: Recordings) -> Diagnosis:
             dataset=title(dataset),
             episodes=EpisodeCount(total=len(recs), folds=0, held_out=0),
             channels=tuple(recs.readings),
-            notes=(*few, *recs.notes),
+            notes=(*few, *given_note(scene), *recs.notes),
         ),
+        given_effects=scene.given_effects,
         next_motion=proposed,
         provenance=provenance(scene),
     )
-    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name), motion)
+    return Diagnosis(report, Evidence(), simulator(scene, ()), motion)

@@ -17,6 +17,7 @@ from candata.errors import DataError, Where
 from candata.gap.attribute import Attribution, attribute
 from candata.gap.averaged import ALL, SOME, sizes_in_mean
 from candata.gap.budget import Budget, BudgetSpent
+from candata.gap.calibration import reference_fit, with_calibration
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
 from candata.gap.floor import spread
@@ -25,9 +26,13 @@ from candata.gap.lengths import with_lengths
 from candata.gap.mismatch import checked
 from candata.gap.noise import sensor_noise
 from candata.gap.null_test import leaves_gap, with_names_tested
+from candata.gap.origin import title
 from candata.gap.outlook import say_outlook
+from candata.gap.own_floor import in_world
 from candata.gap.pace import FORCE, REST, Forecast, Pace
 from candata.gap.recordings import Recordings, read
+from candata.gap.reference import changed_since
+from candata.gap.repeats import deviation_of_others, slow_deviation
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import layout, residual
 from candata.gap.score import score
@@ -41,6 +46,7 @@ from candata.gap.unfinished import unfinished
 from candata.gap.untested import library as searchable
 from candata.gap.verdict import FEWEST, verdict
 from candata.scenes import Scene
+from candata.simulate import with_effects
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -65,7 +71,9 @@ def diagnose(
     seed: int = 0,
     cache: Path | None = None,
     only: tuple[str, ...] = (),
+    against: Dataset | None = None,
     budget: float | None = None,
+    calibrate: bool = True,
     progress: Progress = lambda stage: None,
     ends: Callable[[float], None] = lambda ends_s: None,
 ) -> Diagnosis:
@@ -76,7 +84,7 @@ def diagnose(
     dataset : Dataset
         Recordings of the real world (or of a stand-in) on the scene's joints.
     scene : Scene
-        The nominal simulator.
+        The nominal simulator; `candata.simulate.with_effects` makes effects part of it.
     jobs : int
         Threads that step simulations; the result does not depend on it.
     seed : int
@@ -86,8 +94,14 @@ def diagnose(
         same commands where their signatures are kept there; nothing is kept by default.
     only : tuple of str
         Effects to search among; all that can act and show by default.
+    against : Dataset, optional
+        Recordings from before a change, or of another machine: what the simulator leaves open in them is no news, and
+        the diagnosis is of what changed since.
     budget : float, optional
         CPU seconds, of all threads, after which it ends with the best answer so far: the verdict `out_of_budget`.
+    calibrate : bool
+        Whether a joint fit of all quantities is made where the verdict leaves much unexplained; no verdict depends on
+        it.
     progress : callable
         Called with the name of each stage.
     ends : callable
@@ -104,29 +118,45 @@ def diagnose(
     """
     limit = None if budget is None else Budget(budget)
     sofar, forecast = SoFar(), Forecast(ends)
-    replayer = Replayer(scene, jobs, forecast.count)
 
     def tell(step: str) -> None:
         sofar.step = step
         progress(step)
 
+    def replayer() -> Replayer:
+        made = Replayer(scene, jobs, forecast.count)
+        return limit.watched(made) if limit else made
+
     try:
+        if against is not None and not scene.given_effects:
+            tell("fitting the scene to the reference")
+            scene = _near(against, replayer(), seed)
         some = posed(
             dataset,
-            limit.watched(replayer) if limit else replayer,
+            replayer(),
             seed,
             cache,
             only,
             tell,
             forecast=forecast,
             sofar=sofar,
+            against=against,
         )
-        return _searched(dataset, scene, some)
+        return _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
         return unfinished(dataset, scene, sofar, spent.budget)
 
 
-def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
+def _near(reference: Dataset, replayer: Replayer, seed: int) -> Scene:
+    """Return the scene with the effects that bring it nearest to reference recordings."""
+    try:
+        problem = posed(reference, replayer, seed, None).problem
+    except DataError:  # what contradicts the scene in both data sets is no news
+        return replayer.scene
+    return replayer.scene if problem is None else with_effects(replayer.scene, reference_fit(problem))
+
+
+def _searched(dataset: Dataset, scene: Scene, some: Posed, calibrate: bool) -> Diagnosis:
     """Return the diagnosis of the problem that a dataset poses."""
     everything, untouched, problem = some
     if problem is None:
@@ -148,7 +178,15 @@ def _searched(dataset: Dataset, scene: Scene, some: Posed) -> Diagnosis:
         # What does not pass says nothing where there is no gap: nulls of a chaotic world hold as much.
         found = replace(found, chosen=None, tied=(), rivals=(), score=problem.score, remains=False, mean=None)
         world, held = problem, held_out(problem, None)
-    return concluded(Findings(dataset, scene, problem, found, world, held, len(everything)), problem.rng)
+    findings = Findings(dataset, scene, problem, found, world, held, len(everything))
+    diagnosis = concluded(findings, problem.rng)
+
+    def measured(fit: Fit) -> HeldOut:
+        if len(untouched):
+            return _untouched(problem, everything.take(untouched), fit)[1]
+        return held_out(in_world(problem, fit.members), fit)
+
+    return with_calibration(findings, diagnosis, measured) if calibrate else diagnosis
 
 
 def _fails(problem: Problem, found: Attribution, held: HeldOut) -> bool:
@@ -175,6 +213,7 @@ def posed(
     share: bool | None = None,
     forecast: Forecast | None = None,
     sofar: SoFar | None = None,
+    against: Dataset | None = None,
 ) -> Posed:
     """Return the search problem that a dataset poses; parameters and errors are those of `diagnose` and `library`.
 
@@ -186,7 +225,12 @@ def posed(
     sofar, forecast = sofar or SoFar(), forecast or Forecast()
     progress("reading")
     sofar.recs = read(scene, dataset)
-    everything = sofar.recs = checked(replayer, sofar.recs)
+    reference = None if against is None else read(scene, against)
+    sofar.recs = checked(replayer, sofar.recs, reference)
+    if against is not None and reference is not None:
+        progress("comparing with the reference")
+        sofar.recs = changed_since(replayer, sofar.recs, reference, title(against), seed)
+    everything = sofar.recs
     order = rng.permutation(len(everything))
     most = TOSSES if is_toss(scene) else SEARCHED
     most = most if len(everything) - most >= UNTOUCHED else len(everything)
@@ -195,7 +239,8 @@ def posed(
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
-    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
+    named = None if against is None else title(against)
+    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar, against=named)
     sofar.problem = problem
     return Posed(everything, untouched, problem)
 
@@ -221,9 +266,11 @@ def _problem(
     progress("measuring the floor")
     shelf = library(replayer, recs, begin, plan, raw, cache, progress, share)
     kind, noise, notes, loss_error = sensor_noise(replayer.scene.file.noise, recs, readings, replayer.scene.sliding)
-    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes))
+    slow, slow_notes = slow_deviation(replayer.scene, recs, raw, shelf.nulls(noise), plan, kind)
+    recs = replace(recs, notes=(*recs.notes, *start_notes(replayer.scene, begin), *notes, *slow_notes), slow=slow)
+    shelf = replace(shelf, recs=recs) if slow else shelf
     level = score(raw, spread(noise, plan, shelf.nulls(noise)), plan, loss_error)
-    parts = folds(recs.tasks, rng)
+    parts = folds(recs.tasks, rng, recs.independent)
     problem = Problem(replayer, recs, begin, plan, level, parts, noise, kind, rng, shelf, readings, raw, pace=pace)
     return with_lengths(problem) if is_toss(replayer.scene) else with_telling(problem)
 
@@ -231,6 +278,8 @@ def _problem(
 def _untouched(problem: Problem, recs: Recordings, fit: Fit | None) -> tuple[Problem, HeldOut]:
     """Return the problem and the evidence on episodes that took no part in the search."""
     world = problem.setting(fit.members) if fit else ()
+    if problem.recs.slow and not recs.slow:
+        recs = replace(recs, slow=deviation_of_others(problem.recs, len(recs)))
     r = replayed(problem.replayer, recs, world, problem.rng, FEW_REPLICAS, problem.noise)
     point = np.concatenate([u for _, u in fit.members]) if fit else np.zeros(0)
     points = np.repeat(point[None], len(recs), axis=0)

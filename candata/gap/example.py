@@ -49,13 +49,13 @@ def _traces(problem: Problem, held: HeldOut, e: int, rows: slice, repaired: bool
         channel = problem.plan.columns[column][0]
         if sum(problem.plan.columns[c][0] == channel for c in chosen) < 2:
             chosen.append(int(column))
-    out = []
+    out, compared = [], held.recs.compared
     for column in chosen[:TRACES]:
         channel, element, unit = problem.plan.columns[column]
         first = next(c for c, (ch, _, _) in enumerate(problem.plan.columns) if ch == channel)
         real, before, after = (
             element_values(source, channel, column - first, held.recs.readings, e)[rows]
-            for source in (held.recs.readings, held.before, held.after)
+            for source in (compared, held.before, held.after)
         )
         out.append(Trace(channel, element, unit, real, before, after if repaired else None))
     return tuple(out)

@@ -70,9 +70,10 @@ def _course(problem: Problem, held: HeldOut, column: int, e: int, repaired: bool
     first = next(c for c, (name, _, _) in enumerate(plan.columns) if name == channel)
     start, end = int(problem.begin.rows[e]), int(held.recs.lengths[e])
     rows = np.arange(start, end, max(1, -(-(end - start) // POINTS)))
+    compared = held.recs.compared
     real, before, after = (
         element_values(source, channel, column - first, held.recs.readings, e)[rows]
-        for source in (held.recs.readings, held.before, held.after)
+        for source in (compared, held.before, held.after)
     )
     return Course(e, rows / problem.replayer.scene.file.rate_hz, real, before, after if repaired else None)
 

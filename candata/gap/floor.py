@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.gap.deviation import shifted_readings
 from candata.gap.held import held
 from candata.gap.recordings import Recordings
 from candata.gap.replay import EffectSet, Replayer, replay, true_start
@@ -78,11 +79,14 @@ def null_recordings(
     copies = replicas // worlds
     index = np.tile(np.arange(len(recs)), worlds * copies)
     readings = {n: np.concatenate([v] * copies) for n, v in played.readings.items() if n in recs.readings}
-    noisy = add_noise(readings, noise, rng)
     taken = recs.take(index)
+    for part in recs.slow:
+        deviations = part.copies(worlds * copies).drawn(replayer.scene.file.rate_hz, rng)
+        readings = shifted_readings(readings, deviations)
+    noisy = add_noise(readings, noise, rng)
     for name, values in taken.readings.items():
         noisy[name] = np.where(np.isfinite(values), held(noisy[name], taken.sources.get(name)), np.nan)
-    return replace(taken, readings=noisy)
+    return replace(taken, readings=noisy, misfit=None)
 
 
 def perturbed(replayer: Replayer, begin: Starts, noise: Noise, rng: np.random.Generator) -> Starts:
@@ -177,11 +181,13 @@ def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
 def smallest(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
     joints = [e for c, e, _ in plan.columns if c == "joint_position"]
-    by_joint = dict(zip(joints, np.broadcast_to(noise.joint_position, len(joints)), strict=True))
+    # Rounding of a reading that is still does not average out: step / sqrt(12) is the deviation of a uniform error.
+    by_joint = np.hypot(noise.joint_position, np.sqrt(plan.rows / 12) * np.asarray(noise.joint_step))
+    by_name = dict(zip(joints, np.broadcast_to(by_joint, len(joints)), strict=True))
     pose = {"position": noise.object_pose[0], "rotation": noise.object_pose[1]}
     force = max(noise.fingertip_force, noise.force_step / 3.5)
     sizes = {
-        "joint_position": by_joint.__getitem__,
+        "joint_position": by_name.__getitem__,
         "object_pose": lambda element: pose[element.split()[0]],
         "fingertip_force": lambda element: force,
     }

@@ -41,10 +41,16 @@ class CrossFit:
     points: Array
 
 
-def folds(tasks: tuple[str, ...], rng: np.random.Generator) -> list[Index]:
-    """Return the episodes of each fold, every task spread evenly over the folds."""
-    order = sorted(range(len(tasks)), key=lambda i: (tasks[i], rng.random()))
-    return [np.array(sorted(order[f::FOLDS]), int) for f in range(FOLDS)]
+def folds(tasks: tuple[str, ...], rng: np.random.Generator, pieces: Index | None = None) -> list[Index]:
+    """Return the episodes of each fold, every task spread evenly over the folds.
+
+    Episodes of one independent piece of evidence `pieces (E,)` share a fold where there is a piece for each fold.
+    """
+    if pieces is not None and len(np.unique(pieces)) >= FOLDS and len(np.unique(pieces)) < len(pieces):
+        order = rng.permutation(np.unique(pieces))
+        return [np.flatnonzero(np.isin(pieces, order[f::FOLDS])) for f in range(FOLDS)]
+    by_task = sorted(range(len(tasks)), key=lambda i: (tasks[i], rng.random()))
+    return [np.array(sorted(by_task[f::FOLDS]), int) for f in range(FOLDS)]
 
 
 def rest(parts: list[Index], fold: int) -> Index:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law, has_affine_law, is_position_motor
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -44,15 +45,19 @@ def drives(scene: Scene) -> Drives:
     """
     model, rows = scene.model, []
     kinds = (mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
-    forgetting = np.isin(model.actuator_dyntype, [int(kind) for kind in kinds])
+    motors = is_position_motor(model, np.arange(model.nactuator))
+    forgetting = np.isin(model.actuator_dyntype, [int(kind) for kind in kinds]) | (
+        motors & (model.actuator_actnum == 0)
+    )
+    fixed = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) | motors
+    gains, biases = affine_law(model, scene.actuator_ids)
     known = {int(j): i for i, j in enumerate(scene.joint_ids)}
     for column, a in enumerate(scene.actuator_ids.tolist()):
         joint = known.get(scene.driven_joints.get(a, -1))
-        gain, (bias, slope), gear = model.actuator_gainprm[a, 0], model.actuator_biasprm[a, :2], model.actuator_gear[a]
+        gain, (bias, slope, _), gear = gains[column], biases[column], model.actuator_gear[a]
         if joint is None or slope >= 0 or gain == 0 or gear[0] == 0 or not forgetting[a]:
             continue
-        affine = model.actuator_biastype[a] == mujoco.mjtBias.mjBIAS_AFFINE
-        if not affine or model.actuator_gaintype[a] != mujoco.mjtGain.mjGAIN_FIXED:
+        if not has_affine_law(model, [a])[0] or not fixed[a]:
             continue
         j = scene.joint_ids[joint]
         spring = float(np.ravel(model.jnt_stiffness[j])[0])

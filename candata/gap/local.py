@@ -8,20 +8,22 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.effects import effect
-from candata.gap.candidates import Candidate, elements_of, local_candidates, on_slides
+from candata.effects import effect, sensed_at
+from candata.gap.candidates import Candidate, local_candidates, on_slides
 from candata.gap.response import Curve, Plane
 from candata.gap.robust import rho
 from candata.gap.score import Compact
 from candata.gap.search import Problem, fit_one
+from candata.scenes import Scene
 
 Array = NDArray[np.float64]
 #: Variants on one element that are simulated by their promise, and the largest number of one effect among them. Chosen
 #: for cost: as many more simulations as a twelfth of the first screen of a hand.
 LOCAL, LOCAL_EACH = 6, 2
-#: Most variants that are simulated because they act on the joint, or on the fingertip, whose readings stand out: all
-#: drive and joint effects of a joint. (Of 24 drawn faults of one element, those on an element that stood out stood
-#: among the first seven by their promise; one motor's limit, worth 0.6 floors, promised less than eight others.)
+#: Most variants that are simulated because they act on the joint, a link that its drive feels, or the fingertip whose
+#: readings stand out: most drive and joint effects of a joint. (Of 24 drawn faults of one element, those on an element
+#: that stood out stood among the first seven by their promise; one motor's limit, worth 0.6 floors, promised less than
+#: eight others.)
 ALSO = 9
 #: Loss of an element's readings, in those of the nulls, from which all effects on it are simulated. Chosen: it decides
 #: what is simulated, never what is named.
@@ -62,7 +64,7 @@ def promising(
         found += [pair for pair in gains[:LOCAL_EACH] if pair[0] > 0]
         channel = _channel(c)
         if channel in worst:
-            also[channel] += [(gain, v) for gain, v in gains if v.element == worst[channel]]
+            also[channel] += [(gain, v) for gain, v in gains if _acts_at(v, worst[channel], scene)]
     chosen = aside + [c for _, c in sorted(found, key=lambda pair: -pair[0])[:LOCAL]]
     taken = {c.label for c in chosen}
     for pairs in also.values():
@@ -122,13 +124,21 @@ def _screened(
 
 def _columns(problem: Problem, variant: Candidate) -> NDArray[np.bool_] | None:
     """Return `(K,)` which block means are readings of the variant's element; None where it has none."""
-    mine = _own_columns(problem, _channel(variant), elements_of(variant, problem.replayer.scene))
+    places = sensed_at(variant.name, problem.replayer.scene, str(variant.element))
+    mine = _own_columns(problem, _channel(variant), places)
     return mine if mine.any() else None
+
+
+def _acts_at(variant: Candidate, place: str, scene: Scene) -> bool:
+    """Tell whether a variant acts on a joint or fingertip itself, or on a link that the joint's drive feels."""
+    if effect(variant.name).acts_on == "link":
+        return place in sensed_at(variant.name, scene, str(variant.element))
+    return variant.element == place
 
 
 def _channel(c: Candidate) -> str:
     """Return the channel in which what an effect acts on has readings; a joint and a fingertip may share a name."""
-    return "joint_position" if effect(c.name).acts_on == "joint" else "fingertip_force"
+    return "joint_position" if effect(c.name).acts_on in ("joint", "link") else "fingertip_force"
 
 
 def _own_columns(problem: Problem, channel: str, elements: tuple[str, ...]) -> NDArray[np.bool_]:

@@ -232,15 +232,18 @@ def _tasks(recs: Recordings) -> list[RecordingMismatch]:
     ]
 
 
-def checked(replayer: Replayer, recs: Recordings) -> Recordings:
+def checked(replayer: Replayer, recs: Recordings, reference: Recordings | None = None) -> Recordings:
     """Return the recordings with notes of what is doubtful or cannot be tested, joints that are dead left out.
+
+    What contradicts the scene in the `reference` too is no news: nothing is said about it.
 
     Raises
     ------
     DataError
         For the first finding that no effect explains: nothing is diagnosed from such recordings.
     """
-    found = mismatch(replayer, recs)
+    known = {(f.kind, f.elements) for f in mismatch(replayer, reference)} if reference is not None else set()
+    found = [f for f in mismatch(replayer, recs) if (f.kind, f.elements) not in known]
     for finding in found:
         if finding.definite:
             raise finding.error()

@@ -14,6 +14,7 @@ from candata.gap.mismatch_commands import UNIT_WITHIN, Paired
 from candata.gap.mismatch_swaps import AT_LEAST, in_episodes
 from candata.gap.recordings import Recordings
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law, has_affine_law
 from candata.units import TO_SI
 
 Array = NDArray[np.float64]
@@ -137,9 +138,9 @@ def commands_beyond(scene: Scene, recs: Recordings) -> Beyond | None:
 
 def _command_units(scene: Scene, actuator: int) -> tuple[str, ...]:
     """Return what the commands of an actuator may be recorded in by mistake."""
-    joint, (_, place, speed) = scene.driven_joints.get(actuator), scene.model.actuator_biasprm[actuator, :3]
+    joint, (_, ((_, place, speed),)) = scene.driven_joints.get(actuator), affine_law(scene.model, [actuator])
     slide = joint is not None and scene.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE
-    if scene.model.actuator_biastype[actuator] != mujoco.mjtBias.mjBIAS_AFFINE:
+    if not has_affine_law(scene.model, [actuator])[0]:
         return TORQUES
     if place == 0 and speed != 0:
         return SPEEDS if slide else RATES

@@ -195,6 +195,8 @@ def late_findings(
 ) -> tuple[Comparison, Recordings]:
     """Return notes that poses or forces come some rows late or early beside the scene's, and the recordings in time.
 
+    Undecidable is a lateness that fits best but not in all episodes, or of which no episode says anything.
+
     Parameters
     ----------
     joint_rows : float
@@ -208,11 +210,13 @@ def late_findings(
             continue
         by_rows = _errors_by_shift(channel, recs, nominal, max(2, round(LATEST_S * rate)))
         best = min(by_rows, key=lambda rows: _log_error(by_rows[rows]))
-        vote = votes(by_rows[0], by_rows[best], SHIFTED)
-        if vote.won and abs(best - joint_rows) >= APART_ROWS:
+        vote, is_apart = votes(by_rows[0], by_rows[best], SHIFTED), abs(best - joint_rows) >= APART_ROWS
+        if vote.won and is_apart:
             notes.append(_lateness(channel, name, best, rate, vote))
             recs = replace(recs, readings=recs.readings | {channel: _in_time(recs.readings[channel], best)})
-        elif not any(v.better or v.worse for v in (votes(by_rows[0], e, SHIFTED) for e in by_rows.values())):
+        elif (best and is_apart and not vote.ruled_out) or not any(
+            v.better or v.worse for v in (votes(by_rows[0], e, SHIFTED) for e in by_rows.values())
+        ):
             undecidable.append(f"{name} that come late")
     return Comparison(tuple(notes), tuple(undecidable)), recs
 

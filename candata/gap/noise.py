@@ -7,17 +7,16 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 
 from candata.gap.held import only_new
 from candata.gap.recordings import Recordings
+from candata.gap.rounding import Readings, before_rounding, dithered, force_step, joint_step
 from candata.rotation import difference
 from candata.schema.scene import Noise
 
 Array = NDArray[np.float64]
 NoiseKind = Literal["measured", "declared", "assumed"]
-Readings = dict[str, Array]
 #: What is read, with its unit; noise is an array of these, one standard deviation each.
 QUANTITIES = (
     ("object position", "m"),
@@ -56,10 +55,7 @@ CALMER, ROUNDS = 0.9, 6
 #: Standard error of an estimated noise over that of all windows' mean (there: 0.021 over 0.013), and by how many per
 #: cent a mean loss rises where noise is one per cent larger (the Student-t loss of normal block means).
 INEFFICIENCY, LOSS_PER_NOISE = 1.6, 1.7
-#: Smallest resolution of a force that is looked for [N], and how far from whole multiples of it readings may lie.
-RESOLUTION, WHOLE = 1e-6, 1e-3
-#: Noise in resolutions below which rounding hides it, and multiples of the resolution that noise reaches.
-HIDDEN, REACH = 0.1, 20
+
 
 _BASIS = np.linalg.qr(np.vander(np.arange(WINDOW) - (WINDOW - 1) / 2, DEGREE + 1, increasing=True))[0]
 
@@ -104,9 +100,11 @@ def sensor_noise(
         Which joints slide, as their noise is another quantity; none by default.
     """
     slides = _turning(recs) if slides is None else slides
+    if declared is not None and recs.noise_factor != 1:
+        declared = _scaled(declared, recs.noise_factor)
     told, least = _sizes(declared or Noise(), slides), _smallest(slides)
-    step = force_step(recs.readings)
-    even = replace(recs, readings=dithered(recs.readings, step))
+    step, joint_steps = force_step(recs.readings), joint_step(recs.readings)
+    even = replace(recs, readings=dithered(recs.readings, step, joint_steps))
     pairs = repeated(recs)
     kind: NoiseKind = "measured" if len(pairs) >= PAIRS else "assumed"
     calm, calm_count = _estimates(even, None, slides)
@@ -116,25 +114,55 @@ def sensor_noise(
         first, second = (even.take(side) for side in np.array(pairs).T)
         variance, count = _agreed(*_estimates(first, second.readings, slides), variance, count)
         how = "measured in repeated motions"
-    seen = np.append(np.sqrt(variance[:-1]), before_rounding(float(variance[-1]) - step**2 / 12, step))
-    more = _with_rounding(seen, step) > MORE * np.maximum(_with_rounding(told, step), least)
+    steps = np.array([0.0, 0.0, *(_median(joint_steps[slides == kind]) for kind in (False, True)), step])
+    seen = np.array([before_rounding(max(float(v) - s**2 / 12, 0.0), s) for v, s in zip(variance, steps, strict=True)])
+    more = _with_rounding(seen, steps) > MORE * np.maximum(_with_rounding(told, steps), least)
     notes = tuple(
         f"noise of {name}: {a:.2g} {unit} declared, {b:.2g} {unit} {how}, and that counts"
         for (name, unit), a, b, louder in zip(QUANTITIES, told, seen, more, strict=True)
         if louder and told.any()
     )
+    if joint_steps.any():
+        widest = float(joint_steps.max())
+        notes = (
+            *notes,
+            f"joint positions are whole multiples of a step, the widest {widest:.3g} rad or m: the floor holds it",
+        )
     if kind == "assumed" and declared is not None and told.any():
         if not notes:
             return SensorNoise("declared", declared)
-        noise = _noise(np.where(more, _rough(seen), told), declared.force_step, slides)
-        return SensorNoise(kind, noise, notes, _loss_error(recs, slides, np.where(more, count, np.inf)))
+        noise = _noise(np.where(more, _rough(seen), told), declared.force_step, joint_steps, slides)
+        return SensorNoise(
+            "assumed" if more.any() else "declared",
+            noise,
+            notes,
+            _loss_error(recs, slides, np.where(more, count, np.inf)),
+        )
     recorded = np.array([_columns(q, recs, slides) is not None for q, _ in QUANTITIES])
     confirmed = (kind == "measured") & (told > 0) & ((np.abs(seen - told) <= AS_DECLARED * told) | ~recorded)
-    if declared is not None and confirmed.all() and (step == declared.force_step or not recorded[-1]):
+    same_steps = (step == declared.force_step or not recorded[-1]) and not joint_steps.any() if declared else False
+    if declared is not None and confirmed.all() and same_steps:
         return SensorNoise(kind, declared)
-    sizes = np.where(confirmed, told, _rough(np.maximum(seen, least)))
+    sizes = np.where(confirmed, told, _rough(np.maximum(np.maximum(seen, least), told)))
     error = _loss_error(recs, slides, np.where(confirmed, np.inf, count))
-    return SensorNoise(kind, _noise(sizes, step, slides), notes, error)
+    return SensorNoise(kind, _noise(sizes, step, joint_steps, slides), notes, error)
+
+
+def _scaled(noise: Noise, factor: float) -> Noise:
+    """Return noise as many times as large; steps of rounding stay."""
+    joints = np.asarray(noise.joint_position) * factor
+    position, rotation = noise.object_pose
+    changed = {
+        "object_pose": (position * factor, rotation * factor),
+        "joint_position": tuple(joints.tolist()) if joints.ndim else float(joints),
+        "fingertip_force": noise.fingertip_force * factor,
+    }
+    return noise.model_copy(update=changed)
+
+
+def _median(sizes: Array) -> float:
+    """Return the median of sizes; 0 of none."""
+    return float(np.median(sizes)) if sizes.size else 0.0
 
 
 def _agreed(apart: Array, pairs: Array, variance: Array, count: Array) -> tuple[Array, Array]:
@@ -176,10 +204,49 @@ def repeated(recs: Recordings) -> list[tuple[int, int]]:
     return pairs
 
 
+def repeat_groups(recs: Recordings) -> list[list[int]]:
+    """Return the episodes of each motion that was played more than once."""
+    groups: list[list[int]] = []
+    for first, second in repeated(recs):
+        group = next((g for g in groups if first in g), None)
+        if group is None:
+            groups.append([first, second])
+        else:
+            group.append(second)
+    return groups
+
+
+def motion_numbers(recs: Recordings) -> NDArray[np.int64]:
+    """Return `(E,)` the number of the motion that each episode plays: repeats of one share theirs."""
+    numbers = np.arange(len(recs))
+    for group in repeat_groups(recs):
+        numbers[group] = group[0]
+    return np.unique(numbers, return_inverse=True)[1]
+
+
+def same_motions(recs: Recordings, reference: Recordings) -> list[list[int]]:
+    """Return for each of the recordings the episodes of a reference in which the same commands were played."""
+    spread = np.ptp(np.concatenate([r.commands.reshape(-1, r.commands.shape[2]) for r in (recs, reference)]), axis=0)
+    moving = spread > 0
+    if not moving.any():
+        return [[] for _ in range(len(recs))]
+    return [
+        [j for j in range(len(reference)) if _is_same_motion(recs, i, reference, j, spread, moving)]
+        for i in range(len(recs))
+    ]
+
+
 def _is_repeat(recs: Recordings, i: int, j: int, spread: Array, moving: NDArray[np.bool_]) -> bool:
     """Tell whether two episodes are as long and were commanded the same."""
-    short, long = sorted((int(recs.lengths[i]), int(recs.lengths[j])))
-    apart = np.abs(recs.commands[i, :short] - recs.commands[j, :short])[:, moving].mean(0)
+    return _is_same_motion(recs, i, recs, j, spread, moving)
+
+
+def _is_same_motion(
+    recs: Recordings, i: int, others: Recordings, j: int, spread: Array, moving: NDArray[np.bool_]
+) -> bool:
+    """Tell whether an episode is as long as one of others, and was commanded the same."""
+    short, long = sorted((int(recs.lengths[i]), int(others.lengths[j])))
+    apart = np.abs(recs.commands[i, :short] - others.commands[j, :short])[:, moving].mean(0)
     return long - short <= ALIKE * long and bool((apart <= ALIKE * spread[moving]).all())
 
 
@@ -270,52 +337,9 @@ def _refined(remainders: Array, variance: float, free: int) -> float:
     return variance
 
 
-def dithered(readings: Readings, step: float) -> Readings:
-    """Return readings whose forces are as uneven as before they were rounded to whole steps, by fixed random numbers.
-
-    A window in which no rounded reading changes would show no noise at all. Dither of one step's width adds the
-    variance of a uniform error, step^2 / 12 (Widrow & Kollar 2008).
-    """
-    if step == 0:
-        return readings
-    force = readings["fingertip_force"]
-    even = np.random.default_rng(0).uniform(-step / 2, step / 2, force.shape)
-    return readings | {"fingertip_force": force + even}
-
-
-def force_step(readings: Readings) -> float:
-    """Return the resolution of the forces [N]: what all of them are whole multiples of; 0 where there is nothing."""
-    sizes = np.abs(readings.get("fingertip_force", np.zeros(0)))
-    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
-    step = float(sizes.min()) if sizes.size else 0.0
-    is_whole = step > RESOLUTION and bool((np.abs(sizes / step - np.round(sizes / step)) < WHOLE).all())
-    return round(step, 6) if is_whole else 0.0
-
-
-def before_rounding(variance: float, step: float) -> float:
-    """Return the noise (1 sd) that, rounded to whole steps around zero, has a variance; 0 where rounding hides it."""
-    if step == 0:
-        return float(np.sqrt(variance))
-    if variance >= _rounded(1.0) * step**2:
-        # Far beyond the resolution, rounding too adds the variance of a uniform error.
-        return float(np.sqrt(variance - step**2 / 12))
-    if variance <= _rounded(HIDDEN) * step**2:
-        return 0.0
-    return step * float(brentq(lambda s: _rounded(s) - variance / step**2, HIDDEN, 1.0))
-
-
-def _rounded(size: float) -> float:
-    """Return the variance of normal noise of a size, in steps, rounded to whole ones.
-
-    Of k^2 = 1 + 3 + ... + (2k - 1), the sum over k of (2k - 1) P(|n| > k - 1/2).
-    """
-    k = np.arange(1, REACH)
-    return float(((2 * k - 1) * 2 * norm.sf((k - 0.5) / size)).sum())
-
-
-def _with_rounding(sizes: Array, step: float) -> Array:
-    """Return `(5,)` sizes, that of forces with what rounding adds."""
-    return np.append(sizes[:-1], np.hypot(sizes[-1], step / np.sqrt(12)))
+def _with_rounding(sizes: Array, steps: Array) -> Array:
+    """Return `(5,)` sizes with what rounding to steps `(5,)` adds."""
+    return np.hypot(sizes, steps / np.sqrt(12))
 
 
 def _sizes(noise: Noise, slides: NDArray[np.bool_]) -> Array:
@@ -338,9 +362,15 @@ def _rough(sizes: Array) -> Array:
     return np.array([float(f"{s:.{DIGITS}g}") for s in sizes])
 
 
-def _noise(sizes: Array, step: float, slides: NDArray[np.bool_]) -> Noise:
-    """Return noise of sizes `(5,)`: one number for all joints where they are of one kind."""
+def _noise(sizes: Array, step: float, joint_steps: Array, slides: NDArray[np.bool_]) -> Noise:
+    """Return noise of sizes `(5,)`: one number for all joints where they are of one kind; `joint_steps (J,)`."""
     position, rotation, turning, sliding, force = map(float, sizes)
     mixed = slides.any() and not slides.all()
     joints = tuple(np.where(slides, sliding, turning).tolist()) if mixed else sliding if slides.any() else turning
-    return Noise(object_pose=(position, rotation), joint_position=joints, fingertip_force=force, force_step=step)
+    return Noise(
+        object_pose=(position, rotation),
+        joint_position=joints,
+        fingertip_force=force,
+        force_step=step,
+        joint_step=tuple(joint_steps.tolist()) if joint_steps.any() else 0.0,
+    )

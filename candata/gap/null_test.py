@@ -94,17 +94,26 @@ def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array)
     if gain.mean() > ALL_OF_A_NULL:
         return True
     rest = tuple(m for i, m in enumerate(members) if i != index)
-    nulls = null_gains(problem, rest, members)
-    excess = gain - nulls.mean(0)
-    copies, episodes = nulls.shape
-    error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / episodes * (1 + 1 / copies)))
+    pieces = problem.recs.independent
+    nulls = by_piece(null_gains(problem, rest, members), pieces)
+    excess = by_piece(gain, pieces) - nulls.mean(0)
+    copies, count = nulls.shape
+    error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / count * (1 + 1 / copies)))
     chance = BEYOND_CHANCE if leaves_gap(problem, rest, SURE_GAP) else BEYOND_CHANCE_WITHOUT_A_GAP
     return bool(excess.mean() > max(BEYOND_NULLS * error, chance * standard_error(excess)))
 
 
+def by_piece(values: Array, pieces: NDArray[np.int64]) -> Array:
+    """Return `(..., P)` the mean of values `(..., E)` over the episodes of each independent piece of evidence."""
+    numbers = np.unique(pieces)
+    if len(numbers) == len(pieces):
+        return values
+    return np.stack([values[..., pieces == n].mean(-1) for n in numbers], axis=-1)
+
+
 def leaves_gap(problem: Problem, members: Members, errors: float = 0.0) -> bool:
     """Tell whether the mismatch of a set lies beyond what null recordings show, by so many standard errors."""
-    loss = problem.score.loss(problem.residuals([problem.setting(members)])[0])
+    loss = by_piece(problem.score.loss(problem.residuals([problem.setting(members)])[0]), problem.recs.independent)
     return bool(loss.mean() - errors * standard_error(loss) > null_level(problem.score, problem.rng))
 
 

@@ -18,11 +18,20 @@ def data_used(dataset: Dataset, problem: Problem, total: int, held_out: int) -> 
     apart = [f"effects searched on {searched} episodes, measured on the other {held_out}"] * (total > searched)
     return DiagnosisData(
         dataset=title(dataset),
+        against=problem.against,
         episodes=EpisodeCount(total=total, folds=FOLDS, held_out=held_out),
         floor=problem.floor_kind,
         channels=tuple(problem.recs.readings),
-        notes=(*apart, *problem.recs.notes),
+        notes=(*given_note(problem.replayer.scene), *apart, *problem.recs.notes),
     )
+
+
+def given_note(scene: Scene) -> tuple[str, ...]:
+    """Return the note that the nominal simulator holds given effects; none where it holds none."""
+    if not scene.given_effects:
+        return ()
+    names = ", ".join(f"{s.name} {s.element}" if s.element else s.name for s in scene.given_effects)
+    return (f"effects that the nominal simulator holds already: {names}",)
 
 
 def title(dataset: Dataset) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from candata.align import time_factor
 from candata.datasets import Dataset
 from candata.errors import DataError, RateError, Where
+from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
 from candata.gap.spikes import without_lost, without_spikes
 from candata.scenes import Scene
@@ -57,6 +58,13 @@ class Recordings:
         Whether anything was seen to move.
     sources : dict of str to ndarray
         For a channel slower than the log, the row `(E, T)` in which each reading was new; others are not there.
+    slow : tuple of SlowDeviation
+        What repeats of a motion differ by beyond sensor noise, and what is not known of a reference's misfit; none
+        where neither is known, or nothing.
+    misfit : (E, T, D) float64 or None
+        What the simulator left open in a reference, by the columns of a residual; None without a reference.
+    noise_factor : float
+        By how much the noise of `compared` is larger than that of one recording: the misfit holds noise too.
     """
 
     ids: tuple[str, ...]
@@ -68,10 +76,26 @@ class Recordings:
     notes: tuple[str, ...] = ()
     moving: bool = True
     sources: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    slow: tuple[SlowDeviation, ...] = ()
+    misfit: Array | None = None
+    noise_factor: float = 1.0
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
         return len(self.ids)
+
+    @property
+    def compared(self) -> dict[str, Array]:
+        """Readings that are compared with a replay: those recorded, less the misfit of a reference."""
+        return self.readings if self.misfit is None else shifted_readings(self.readings, -self.misfit)
+
+    @property
+    def independent(self) -> NDArray[np.int64]:
+        """Number `(E,)` of the independent piece of evidence that each episode belongs to.
+
+        Episodes whose error is shared count as one piece.
+        """
+        return next((part.piece for part in self.slow if part.is_shared), np.arange(len(self)))
 
     def take(self, index: Sequence[int] | NDArray[np.int64]) -> Recordings:
         """Return the recordings of some episodes."""
@@ -84,6 +108,8 @@ class Recordings:
             readings={n: v[index] for n, v in self.readings.items()},
             lengths=self.lengths[index],
             sources={n: rows[index] for n, rows in self.sources.items()},
+            slow=tuple(part.take(index) for part in self.slow),
+            misfit=None if self.misfit is None else self.misfit[index],
         )
 
 
@@ -107,7 +133,8 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     DataError
         When no episode fits the scene: of the first, what does not fit.
     """
-    found, shared, notes = _sound(scene, list(episodes))
+    driven, off_notes = _while_driven(list(episodes))
+    found, shared, notes = _sound(scene, driven)
     if not shared:
         raise DataError(
             "nothing to compare",
@@ -149,9 +176,29 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*notes, *slower, *spiky),
+        (*off_notes, *notes, *slower, *spiky),
         sources=slow,
     )
+
+
+def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ...]]:
+    """Return episodes that end where a servo is switched off, and a note on how many do: a replay goes on to follow."""
+    kept, cut = [], 0
+    for episode in episodes:
+        off = np.flatnonzero(~episode["torque_on"].all(1)) if "torque_on" in episode else np.zeros(0, int)
+        end = int(off[0]) if len(off) else len(episode)
+        cut += end < len(episode)
+        if end:
+            kept.append(episode if end == len(episode) else piece(episode, 0, end))
+    note = f"{cut} of {len(episodes)} episodes end where a servo is switched off: it does not follow its commands any more"
+    return kept, (note,) * bool(cut)
+
+
+def piece(episode: Episode, begin: int, end: int, **meta: str) -> Episode:
+    """Return the rows from `begin` to `end` of an episode as an episode, its time from zero; `meta` replaces fields."""
+    arrays = {n: np.asarray(v)[begin:end] for n, v in episode.arrays.items()}
+    arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][:1]
+    return Episode(episode.meta.model_copy(update=meta), arrays)
 
 
 def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:

@@ -116,7 +116,7 @@ def true_start(scene: Scene, recs: Recordings, begin: Starts, some: EffectSet) -
     An encoder that reads too much began at less; a tracker whose lengths are short saw a faster toss. Starts that were
     perturbed stay so.
     """
-    if all(effect(s.name).unread is None for s in some):
+    if all(effect(s.name).unread is None for s in (*scene.given_effects, *some)):
         return begin
     true = replace(recs, readings=recs.readings | true_state(scene, recs.readings, some))
     own, plain = (starts(scene, r, begin.moving).arrays for r in (true, recs))

@@ -26,6 +26,7 @@ from candata.gap.replay import EffectSet, Replayer, _shift, commands_before, tru
 from candata.gap.starts import Starts
 from candata.rotation import conjugate, difference, rotate
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law
 from candata.simulate import Observer, followed_readings, rollout
 
 Array = NDArray[np.float64]
@@ -94,7 +95,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         Effects of the simulator that is to follow: none, or the repaired one's.
     """
     scene = replayer.scene
-    true = followed_readings(scene, recs.readings, world)
+    true = followed_readings(scene, recs.compared, world)
     shifted = {name: _shift(values, begin.rows) for name, values in true.items()}
     target = _target(scene, shifted, recs)
     state = true_start(scene, recs, begin, world)
@@ -265,8 +266,9 @@ def _servo(scene: Scene, effort: Array) -> tuple[Array, Array]:
     pulled = [(a, joint, lever) for a, own in scene.levers.items() for joint, lever in own.items()]
     for actuator, joint, lever in pulled:
         dof = int(model.jnt_dofadr[joint])
-        stiff[dof] -= lever**2 * model.actuator_biasprm[actuator, 1]
-        damp[dof] -= lever**2 * model.actuator_biasprm[actuator, 2]
+        _, ((_, slope, speed_slope),) = affine_law(model, [actuator])
+        stiff[dof] -= lever**2 * slope
+        damp[dof] -= lever**2 * speed_slope
         if model.actuator_forcelimited[actuator]:
             limit[dof] = abs(lever) * model.actuator_forcerange[actuator, 1]
     dofs = _dofs(scene)

@@ -115,15 +115,16 @@ def _toss_labels(scene: Scene, recs: Recordings) -> NDArray[np.str_]:
     return np.where(resting & hit, "rest", np.where(hit, "impact", "flight"))
 
 
-def residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Array:
-    """Return recorded minus replayed, `(E, B, D)` block means; NaN where either is missing.
+def row_residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Array:
+    """Return recorded minus replayed, `(E, T, D)` row by row; NaN where either is missing.
 
     Joints in rad or m, positions in m, rotations as world-frame rotation vectors in rad (Sola 2018, eq. 105), forces
-    in N in the fingertip's frame. Of a sensor slower than the log, both are taken where its reading was new.
+    in N in the fingertip's frame. Both sides of a sensor slower than the log are taken where its reading was new.
     """
     parts: list[Array] = []
+    compared = recs.compared
     for channel in dict.fromkeys(c for c, _, _ in plan.columns):
-        recorded, replayed = recs.readings[channel], readings[channel]
+        recorded, replayed = compared[channel], readings[channel]
         if channel == "object_pose":
             some = [recorded[..., :3] - replayed[..., :3], difference(recorded[..., 3:], replayed[..., 3:])]
         else:
@@ -132,6 +133,12 @@ def residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Arra
         parts += some if slow is None else [np.where(np.isfinite(part), held(part, slow), np.nan) for part in some]
     joined = np.concatenate(parts, axis=-1)
     joined[:, 0, [c == "fingertip_force" for c, _, _ in plan.columns]] = np.nan
+    return joined
+
+
+def residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Array:
+    """Return recorded minus replayed as `row_residual` has it, `(E, B, D)` block means; NaN where either is missing."""
+    joined = row_residual(recs, plan, readings)
     count = joined.shape[1] // plan.rows
     blocks = joined[:, : count * plan.rows].reshape(len(recs), count, plan.rows, -1)
     finite = np.isfinite(blocks)

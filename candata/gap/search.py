@@ -49,6 +49,8 @@ class SoFar:
         Every candidate alone, once all were looked at.
     best : Fit or None
         The set of effects that explains most, in units of its own floor.
+    episodes_replayed : int
+        Episodes whose replays were asked for, one for each set of effects, whether they were simulated or kept.
     """
 
     step: str = ""
@@ -56,6 +58,7 @@ class SoFar:
     problem: Problem | None = None
     first: Stage | None = None
     best: Fit | None = None
+    episodes_replayed: int = 0
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,8 @@ class Problem:
     set where only a few of the episodes are looked at, and fewer signatures do; `played` keeps the residuals `(B, D)`
     of episodes from their starts in worlds that were simulated, as some of them are asked for again, alone or among
     others; `simulated` is set where every candidate is simulated on the recording, its signature set aside, and
-    `telling` where other episodes are looked at first than usual; `pace` tells how far the search is, and `sofar` keeps
-    what it has come to know.
+    `telling` where other episodes are looked at first than usual; `against` is what the reference is called, if any;
+    `pace` tells how far the search is, and `sofar` keeps what it has come to know.
     """
 
     replayer: Replayer
@@ -88,6 +91,7 @@ class Problem:
     simulated: bool = False
     telling: Index | None = None
     played: dict[tuple[str, tuple[str, bytes]], Array] = field(default_factory=dict)
+    against: str | None = None
     pace: Pace = field(default_factory=Pace)
     sofar: SoFar = field(default_factory=SoFar)
 
@@ -103,6 +107,7 @@ class Problem:
 
     def residuals(self, variants: Sequence[EffectSet]) -> list[Compact]:
         """Return normalised residuals `(E, K)` of each effect set, by rollouts where none is kept."""
+        self.sofar.episodes_replayed += len(variants) * len(self.recs)
         names, ids = [name_of(some) for some in variants], list(zip(self.recs.ids, self.begin.keys, strict=True))
         kept = {(name, i): self.played[name, i] for name in names for i in ids if (name, i) in self.played}
         missing: dict[tuple[int, ...], dict[str, EffectSet]] = {}
@@ -146,6 +151,7 @@ class Problem:
 
         What alters forces only as they are read needs no simulation: it is read off the replay of the recording.
         """
+        self.sofar.episodes_replayed += len(points) * len(self.recs)
         settings = [self.setting([point]) for point in points]
         kept = iter(self.library.signatures([some for some in settings if needs_simulation(some)]))
         return [self.score.normal(next(kept) if needs_simulation(some) else self._sensed(some)) for some in settings]

@@ -339,7 +339,7 @@ def measures(held: HeldOut, slides: NDArray[np.bool_]) -> dict[str, dict[str, fl
 def _errors(recs: Recordings, readings: dict[str, Array], slides: NDArray[np.bool_]) -> dict[str, Array]:
     """Return `(E,)` mean error of each episode by quantity, with its unit in the name."""
     out = {}
-    for channel, recorded in recs.readings.items():
+    for channel, recorded in recs.compared.items():
         if channel == "object_pose":
             shift = np.linalg.norm(recorded[..., :3] - readings[channel][..., :3], axis=-1)
             turn = np.linalg.norm(difference(recorded[..., 3:], readings[channel][..., 3:]), axis=-1)

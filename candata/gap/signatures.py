@@ -42,8 +42,8 @@ Compact = NDArray[np.float32]
 CODE = ("align.py", "rotation.py", "effects", "scenes", "simulate")
 #: Modules of this room that do.
 OWN_CODE = (
-    *("floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "robust", "shooting", "signatures"),
-    *("smoother", "starts"),
+    *("deviation", "floor", "hand_starts", "held", "memory", "noise", "replay", "residuals", "robust", "shooting"),
+    *("rounding", "signatures", "smoother", "starts"),
 )
 #: Differences of two starts of the same commands up to which they count as one: the object's place [m, m/s], and any
 #: other coordinate [rad, rad/s or an element of a quaternion]. Chosen as wide as a biased sensor may be off: a start
@@ -177,7 +177,7 @@ class Library:
 
     def _residual(self, some: EffectSet) -> Compact:
         """Return the residual of noise-free recordings of a world under the nominal replay."""
-        begin = true_start(self.replayer.scene, self.recs, self.begin, some) if self._is_read(some) else self.begin
+        begin = true_start(self.replayer.scene, self.recs, self.begin, some if self._is_read(some) else ())
         return _recorded(self.replayer, self.recs, begin, self.plan, some)
 
     def nulls(self, noise: Noise) -> Array:
@@ -188,7 +188,9 @@ class Library:
             rng = np.random.default_rng(NULL_SEED)
             return null_residuals(self.replayer, whole, self.begin, self.plan, noise, rng).astype(np.float32)
 
-        return self._kept(noise.model_dump_json(), made).astype(float)
+        sizes = [a for part in self.recs.slow for a in (part.sd, part.time_s, part.shapes, part.motion, part.piece)]
+        name = hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in sizes)).hexdigest() if sizes else ""
+        return self._kept(noise.model_dump_json() + name, made).astype(float)
 
     def _kept(self, text: str, make: Callable[[], Compact]) -> Compact:
         """Return what `text` names: from memory, from the cache, or made and kept in both."""
@@ -276,7 +278,7 @@ def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout,
         threads=replayer.threads,
     )
     replayer.count(recs.commands.shape[0] * recs.commands.shape[1] * replayer.scene.substeps)
-    made = replace(recs, readings={n: v for n, v in played.readings.items() if n in recs.readings})
+    made = replace(recs, readings={n: v for n, v in played.readings.items() if n in recs.readings}, misfit=None)
     readings = replay_all(replayer, made, starts(replayer.scene, made, begin.moving), [()])[0]
     return residual(made, plan, readings).astype(np.float32)
 
@@ -303,7 +305,7 @@ def _code() -> str:
 
 def _content(recs: Recordings, begin: Starts) -> str:
     """Return what names recordings of given commands: what was read, and where their replay starts."""
-    arrays = [*recs.readings.values(), *begin.arrays.values()]
+    arrays = [*recs.compared.values(), *begin.arrays.values()]
     return hashlib.sha256(b"".join(np.ascontiguousarray(a).tobytes() for a in arrays)).hexdigest()[:16]
 
 

@@ -10,12 +10,12 @@ import numpy as np
 from candata.datasets import Dataset
 from candata.gap.budget import Budget
 from candata.gap.compare import null_level
-from candata.gap.conclusion import Diagnosis, ranked, typical_size
+from candata.gap.conclusion import Diagnosis, ranked, simulator, typical_size
 from candata.gap.evidence import EpisodeLosses, Evidence
 from candata.gap.exhibits import collinearity, elements
 from candata.gap.floor import REPLICAS, WORLDS
 from candata.gap.locate import acts_on, locate, slides, symptoms
-from candata.gap.origin import data_used, provenance, title
+from candata.gap.origin import data_used, given_note, provenance, title
 from candata.gap.outlook import first_cause
 from candata.gap.pace import REST
 from candata.gap.regime import with_regimes
@@ -26,7 +26,6 @@ from candata.gap.shortlist import brief
 from candata.gap.shrink import HeldOut, gap, held_out, measures
 from candata.gap.stage import Stage, unheld
 from candata.scenes import Scene
-from candata.schema.effect import EffectsFile
 from candata.schema.report import DiagnosisData, EpisodeCount, RankedEffect, Report, Symptom, UnknownCause
 
 #: Said of an effect that was not looked at.
@@ -71,6 +70,7 @@ def unfinished(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budget) -> 
             update={"episodes": used.episodes.model_copy(update={"total": len(recs)}), "notes": (spent, *used.notes)}
         ),
         measures=measures(held, np.isin(scene.file.joints, slides(scene))),
+        given_effects=scene.given_effects,
         provenance=provenance(scene),
     )
     losses = EpisodeLosses(
@@ -82,7 +82,7 @@ def unfinished(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budget) -> 
     evidence = Evidence(
         heat, losses=losses, elements=elements(problem, held, False), collinearity=collinearity(first.fits)
     )
-    return Diagnosis(report, evidence, EffectsFile(scene=scene.name))
+    return Diagnosis(report, evidence, simulator(scene, ()))
 
 
 def _nothing_compared(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budget) -> Diagnosis:
@@ -95,11 +95,16 @@ def _nothing_compared(dataset: Dataset, scene: Scene, sofar: SoFar, budget: Budg
             dataset=title(dataset),
             episodes=EpisodeCount(total=len(recs) if recs else len(dataset), folds=0, held_out=0),
             channels=tuple(recs.readings) if recs else (),
-            notes=(f"{_spent(sofar, budget)}: give several times as much", *(recs.notes if recs else ())),
+            notes=(
+                f"{_spent(sofar, budget)}: give several times as much",
+                *given_note(scene),
+                *(recs.notes if recs else ()),
+            ),
         ),
+        given_effects=scene.given_effects,
         provenance=provenance(scene),
     )
-    return Diagnosis(report, Evidence(), EffectsFile(scene=scene.name))
+    return Diagnosis(report, Evidence(), simulator(scene, ()))
 
 
 def _looked_at(problem: Problem) -> tuple[Stage, tuple[str, ...]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from candata.policies._contract import Array
 from candata.scenes import Scene
 from candata.scenes.drives import position_servos
+from candata.scenes.motors import affine_law
 
 Ids = NDArray[np.int64]
 #: Share of its range that a motor without a position servo is driven by: its command is a force, and a scripted
@@ -50,7 +51,7 @@ def servos(scene: Scene) -> NDArray[np.bool_]:
 def holding_commands(scene: Scene, length: Array) -> Array:
     """Return the commands `(A,)` at which servos rest at an actuator length `(A,)`; 0 for others."""
     model, ids = scene.model, scene.actuator_ids
-    bias, gain = model.actuator_biasprm[ids], model.actuator_gainprm[ids, 0]
+    gain, bias = affine_law(model, ids)
     at = servos(scene)
     out = np.zeros(len(ids))
     out[at] = length[at] * (-bias[at, 1] / gain[at]) - bias[at, 0] / gain[at]
@@ -60,7 +61,7 @@ def holding_commands(scene: Scene, length: Array) -> Array:
 def lengths(scene: Scene, commands: Array) -> Array:
     """Return the actuator lengths `(A,)` at which servos rest under commands `(A,)`; the model's own for others."""
     model, ids = scene.model, scene.actuator_ids
-    bias, gain = model.actuator_biasprm[ids], model.actuator_gainprm[ids, 0]
+    gain, bias = affine_law(model, ids)
     at = servos(scene)
     out = np.array(model.actuator_length0[ids], float)
     out[at] = commands[at] * (gain[at] / -bias[at, 1]) - bias[at, 0] / bias[at, 1]

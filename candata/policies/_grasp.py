@@ -13,6 +13,7 @@ from candata.effects import _contact
 from candata.policies import _drive as d
 from candata.policies._contract import Array
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law
 
 Ids = NDArray[np.int64]
 #: Sum of the fingertips' forces in weights of the object, and at least so much [N]: two sides of friction 0.7 hold an
@@ -167,7 +168,7 @@ class _Hand:
             body = int(self.model.geom_bodyid[self.tips[tip][0]])
             mujoco.mj_jac(self.model, self.data, jacobian, None, point, body)
             torque += jacobian.T @ force * max(WEIGHTS * weight, LEAST_N)
-        return self.answer.T @ torque / self.model.actuator_gainprm[self.scene.actuator_ids[self.free], 0]
+        return self.answer.T @ torque / affine_law(self.model, self.scene.actuator_ids[self.free])[0]
 
 
 def _tight_tendons(model: mujoco.MjModel) -> list[Array]:

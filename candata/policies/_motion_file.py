@@ -22,6 +22,7 @@ from candata.policies._contract import Array, Motion, Plan
 from candata.policies._drive import command_range
 from candata.policies._postures import finish
 from candata.scenes import Scene
+from candata.scenes.motors import affine_law
 from candata.schema.json_text import parse_json
 
 #: Columns beside the actuators': time from the start of the motion, and its name where there are several.
@@ -166,8 +167,8 @@ def _unit(scene: Scene, actuator: int) -> str:
 
 def _is_position_servo(model: mujoco.MjModel, actuator: int) -> bool:
     """Tell whether an actuator's command is the position of its joint: gain and bias cancel there (MuJoCo manual)."""
-    gain = float(model.actuator_gainprm[actuator, 0])
-    return gain != 0 and bool(np.isclose(-float(model.actuator_biasprm[actuator, 1]), gain))
+    (gain,), bias = affine_law(model, [actuator])
+    return bool(gain != 0 and np.isclose(-bias[0, 1], gain))
 
 
 def command_limits(scene: Scene) -> Array:

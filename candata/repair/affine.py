@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.effects import active, effect, flatten, parameters_on, setting
-from candata.repair.fields import DIRECT_FIELDS, OPTIONS, differences, read
+from candata.repair.fields import DIRECT_FIELDS, OPTIONS, differences, joint_of, read
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
@@ -28,8 +28,8 @@ SPEC = {array: place for array, place in DIRECT_FIELDS.items() if array not in W
     "body_inertia": ("body", "inertia"),
     "body_ipos": ("body", "ipos"),
 }
-#: Attributes of which the model's array is the first number only: damping may grow with speed.
-FIRST_NUMBER_ONLY = ("damping",)
+#: Attributes of which the model's array is the first number only: damping may grow with speed, stiffness with the turn.
+FIRST_NUMBER_ONLY = ("damping", "stiffness")
 #: How far from a straight line still counts as one, of the largest change.
 STRAIGHT = 1e-9
 
@@ -143,7 +143,7 @@ def _place(names: mujoco.MjModel, field: str, row: int, column: int, offset: Arr
         return ParameterTarget(kind="option", name="", attribute=field, index=column if is_vector else None, **numbers)
     kind, attribute = SPEC[field]
     if kind == "joint":
-        row = int(names.dof_jntid[row])
+        row = joint_of(names, field, row)
     element = getattr(names, kind)(row)
     index = column if is_vector or attribute in FIRST_NUMBER_ONLY else None
     return ParameterTarget(kind=kind, name=element.name, attribute=attribute, index=index, **numbers)

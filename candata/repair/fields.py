@@ -23,13 +23,18 @@ DIRECT_FIELDS = {
     "dof_damping": ("joint", "damping"),
     "dof_frictionloss": ("joint", "frictionloss"),
     "dof_armature": ("joint", "armature"),
+    "jnt_stiffness": ("joint", "stiffness"),
     "actuator_forcerange": ("actuator", "forcerange"),
 }
 #: Model arrays that take more than one attribute, or a computation.
 GEOMETRY = ("geom_size", "geom_pos", "site_pos", "body_pos", "mesh_vert")
 INERTIA = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
-SERVO = ("actuator_gainprm", "actuator_biasprm", "actuator_forcelimited")
-FIELDS = (*DIRECT_FIELDS, *GEOMETRY, *INERTIA, *SERVO)
+SPRING = ("qpos_spring",)
+SERVO = (
+    *("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm"),
+    *("actuator_forcelimited", "actuator_ctrlrange"),
+)
+FIELDS = (*DIRECT_FIELDS, *GEOMETRY, *INERTIA, *SPRING, *SERVO)
 #: Options of the solver and of the world.
 OPTIONS = ("gravity", "timestep", "cone", "impratio", "integrator")
 #: Words of MJCF for the numbers of an option.
@@ -53,6 +58,11 @@ class FieldDifference:
 
     field: str
     ids: tuple[int, ...]
+
+
+def joint_of(model: mujoco.MjModel, field: str, row: int) -> int:
+    """Return the joint to which a row of an array of joints, or of their degrees of freedom, belongs."""
+    return row if field.startswith("jnt_") else int(model.dof_jntid[row])
 
 
 def read(model: mujoco.MjModel, field: str) -> Array:

@@ -7,11 +7,15 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from copy import copy as duplicate
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import yaml
 
 from candata.datasets.drafts import draft_beside, place
+from candata.effects import effect, flatten
 from candata.errors import SceneError, UsageError
 from candata.repair.copies import Copy, Way, copy_scene, ways
 from candata.repair.fields import INERTIA, differences
@@ -173,7 +177,7 @@ def _refusal(scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Pa
         return str(error).splitlines()[0]
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-    target = build_worlds(scene, [effects]).models[0]
+    target = target_model(scene, effects)
     is_fixed = target.body_weldid == 0
     differing_fields = [
         d.field
@@ -184,9 +188,26 @@ def _refusal(scene: Scene, effects: Sequence[EffectSetting], way: Way, draft: Pa
     return f"the model written differs in {', '.join(differing_fields)}" if differing_fields else None
 
 
+def target_model(scene: Scene, effects: Sequence[EffectSetting]) -> mujoco.MjModel:
+    """Return the model that an export shall hold: what effects edit, and what MJCF has in place of their hooks.
+
+    Raises
+    ------
+    SceneError
+        When MJCF cannot hold one of them.
+    """
+    model = build_worlds(scene, [effects]).models[0]
+    for s in effects:
+        native, x = effect(s.name).native, flatten(s, scene)
+        if native is not None and np.isfinite(x).all():
+            model = duplicate(model)
+            native(model, scene, x, s.element)
+    return model
+
+
 def apply_effects(copy: Copy, scene: Scene, effects: Sequence[EffectSetting]) -> list[Change]:
     """Return what changed when the effects were written into the files of a copy."""
-    target = build_worlds(scene, [effects]).models[0]
+    target = target_model(scene, effects)
     root = parse(copy.model)
     spec = parse_model(copy.model)
     compile_model(spec, scene.name)

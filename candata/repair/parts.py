@@ -11,6 +11,8 @@ from candata.schema.record import ResultRecord
 _COMMAND = "commands: pass them through this in the code that sends them to the simulator"
 _READING = "readings: pass them through this in the code that reads the simulator's state"
 _FORCE = "forces: add them to qfrc_applied before each control step"
+_SERVO = "servos: compute their command from the joint positions before each physics step"
+_FRICTION = "friction: set dof_frictionloss through this before each control step"
 _PACE = "clock: stamp the recording with its true rate, or step this much more or less time between two rows"
 _AS_CANDATA = "run the effects.yaml beside this with candata"
 
@@ -39,7 +41,7 @@ class OmittedEffect(HeldEffect):
 def holds(s: EffectSetting) -> bool:
     """Tell whether MJCF can hold the effect, or what of it acts in the model."""
     kind = effect(s.name)
-    return kind.edit is not None and kind.pace is None
+    return (kind.edit is not None or kind.native is not None) and kind.pace is None
 
 
 def omitted_effect(s: EffectSetting, reason: str | None = None) -> OmittedEffect | None:
@@ -52,8 +54,11 @@ def omitted_effect(s: EffectSetting, reason: str | None = None) -> OmittedEffect
         Why an effect that acts in the model could not be written.
     """
     kind = effect(s.name)
-    hooks = [("command", _COMMAND), ("reading", _READING), ("force", _FORCE), ("pace", _PACE)]
+    hooks = [("command", _COMMAND), ("reading", _READING), ("force", _FORCE)]
+    hooks += [("friction", _FRICTION), ("servo", _SERVO), ("pace", _PACE)]
     places = [text for name, text in hooks if getattr(kind, name) is not None]
+    if kind.native is not None and reason is None:
+        return None
     is_whole = reason is not None or not holds(s)
     if not is_whole and not places:
         return None

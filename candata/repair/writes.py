@@ -10,14 +10,20 @@ import numpy as np
 
 from candata.errors import SceneError
 from candata.repair.elements import Key, locate_elements
-from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, words
+from candata.repair.fields import DIRECT_FIELDS, INERTIA, OPTIONS, WORDS, Array, differences, joint_of, words
 from candata.repair.markup import Edit, Node, at
+from candata.scenes.motors import KD, KP, SLEW, VOLTAGE, is_motor
 
 Attributes = dict[str, str | None]
 #: What an inertial element may say instead of `quat` and `diaginertia`.
 _OTHER_INERTIA = ("fullinertia", "axisangle", "euler", "xyaxes", "zaxis")
 #: Attributes of servo shortcuts that `general` lacks.
 _SHORTCUTS = ("kp", "kv", "dampratio", "timeconst", "area", "diameter", "bias")
+#: Attributes of other actuators that `dcmotor` lacks.
+_GENERAL_ONLY = (
+    *("gaintype", "biastype", "dyntype", "gainprm", "biasprm", "dynprm"),
+    *("actdim", "actlimited", "actrange", "actearly", "forcelimited", "forcerange", "inheritrange"),
+)
 _SERVO_INPUT = {"position": "pos", "velocity": "vel", "intvelocity": "vel"}
 _GAINS = ("fixed", "affine", "muscle")
 _BIASES = ("none", "affine", "muscle")
@@ -66,9 +72,9 @@ def edits(source: mujoco.MjModel, target: mujoco.MjModel, spec: mujoco.MjSpec, r
     attributes: dict[Key, Attributes] = {}
     for name, (kind, attribute) in DIRECT_FIELDS.items():
         for i in changed_rows.get(name, ()):
-            key = (kind, int(source.dof_jntid[i]) if kind == "joint" else i)
+            key = (kind, joint_of(source, name, i) if kind == "joint" else i)
             attributes.setdefault(key, {})[attribute] = words(_row(target, name, i))
-    _springs(change, attributes)
+    _springs(change, changed_rows, attributes)
     for i in changed_rows.get("actuator_forcelimited", ()):
         attributes.setdefault(("actuator", i), {})["forcelimited"] = str(bool(target.actuator_forcelimited[i])).lower()
     touched_bodies = _geometry(change, changed_rows, attributes)
@@ -102,12 +108,21 @@ def _node(change: _Change, key: Key) -> Node:
     return change.nodes[key]
 
 
-def _springs(change: _Change, attributes: dict[Key, Attributes]) -> None:
-    """Spell out stiffness and damping of joints that give them as time constant and ratio."""
+def _springs(change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: dict[Key, Attributes]) -> None:
+    """Add rest angles that change; spell out stiffness and damping that are given as time constant and ratio."""
+    target = change.target
     for joint in change.spec.joints:
+        address = int(target.jnt_qposadr[joint.id])
+        if address in changed_rows.get("qpos_spring", ()):
+            is_in_degrees = change.spec.compiler.degree and target.jnt_type[joint.id] == mujoco.mjtJoint.mjJNT_HINGE
+            rest = float(target.qpos_spring[address])
+            rest_words = words(float(np.degrees(rest)) if is_in_degrees else rest)
+            attributes.setdefault(("joint", joint.id), {})["springref"] = rest_words
         values = attributes.get(("joint", joint.id), {})
-        if "damping" in values and np.any(joint.springdamper):
-            values |= {"springdamper": "0 0", "stiffness": words(float(change.source.jnt_stiffness[joint.id]))}
+        if np.any(joint.springdamper) and ("damping" in values or "stiffness" in values):
+            damping = float(target.dof_damping[target.jnt_dofadr[joint.id]])
+            stiffness = float(target.jnt_stiffness[joint.id])
+            values |= {"springdamper": "0 0", "stiffness": words(stiffness), "damping": words(damping)}
 
 
 def _geometry(
@@ -183,13 +198,16 @@ def _servos(
     change: _Change, changed_rows: Mapping[str, tuple[int, ...]], attributes: Mapping[Key, Attributes]
 ) -> list[Edit]:
     """Return the edits of actuators: gains in the words of a position servo where it can say them."""
-    gain_ids = set(changed_rows.get("actuator_gainprm", ())) | set(changed_rows.get("actuator_biasprm", ()))
+    gain_fields = ("actuator_gaintype", "actuator_gainprm", "actuator_biasprm", "actuator_dynprm", "actuator_ctrlrange")
+    gain_ids = {i for field in gain_fields for i in changed_rows.get(field, ())}
     actuator_ids = sorted(gain_ids | {i for kind, i in attributes if kind == "actuator"})
     out = []
     for i in actuator_ids:
         node, values = _node(change, ("actuator", i)), dict(attributes.get(("actuator", i), {}))
         if i not in gain_ids:
             out.append(Edit(node, values))
+        elif is_motor(change.target, [i])[0]:
+            out.append(Edit(node, _motor(change, node, i), tag=None if node.tag == "dcmotor" else "dcmotor"))
         elif node.tag == "position" and _is_position(change.target, i):
             out.append(Edit(node, values | _gains(change, i)))
         else:
@@ -214,6 +232,33 @@ def _is_position(model: mujoco.MjModel, i: int) -> bool:
     """Tell whether gain and bias are those of kp (u - q) - kv v."""
     gain, bias = model.actuator_gainprm[i], model.actuator_biasprm[i]
     return bool(bias[0] == 0 and np.isclose(bias[1], -gain[0], rtol=1e-12, atol=0))
+
+
+def _motor(change: _Change, node: Node, i: int) -> Attributes:
+    """Return the attributes with which `dcmotor` describes this actuator.
+
+    Raises
+    ------
+    SceneError
+        When its encoder is off, which the law of a motor has no number for, or its torque limits differ by direction.
+    """
+    target, name = change.target, change.target.actuator(i).name
+    low, high = target.actuator_forcerange[i]
+    if not np.array_equal(target.actuator_ctrlrange[i], change.source.actuator_ctrlrange[i]):
+        raise SceneError(f"dcmotor {name} has no attribute for an encoder that is off", where=at(node))
+    if target.actuator_forcelimited[i] and not np.isclose(-low, high, rtol=1e-12, atol=0):
+        raise SceneError(f"dcmotor {name} has no attribute for torque limits of {low:g} and {high:g}", where=at(node))
+    resistance, constant, *_ = gain = target.actuator_gainprm[i]
+    values: Attributes = {key: None for key in (*_SHORTCUTS, *_GENERAL_ONLY)}
+    if target.actuator_ctrllimited[i]:
+        values |= {"ctrlrange": words(target.actuator_ctrlrange[i])}
+    return values | {
+        "input": "pos",
+        "motorconst": words(np.array([constant, constant])),
+        "resistance": words(float(resistance)),
+        "controller": words(np.array([gain[KP], 0.0, gain[KD], target.actuator_dynprm[i, SLEW], 0.0, gain[VOLTAGE]])),
+        "saturation": words(np.array([high if target.actuator_forcelimited[i] else 0.0, 0.0, 0.0])),
+    }
 
 
 def _general(change: _Change, node: Node, i: int) -> Attributes:

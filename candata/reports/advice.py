@@ -46,6 +46,7 @@ def change(effect_found: NamedEffect) -> SimulatorChange:
     places = {
         "joint": f"joint {element}" if element else all_joints,
         "servo": f"the servo of {element}" if element else "every servo",
+        "link": f"link {element}" if element else "every moving link",
         "tip": f"fingertip {element}" if element else "every fingertip",
         "surface": f"{element}" if element else "object, fingertips and support",
     }

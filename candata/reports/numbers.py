@@ -14,6 +14,7 @@ from candata.schema.report import Estimate, IntervalEnd, KnownEnds
 #: Unit that a parameter's name ends in (the naming rule of effects), the longest ending first.
 SUFFIX_UNITS = (
     ("_Nms_rad", "N m s/rad"),
+    ("_Nm_rad", "N m/rad"),
     ("_kgm2", "kg m^2"),
     ("_rad", "rad"),
     ("_ppm", "ppm"),

@@ -77,14 +77,14 @@ def write_report(
 
 def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effects_yaml: str) -> str:
     """Return the whole page as text."""
-    headline = words.HEADLINES[report.verdict]
+    headline = words.headline(report)
     return render_page(
         "diagnosis",
         title=f"{headline}: {report.data.dataset}",
         tone=TONES[report.verdict],
         headline=headline,
         report=report,
-        meaning=words.explain(report.verdict),
+        meaning=words.meaning(report),
         answers=_answers(report),
         changes=advice.changes(report),
         no_attribute=advice.NO_ATTRIBUTE,
@@ -114,7 +114,8 @@ def page(report: Report, evidence: Evidence, model: mujoco.MjModel | None, effec
 
 def _answers(report: Report) -> list[ReportAnswer]:
     """Return where the gap is, which effect makes it, how far it closes, and what is not known."""
-    closure = " ".join(filter(None, (words.closure_sentence(report), words.edit_sentence(report))))
+    sentences = (words.closure_sentence(report), words.calibration_sentence(report), words.edit_sentence(report))
+    closure = " ".join(filter(None, sentences))
     unknowns = " ".join(filter(None, (words.unknowns_sentence(report), words.next_motion_sentence(report))))
     return [
         ReportAnswer("Where is the gap?", words.where_headline(report), None, words.where_sentence(report)),

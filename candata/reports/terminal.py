@@ -10,11 +10,13 @@ from candata.schema.report import NamedEffect, Report
 
 #: Columns of the text, lines of the whole, and effects shown before the rest is counted.
 WIDTH, MOST_LINES, MOST_EFFECTS = 98, 25, 3
-#: Most lines of each entry; with two of the headline and one of space they are `MOST_LINES`.
+#: Most lines of each entry; with two of the headline and one of space they are `MOST_LINES`, as a motion is proposed
+#: only where nothing is calibrated.
 LINES = {
     "where": 2,
     "which": 4,
     "how far": 3,
+    "calibrated": 2,
     "edit test": 2,
     "change": 3,
     "not known": 3,
@@ -28,11 +30,12 @@ LABEL_WIDTH = 11
 
 def summary(report: Report) -> str:
     """Return the diagnosis as text: where, which, how far, what to change, what is not known, what is next."""
-    headline = f"{report.verdict}: {words.explain(report.verdict)}"
+    headline = f"{report.verdict}: {words.meaning(report)}"
     lines = [*textwrap.wrap(headline, WIDTH, max_lines=2, placeholder=" ..."), ""]
     lines += _entry("where", words.where_sentence(report), LINES["where"])
     lines += _causes(report)
     lines += _entry("how far", words.closure_sentence(report), LINES["how far"])
+    lines += _entry("calibrated", words.calibration_sentence(report), LINES["calibrated"])
     lines += _entry("edit test", words.edit_sentence(report), LINES["edit test"])
     lines += _changes(report)
     lines += _entry("not known", words.unknowns_sentence(report), LINES["not known"])

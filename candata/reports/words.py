@@ -82,6 +82,22 @@ def explain(verdict: Verdict) -> str:
     return _MEANINGS[verdict]
 
 
+def headline(report: Report) -> str:
+    """Return the verdict in a few words; against a reference, that nothing changed."""
+    is_unchanged = report.verdict == "no_gap" and report.data.against
+    return "No change found" if is_unchanged else HEADLINES[report.verdict]
+
+
+def meaning(report: Report) -> str:
+    """Return what the verdict means, and what a gap is where a reference was given."""
+    if not report.data.against:
+        return explain(report.verdict)
+    return (
+        f"{explain(report.verdict)} The gap is what changed since {report.data.against}: what the simulation already "
+        "leaves open there does not count."
+    )
+
+
 def where_sentence(report: Report) -> str:
     """Return the sentence that says in which channels and phases the gap shows."""
     if report.verdict == "too_little_data" and not report.where:
@@ -187,6 +203,20 @@ def edit_words(edit: EditTest) -> str:
     interval = "" if edit.low is None or edit.high is None else f" (90 % interval {_interval(edit.low, edit.high)})"
     predicate = "is kept" if edit.kept else "is not kept"
     return f"It {predicate} in {edit.dataset}: {percent(edit.closed)} closes there{interval}, {numbers}."
+
+
+def calibration_sentence(report: Report) -> str:
+    """Return the sentence that says what a calibration closes, and that it names no causes; empty without one."""
+    calibration = report.calibration
+    if calibration is None:
+        return ""
+    size, names = calibration.gap, enumeration([effect_title(e.name, e.element) for e in calibration.effects])
+    known = f"{calibration.combinations} combinations" if calibration.combinations < calibration.numbers else "all"
+    return (
+        f"calibration.yaml closes {percent(size.closed or 0.0)} of the gap on held-out episodes (90 % interval "
+        f"{_interval(size.low or 0.0, size.high or 0.0)}): a better simulator, no claim of causes. Fitted together: "
+        f"{readable_name(names)}; the recordings tell {known} of their {calibration.numbers} numbers."
+    )
 
 
 def unknowns_sentence(report: Report) -> str:

@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
-from candata.scenes import sensors, transmission
+from candata.scenes import motors, sensors, transmission
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
 from candata.scenes.role_check import check_recorded, check_roles
+from candata.schema.effect import EffectSetting
 from candata.schema.scene import SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
@@ -40,13 +41,21 @@ class Scene:
     file : SceneFile
         The roles as the user wrote them.
     model : mujoco.MjModel
-        Compiled with the force sensors of the fingertips added and `jacobian="dense"`.
+        Compiled with the force sensors of the fingertips added and `jacobian="dense"`; edited by the given effects.
+    policies : tuple of str
+        Policies that suit the scene; all that can act where there are none.
+    given_effects : tuple of EffectSetting
+        Effects that belong to the nominal simulator, see `candata.simulate.with_effects`.
+    plain : Scene or None
+        The scene without them; None where there are none.
     """
 
     name: str
     file: SceneFile
     model: mujoco.MjModel
     policies: tuple[str, ...] = ()
+    given_effects: tuple[EffectSetting, ...] = ()
+    plain: Scene | None = None
 
     @property
     def substeps(self) -> int:
@@ -90,8 +99,8 @@ class Scene:
 
     def stiffness(self, actuators: Sequence[int] | NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the position gains `(n,)` of actuators: a servo's gain on its length, else that on its command."""
-        length_gain = -self.model.actuator_biasprm[actuators, 1]
-        return np.where(length_gain > 0, length_gain, self.model.actuator_gainprm[actuators, 0])
+        gain, bias = motors.affine_law(self.model, actuators)
+        return np.where(bias[:, 1] < 0, -bias[:, 1], gain)
 
     @cached_property
     def driven_hinges(self) -> NDArray[np.int64]:
@@ -173,7 +182,8 @@ class Scene:
         size = mujoco.mj_sizeModel(self.model)
         buffer = np.zeros(size, np.uint8)
         mujoco.mj_saveModel(self.model, None, buffer)
-        return hashlib.sha256(buffer.tobytes() + self.file.model_dump_json().encode()).hexdigest()
+        given = "".join(setting.model_dump_json() for setting in self.given_effects)
+        return hashlib.sha256(buffer.tobytes() + (self.file.model_dump_json() + given).encode()).hexdigest()
 
     def group(self, joint: str) -> str:
         """Return the group of a joint: the one the scene names, else `slides` or `hinges`."""

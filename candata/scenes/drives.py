@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from candata.scenes.motors import affine_law, has_affine_law, is_position_motor
 from candata.scenes.transmission import driven_joints, levers
 
 _GAIN, _BIAS, _DYN, _TRN = mujoco.mjtGain, mujoco.mjtBias, mujoco.mjtDyn, mujoco.mjtTrn
@@ -41,19 +42,20 @@ def position_servos(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> NDAr
 
     Source: MuJoCo manual, "Actuation model"; an integrating one takes a velocity.
     """
-    affine = model.actuator_biastype[actuators] == _BIAS.mjBIAS_AFFINE
+    gain, bias = affine_law(model, actuators)
     direct = model.actuator_dyntype[actuators] != _DYN.mjDYN_INTEGRATOR
-    pulls = (model.actuator_biasprm[actuators, 1] < 0) & (model.actuator_gainprm[actuators, 0] != 0)
-    return np.asarray(affine & direct & pulls)
+    return np.asarray(has_affine_law(model, actuators) & direct & (bias[:, 1] < 0) & (gain != 0))
 
 
 def drive_of(model: mujoco.MjModel, actuator: int) -> Drive:
     """Return kind and gains of an actuator (MuJoCo XML reference, "actuator": the shortcuts and what they set)."""
-    stiffness, damping = (float(0.0 - b) for b in model.actuator_biasprm[actuator, 1:3])
+    _, bias = affine_law(model, [actuator])
+    stiffness, damping = (float(0.0 - b) for b in bias[0, 1:])
     units = _units(model, actuator)
     kind = _known_kind(model, actuator)
     if kind:
-        return Drive(kind, None, None, units)
+        has_gains = is_position_motor(model, [actuator])[0]
+        return Drive(kind, stiffness if has_gains else None, damping if has_gains else None, units)
     if position_servos(model, np.array([actuator]))[0]:
         return Drive("position servo", stiffness, damping, units)
     affine = model.actuator_biastype[actuator] == _BIAS.mjBIAS_AFFINE

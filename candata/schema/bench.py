@@ -8,7 +8,7 @@ from candata.schema.effect import EffectSetting
 from candata.schema.record import ResultRecord
 from candata.schema.report import Report
 
-Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local"]
+Kind = Literal["one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local", "change"]
 
 
 class CaseFile(ResultRecord):

@@ -6,7 +6,7 @@ from typing import Any, Literal, Self
 
 from pydantic import AliasChoices, ConfigDict, Field, model_validator
 
-from candata.schema.effect import Value
+from candata.schema.effect import EffectSetting, Value
 from candata.schema.record import ResultRecord
 
 Verdict = Literal[
@@ -114,6 +114,19 @@ class Gap(ResultRecord):
     closed_elsewhere: float | None = None
 
 
+class Calibration(ResultRecord):
+    """A joint fit of every quantity that gains on held-out episodes: a better simulator that claims no names.
+
+    `effects` are those of `calibration.yaml`, and `gap` is what they close on held-out episodes. Of their `numbers`,
+    the recordings tell so many `combinations` to less than a plausible size; the others may make up for one another.
+    """
+
+    effects: tuple[EffectSetting, ...]
+    gap: Gap
+    numbers: int
+    combinations: int
+
+
 class EditTest(ResultRecord):
     """Whether the shrinkage is kept with another object or task in both worlds, nothing refitted.
 
@@ -172,9 +185,10 @@ class EpisodeCount(ResultRecord):
 
 
 class DiagnosisData(ResultRecord):
-    """What the diagnosis saw."""
+    """What the diagnosis saw; `against` is the reference whose own misfit was taken off, null without one."""
 
     dataset: str
+    against: str | None = None
     episodes: EpisodeCount
     floor: Literal["measured", "declared", "assumed"] | None = None
     channels: tuple[str, ...] = ()
@@ -182,7 +196,10 @@ class DiagnosisData(ResultRecord):
 
 
 class Report(ResultRecord):
-    """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms."""
+    """The diagnosis: verdict, effects, what is unknown, ranking, gap, symptoms.
+
+    `given_effects` belong to the nominal simulator: gap and effects are what comes on top of them.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", populate_by_name=True, serialize_by_alias=True)
 
@@ -197,6 +214,8 @@ class Report(ResultRecord):
     where: tuple[Symptom, ...] = ()
     next_motion: NextMotion | None = None
     edit: EditTest | None = None
+    calibration: Calibration | None = None
+    given_effects: tuple[EffectSetting, ...] = ()
     data: DiagnosisData
     measures: dict[str, dict[str, float]] = {}
     provenance: dict[str, str] = {}

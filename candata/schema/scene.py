@@ -26,13 +26,27 @@ class Noise(Record):
     """Declared sensor noise, one standard deviation: the declared floor.
 
     `object_pose` is (position m, rotation rad), `joint_position` rad or m, one number or one a joint,
-    `fingertip_force` N, `force_step` the quantisation step in N.
+    `fingertip_force` N. `force_step` [N] and `joint_step` [rad or m, as `joint_position`] are the steps to which
+    readings are rounded.
     """
 
     object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     joint_position: NonNegative | tuple[NonNegative, ...] = 0.0
     fingertip_force: NonNegative = 0.0
     force_step: NonNegative = 0.0
+    joint_step: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda step: step == 0.0)
+
+
+class Repeatability(Record):
+    """Declared deviations of one repeat of a motion from the next, one standard deviation, beyond sensor noise.
+
+    They come from drift, temperature, supply or stick-slip and last for `time_s`. Units as in `Noise`.
+    """
+
+    object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    joint_position: NonNegative = 0.0
+    fingertip_force: NonNegative = 0.0
+    time_s: Positive = 0.5
 
 
 class SceneFile(Record):
@@ -48,6 +62,7 @@ class SceneFile(Record):
     support: str | None = None
     groups: dict[str, tuple[str, ...]] = {}
     noise: Noise | None = None
+    repeatability: Repeatability | None = Field(default=None, exclude_if=lambda value: value is None)
 
     @property
     def actuator_names(self) -> tuple[str, ...]:

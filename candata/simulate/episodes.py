@@ -205,7 +205,7 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMet
 
 
 def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Generator) -> dict[str, Array]:
-    """Return the channels with white sensor noise and the force's quantisation, as the scene declares them.
+    """Return the channels with white sensor noise and the rounding of joints and forces, as the scene declares them.
 
     Parameters
     ----------
@@ -226,10 +226,19 @@ def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Gene
         out["object_pose"] = np.concatenate([position, multiply(turn, pose[..., 3:])], axis=-1)
     if "joint_position" in out:
         joints = out["joint_position"]
-        out["joint_position"] = joints + np.asarray(noise.joint_position) * rng.standard_normal(joints.shape)
+        out["joint_position"] = rounded(
+            joints + np.asarray(noise.joint_position) * rng.standard_normal(joints.shape), noise.joint_step
+        )
     if "fingertip_force" in out:
         force = out["fingertip_force"]
         force = force + noise.fingertip_force * rng.standard_normal(force.shape)
-        step = noise.force_step
-        out["fingertip_force"] = np.round(force / step) * step if step > 0 else force
+        out["fingertip_force"] = rounded(force, noise.force_step)
     return out
+
+
+def rounded(values: Array, step: float | Sequence[float]) -> Array:
+    """Return values rounded to whole steps, one step or one for each of the last axis; as they are where it is 0."""
+    size = np.broadcast_to(step, values.shape[-1:])
+    if not size.any():
+        return values
+    return np.where(size > 0, np.round(values / np.where(size > 0, size, 1.0)) * size, values)

@@ -10,12 +10,13 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
-from candata.effects import Forces
+from candata.effects import DryFriction, Forces, Servos
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
+from candata.simulate.servo_laws import ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
@@ -154,7 +155,8 @@ class _Run:
     ) -> None:
         self.scene, self.push, self.n = scene, push, len(qpos)
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
-        self.batch.set_models(worlds.models)
+        self.laws = servo_laws(scene, worlds.models) if worlds.servo else None
+        self.batch.set_models(without_command_limits(worlds.models) if worlds.servo else worlds.models)
         self.batch.bind("qpos")[:] = qpos
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
@@ -162,10 +164,13 @@ class _Run:
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         # Outputs are copied after every call: only where something reads them.
-        self.effort = self.batch.bind("qfrc_actuator") if worlds.force or push else np.zeros(0)
+        needs_effort = worlds.force or worlds.friction or push
+        self.effort = self.batch.bind("qfrc_actuator") if needs_effort else np.zeros(0)
+        self.own_friction = np.array([model.dof_frictionloss for model in worlds.models])
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
-        self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in ("command", "force", "reading")}
+        kinds = ("command", "force", "friction", "servo", "reading")
+        self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in kinds}
         parts = [self.batch.bind(name) for name in MEMORY] if memory_size(scene.model) else []
         self.memory = [part.reshape(self.n, -1) for part in parts]
         self.first_memory = self._remembered()[0] if parts and self.n else np.zeros(0)
@@ -222,6 +227,7 @@ class _Run:
                 held_commands = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held_commands[drifting_ids] = retimed_commands[:, k]
                 self._apply_forces(k, force[-1], touch)
+                self._apply_friction()
                 sensor_data, touch = self._step(held_commands)
                 failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
         state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
@@ -285,6 +291,15 @@ class _Run:
         x = self._filter("force", x)
         self.applied[:] = x.added if self.push is None else x.added + self.push(row, x)
 
+    def _apply_friction(self) -> None:
+        """Set the limits of dry friction over the next step, in the models, which are private then."""
+        if not self.worlds.friction:
+            return
+        x = DryFriction(np.zeros_like(self.own_friction), self.qvel.copy(), self.effort.copy())
+        limits = self.own_friction + self._filter("friction", x).added
+        for model, row in zip(self.worlds.models, limits, strict=True):
+            model.dof_frictionloss[:] = row
+
     def _step(self, commands: Array) -> tuple[list[Array], NDArray[np.bool_]]:
         """Advance one row under commands `(n, S, A)`; return what the sensors of the worlds read at each physics step
         `(n, steps, .)`, for each number of these, and touch `(n,)`.
@@ -297,12 +312,35 @@ class _Run:
         sensor_data, touch = [], np.zeros(self.n, bool)
         for steps, ids in self.groups:
             group_control = None if control is None else resample_control(control[ids], steps)
-            group_ids = None if len(self.groups) == 1 else ids
-            data = self.batch.rollout(steps, group_control, record=("sensordata",), ids=group_ids)["sensordata"]
+            data = self._advance(steps, ids, group_control)
             sensor_data.append(data)
             if len(scene.touch_sensors):
                 touch[ids] = (data[:, :, scene.touch_sensors] > 0).any((1, 2))
         return sensor_data, touch
+
+    def _advance(self, steps: int, ids: NDArray[np.int64], control: Array | None) -> Array:
+        """Advance the simulations `ids` by physics steps under controls `(m, steps, nu)`; return what sensors read.
+
+        One by one where effects change what servos take: the same steps, to the bit.
+        """
+        group_ids = None if len(self.groups) == 1 else ids
+        if self.laws is None or control is None:
+            return self.batch.rollout(steps, control, record=("sensordata",), ids=group_ids)["sensordata"]
+        data = []
+        for k in range(steps):
+            taken = self._taken(self.laws, ids, control[:, k])[:, None]
+            data.append(self.batch.rollout(1, taken, record=("sensordata",), ids=group_ids)["sensordata"])
+        return np.concatenate(data, axis=1)
+
+    def _taken(self, laws: ServoLaws, ids: NDArray[np.int64], control: Array) -> Array:
+        """Return what the servos of the simulations `ids` take of controls `(m, nu)` in one physics step."""
+        actuators = self.scene.actuator_ids
+        command = np.zeros((self.n, len(actuators)))
+        command[ids] = control[:, actuators]
+        x = Servos(np.clip(command, laws.lowest, laws.highest), laws.idle(self.qpos))
+        taken = control.copy()
+        taken[:, actuators] = self._filter("servo", x).command[ids]
+        return taken
 
 
 def at_rest(scene: Scene, n: int) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -35,10 +35,10 @@ class Worlds:
     Attributes
     ----------
     models : list of MjModel
-        One a simulation; simulations without model edits share the scene's.
+        One a simulation; simulations without model edits share the scene's, unless friction changes from step to step.
     pace : (n,) float64
         True time that passes during one recorded row, in nominal control steps.
-    command, force, reading : tuple of Filter
+    command, force, friction, servo, reading : tuple of Filter
         Hooks of the effects present, in the order in which they act.
     """
 
@@ -46,6 +46,8 @@ class Worlds:
     pace: Array
     command: tuple[Filter, ...]
     force: tuple[Filter, ...]
+    friction: tuple[Filter, ...]
+    servo: tuple[Filter, ...]
     reading: tuple[Filter, ...]
 
 
@@ -59,20 +61,74 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
     """
     cache: dict[str, mujoco.MjModel] = {}
     models = [_model(scene, tuple(settings), cache) for settings in effects]
-    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "reading": []}
-    for name in sorted({s.name for settings in effects for s in settings}, key=turn):
+    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "friction": [], "servo": [], "reading": []}
+    given = [scene.given_effects] * len(effects)
+    for name in sorted({s.name for settings in (scene.given_effects, *effects) for s in settings}, key=turn):
         for hook_name, filters in kinds.items():
             hook: Hook | None = getattr(effect(name), hook_name)
             if hook is not None:
-                filters += _filters(scene, name, hook, effects)
+                filters += _filters(scene, scene.plain or scene, name, hook, given)
+                filters += _filters(scene, scene, name, hook, effects)
+    kinds["command"] += _shifted_commands(scene, models)
     pace = np.array([_pace(scene, settings) for settings in effects])
-    return Worlds(models, pace, *(tuple(kinds[k]) for k in ("command", "force", "reading")))
+    if kinds["friction"]:
+        models = [copy.copy(model) for model in models]
+    return Worlds(models, pace, **{kind: tuple(filters) for kind, filters in kinds.items()})
+
+
+def _shifted_commands(scene: Scene, models: Sequence[mujoco.MjModel]) -> list[Filter]:
+    """Return the filter that moves commands as far as edits moved their range; none where they moved none.
+
+    That is how a law without a constant, a DC motor's, follows an encoder that is off: kp (u + shift - q).
+    """
+    plain = (scene.plain or scene).model
+    lowest = [model.actuator_ctrlrange[scene.actuator_ids, 0] for model in (plain, *models)]
+    shift = np.stack(lowest)[1:] - lowest[0]
+    return [Filter(lambda state, u: (state, u + state[:, None]), shift)] if shift.any() else []
+
+
+def with_effects(scene: Scene, settings: EffectList) -> Scene:
+    """Return the scene of which some effects are part: what is added to it acts after them.
+
+    Edits of the model are in its `model`, other hooks act wherever it is simulated. Effects that a scene has already
+    stay.
+
+    Raises
+    ------
+    UnknownNameError
+        When there is no such effect or parameter.
+    UsageError
+        When an effect cannot act in the scene, or its parameters are not possible there.
+    """
+    if not settings:
+        return scene
+    (model,) = build_worlds(scene, [settings]).models
+    return replace(scene, model=model, given_effects=(*scene.given_effects, *settings), plain=scene.plain or scene)
+
+
+def all_effects(scene: Scene, settings: EffectList) -> tuple[EffectSetting, ...]:
+    """Return the effects that make of the plain scene what `settings` make of the scene with its given effects.
+
+    An effect that is there twice acts twice; one that replaces a value of the model takes the place of the former.
+    """
+    replaced = {(s.name, s.element) for s in settings if effect(s.name).replaces(scene)}
+    return (*(s for s in scene.given_effects if (s.name, s.element) not in replaced), *settings)
+
+
+def _numbers(scene: Scene, settings: EffectList) -> list[tuple[EffectSetting, Array]]:
+    """Return the scene's own effects and those of a world, in the order in which they act, with their numbers `(d,)`.
+
+    What is possible of the scene's own is said by the scene without them.
+    """
+    plain = scene.plain or scene
+    pairs = [(s, flatten(s, plain)) for s in scene.given_effects] + [(s, flatten(s, scene)) for s in settings]
+    return sorted(pairs, key=lambda pair: turn(pair[0].name))
 
 
 def _pace(scene: Scene, settings: EffectList) -> float:
     """Return the true time of one recorded row, in nominal control steps."""
-    hooks = [(effect(s.name).pace, s) for s in settings]
-    return float(np.prod([hook(scene, flatten(s, scene)) for hook, s in hooks if hook is not None]))
+    hooks = [(effect(s.name).pace, x) for s, x in _numbers(scene, settings)]
+    return float(np.prod([hook(scene, x) for hook, x in hooks if hook is not None]))
 
 
 def true_state(scene: Scene, readings: Mapping[str, Array], settings: EffectList) -> dict[str, Array]:
@@ -84,13 +140,13 @@ def true_state(scene: Scene, readings: Mapping[str, Array], settings: EffectList
     readings : mapping of str to ndarray
         `object_pose (..., 7)`, `joint_position (..., J)`; others pass through.
     settings : sequence of EffectSetting
-        Effects of the world.
+        Effects of the world, beside those that belong to the scene.
     """
     out = dict(readings)
-    for s in sorted(settings, key=lambda s: turn(s.name), reverse=True):  # against the stepping loop's order
+    for s, x in reversed(_numbers(scene, settings)):  # against the stepping loop's order
         hook = effect(s.name).unread
         if hook is not None:
-            out = hook(scene, flatten(s, scene), s.element, out)
+            out = hook(scene, x, s.element, out)
     return out
 
 
@@ -114,20 +170,23 @@ def followed_readings(scene: Scene, readings: Mapping[str, Array], settings: Eff
         NaN in the last rows of a channel that is late.
     """
     out = true_state(scene, readings, settings)
-    for s in settings:
+    for s, x in _numbers(scene, settings):
         hook = effect(s.name).on_time
         if hook is not None:
-            out = hook(scene, flatten(s, scene), s.element, out)
+            out = hook(scene, x, s.element, out)
     return out
 
 
-def _filters(scene: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
-    """Return the filters of one effect: several where a simulation has it on several elements."""
+def _filters(scene: Scene, ranges: Scene, name: str, hook: Hook, effects: Sequence[EffectList]) -> list[Filter]:
+    """Return the filters of one effect: several where a simulation has it several times, as on several elements.
+
+    The scene of `ranges` says what values are possible.
+    """
     layers = max(sum(s.name == name for s in settings) for settings in effects)
     filters = []
     for layer in range(layers):
         layer_settings = [_nth(settings, name, layer) for settings in effects]
-        x = np.stack([flatten(s, scene) for s in layer_settings])
+        x = np.stack([flatten(s, ranges) for s in layer_settings])
         filters.append(Filter(hook.apply, hook.start(scene, x, [s.element for s in layer_settings])))
     return filters
 

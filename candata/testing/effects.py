@@ -24,9 +24,9 @@ from candata.testing._claims import refusal_of, registered_name, require, requir
 from candata.units import TO_SI
 
 Readings = dict[str, NDArray[np.float64]]
-PLACES = ("joint", "fingertip", "object", "wrist", "world")
+PLACES = ("joint", "link", "fingertip", "object", "wrist", "world")
 #: What the words of an effect may name, and what MJCF's may.
-PLACEHOLDERS, MJCF_PLACEHOLDERS = {"x", "joint", "servo", "tip", "surface"}, {"raw"}
+PLACEHOLDERS, MJCF_PLACEHOLDERS = {"x", "joint", "servo", "link", "tip", "surface"}, {"raw"}
 #: The motion that touches most, where a scene has it.
 GRASP = "grasp_lift_shake"
 

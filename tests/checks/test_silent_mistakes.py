@@ -53,7 +53,7 @@ def said(folder, episodes, mistake, scene):
 
 def motions(scene, policy, count=6):
     """Episodes of one motion of a scene with its declared noise."""
-    jobs = [EpisodeJob(f"e{i}", i, policy, 3) for i in range(count)]
+    jobs = [EpisodeJob(f"{policy}-{i}", i, policy, 3) for i in range(count)]
     return make_episodes(scene, jobs, duration_s=1.5, noise=scene.file.noise)
 
 
@@ -83,3 +83,11 @@ def test_what_touches_nothing_leaves_mistakes_undecidable_and_they_are_listed(li
     ((level, message),) = said(tmp_path, motions(light_scene, "free_sweep"), mistake, light_scene)
     assert level == "unknown"
     assert [name for name in UNDECIDABLE if name not in message] == []
+
+
+def test_a_lateness_that_too_few_episodes_show_is_listed_as_undecidable(light_scene, tmp_path):
+    """Two pushes move the object; four sweeps in free air say nothing, for or against."""
+    episodes = [*motions(light_scene, "push", 2), *motions(light_scene, "free_sweep", 4)]
+    ((level, message),) = said(tmp_path, episodes, "pose_rows_late", light_scene)
+    assert level == "unknown"
+    assert "poses that come late" in message

@@ -161,6 +161,23 @@ def test_a_grip_that_creeps_is_no_drift_of_the_tare(judged):
     assert told(judged, raws, "force_drift") == []
 
 
+@pytest.mark.parametrize(("pressing", "free"), [(1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
+def test_a_force_drifts_if_it_does_so_out_of_contact_too(judged, pressing, free):
+    """It presses by 1 N along x; along z it reads a line that rises by 0.6 N, pressing, out of contact or both."""
+    touching = (TIME_S > 0.4) & (TIME_S < 2.85)
+    force = np.zeros((ROWS, 1, 3))
+    force[touching, 0, 0] = 1.0
+    force[:, 0, 2] = 0.6 * TIME_S / TIME_S[-1] * np.where(touching, pressing, free)
+    raws = [
+        defects.with_derived_flags(
+            stored(f"e{k}", joint_position=np.zeros((ROWS, 1)), fingertip_force=read(force, k, 0.02))
+        )
+        for k in range(6)
+    ]
+    expected = [("warning", "a force drifts")] * 6 if pressing and free else []
+    assert told(judged, raws, "force_drift") == expected
+
+
 def test_poses_of_nothing_are_told_with_their_value_and_rows(judged):
     poses = pose(np.zeros((ROWS, 3)))
     poses[[20, 100, 101]] = [0, 0, 0, 1, 0, 0, 0]

@@ -205,6 +205,41 @@ def test_a_scene_that_does_not_exist_is_refused(three, tmp_path, scene, text):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("effects: [{name: pose_bais}]", "unknown effect 'pose_bais'"),
+        (
+            "effects: [{name: object_mass, parameters: {mass_scale: -2}}]",
+            "mass_scale is not possible in scene",
+        ),
+        ("effects: [{name: servo_gain, parameters: {kp_scale: 2}}]", "servo_gain cannot act in scene cube_toss"),
+        ("effects: 3", "effects"),
+    ],
+)
+def test_effects_that_cannot_be_given_are_refused(three, tmp_path, text, words):
+    path = tmp_path / "given.yaml"
+    path.write_text(text)
+    done = run("diagnose", three, "--scene", "cube_toss", "--effects", path, "--out", tmp_path / "out")
+    assert (done.code, done.out) == (2, "")
+    assert words in done.err
+    assert "Traceback" not in done.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_given_effects_stand_in_the_report_and_in_the_repaired_simulator(three, tmp_path):
+    path = tmp_path / "given.yaml"
+    path.write_text("scene: xhand_tabletop\neffects: [{name: object_mass, parameters: {mass_scale: 1.2}}]")
+    done = run("diagnose", three, "--scene", "cube_toss", "--effects", path, "--out", tmp_path / "out")
+    assert done.code == 0
+    assert "given.yaml was made for another scene: xhand_tabletop" in done.err
+    assert "effects that the nominal simulator holds already: object_mass" in " ".join(done.out.split())
+    report = Report.model_validate_json((tmp_path / "out" / "report.json").read_text())
+    assert [effect.name for effect in report.given_effects] == ["object_mass"]
+    written = EffectsFile.model_validate(yaml.safe_load((tmp_path / "out" / "effects.yaml").read_text()))
+    assert written.effects == report.given_effects
+
+
 def test_a_dataset_that_does_not_exist_is_refused(tmp_path):
     done = run("diagnose", tmp_path / "nowhere", "--scene", "cube_toss", "--out", tmp_path / "out")
     assert (done.code, done.out) == (2, "")
@@ -232,3 +267,16 @@ def test_a_missing_option_is_a_usage_error(three, tmp_path):
     done = run("diagnose", three, "--out", tmp_path / "out")
     assert done.code == 2
     assert "--scene" in done.err
+
+
+def test_what_changed_cannot_be_asked_of_tosses(diagnosed, tmp_path):
+    done = run("diagnose", diagnosed.dataset, "--against", diagnosed.dataset, "--scene", "cube_toss", "--out", tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "tosses cannot be compared with a reference" in done.err
+    assert "diagnose each data set by itself" in done.err
+
+
+def test_a_reference_must_be_there(diagnosed, tmp_path):
+    done = run("diagnose", diagnosed.dataset, "--against", tmp_path / "gone", "--scene", "cube_toss", "--out", tmp_path)
+    assert (done.code, done.out) == (2, "")
+    assert "gone" in done.err

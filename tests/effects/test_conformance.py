@@ -15,6 +15,7 @@ from candata.schema.effect import EffectSetting
 from candata.simulate import rollout
 from candata.testing import EffectConformance
 from tests.effects.gripper import play_grip, write_scene
+from tests.effects.pan_tilt import play_neck, write_neck
 from tests.suites import suites
 
 NAMES = effect_names()
@@ -59,16 +60,20 @@ FIXED_NAMES = {
 #: Long enough to grasp and lift; short enough for the hundred worlds below.
 DURATION_S = 1.4
 with tempfile.TemporaryDirectory() as folder:
-    #: A scene whose contacts are explicit pairs: every effect can act in it.
+    #: A scene whose contacts are explicit pairs: every effect can act in it but those of links, which weigh too little.
     GRIPPER = write_scene(Path(folder))
+    #: A scene whose links the drives feel.
+    NECK = write_neck(Path(folder))
 
 
 class OnTheGripper(EffectConformance):
-    """Played in a scene in which every effect can act; asked about one in which few can."""
+    """Played in two scenes in one of which every effect can act; asked about one in which few can."""
 
-    scenes = (GRIPPER, "cube_toss")
+    scenes = (GRIPPER, NECK, "cube_toss")
 
     def play(self, scene, worlds):
+        if scene is NECK:
+            return play_neck(scene, worlds)
         return play_grip(scene, worlds).readings if scene is GRIPPER else super().play(scene, worlds)
 
 

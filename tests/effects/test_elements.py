@@ -23,10 +23,11 @@ TACTILE = ["tactile_gain", "tactile_bias", "tactile_dead_band", "tactile_lag"]
 CONTACT = ["sliding_friction", "torsional_friction", "rolling_friction", "contact_compliance", "contact_damping"]
 HAND = load_scene("xhand_tabletop")
 LOCAL = [n for n in NAMES if effect(n).elements(HAND)]
-ELSEWHERE = [n for n in NAMES if n not in LOCAL]
+ELSEWHERE = [n for n in NAMES if n not in LOCAL and effect(n).acts_on != "link"]
 EDITS = [n for n in LOCAL if effect(n).acts_on == "joint" and effect(n).edit]
-#: Fields of the model that a joint effect may change, one row a joint of freedom or an actuator.
+#: Fields of the model that a joint effect may change, one row a degree of freedom, a joint or an actuator.
 BY_DOF = ("dof_damping", "dof_frictionloss", "dof_armature")
+BY_JOINT = ("jnt_stiffness",)
 BY_ACTUATOR = ("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
 
 
@@ -46,12 +47,13 @@ def probe(name: str, scene, element: str | None, nth: int = -1) -> EffectSetting
 def test_a_joint_effect_edits_its_joint_only(scene, name, element):
     model = build_worlds(scene, [(probe(name, scene, element),)]).models[0]
     expected = {JOINT} if element else {scene.file.joints[i] for i in scene.driven_hinges}
-    for field in BY_DOF + BY_ACTUATOR:
+    for field in BY_DOF + BY_JOINT + BY_ACTUATOR:
         now, before = getattr(model, field), getattr(scene.model, field)
         changed = np.flatnonzero((now != before).reshape(len(now), -1).any(1))
         if not len(changed):
             continue
-        joints = model.dof_jntid[changed] if field in BY_DOF else model.actuator_trnid[changed, 0]
+        joints = model.actuator_trnid[changed, 0] if field in BY_ACTUATOR else changed
+        joints = model.dof_jntid[changed] if field in BY_DOF else joints
         assert {model.joint(int(j)).name for j in joints} == expected, field
 
 
@@ -62,7 +64,7 @@ def test_a_joint_effect_edits_the_joints_of_its_group_only(scene, name):
         f: len(
             np.flatnonzero((getattr(model, f) != getattr(scene.model, f)).reshape(len(getattr(model, f)), -1).any(1))
         )
-        for f in BY_DOF + BY_ACTUATOR
+        for f in BY_DOF + BY_JOINT + BY_ACTUATOR
     }
     assert set(rows.values()) == {0, len(scene.file.groups["index"])}
 

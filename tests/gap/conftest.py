@@ -143,7 +143,7 @@ def as_dataset(tmp_path_factory):
 @pytest.fixture(scope="session")
 def judge(as_dataset) -> Callable[..., Diagnosis]:
     """The function that diagnoses episodes in a scene."""
-    return lambda scene, episodes, **options: diagnose(as_dataset(episodes), scene, **options)
+    return lambda scene, episodes, **options: diagnose(as_dataset(episodes), scene, calibrate=False, **options)
 
 
 @pytest.fixture(scope="session")

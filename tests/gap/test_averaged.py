@@ -32,10 +32,10 @@ def gripper():
 
 @pytest.fixture(scope="module")
 def posed(gripper, played):
-    """The function that poses the problem of 20 recordings, and a first look at the effects named."""
+    """The function that poses the problem of recordings, and a first look at the effects named."""
 
-    def make(effects, *names):
-        recs = recordings(gripper, played(gripper, effects, count=20, duration_s=2.4))
+    def make(effects, *names, count=20, duration_s=2.4):
+        recs = recordings(gripper, played(gripper, effects, count=count, duration_s=duration_s))
         problem = _problem(Replayer(gripper), recs, np.random.default_rng(0), None, lambda stage: None)
         part, _ = brief(problem)
         responses, _ = respond(part, part.nominal, [candidate(n, gripper) for n in names])
@@ -52,14 +52,23 @@ def hidden(posed, planted):
 
 
 @pytest.fixture(scope="module")
+def shown(hidden):
+    """What the mean over replays shows of that friction, and the steps that were told meanwhile."""
+    problem, first = hidden
+    said = []
+    return faint(replace(problem, pace=Pace(said.append)), first), said
+
+
+@pytest.fixture(scope="module")
 def null(posed):
     return posed((), "rolling_friction", "torsional_friction")
 
 
-def test_a_fault_of_one_fingertip_that_one_replay_hides_is_found_there(hidden):
-    problem, first = hidden
+def test_a_fault_of_one_fingertip_that_one_replay_hides_is_found_there(hidden, shown):
+    _, first = hidden
     assert first.base.mean() - 1 < attribute.HIDDEN, "a gap as small as nulls have"
-    fit, many = faint(problem, first)
+    (fit, many), said = shown
+    assert said == ["looking for what contact hides, in the mean over many replays"]
     assert fit.labels == (f"rolling_friction {TIP}",)
     assert np.exp(fit.members[0][1][0]) == pytest.approx(ROLLING_M, rel=0.5)
     assert fit.gain > averaged.NAMED
@@ -78,9 +87,9 @@ def test_a_null_world_has_one_floor_in_the_mean(null):
     assert Averaged(problem, 1).sizes([None], 8).mean() == pytest.approx(1.0, abs=0.03)
 
 
-def test_the_mean_varies_less_than_one_replay_does(null, gripper):
+def test_the_mean_varies_less_than_one_replay_does(posed, gripper):
     """What an effect gains over a null: by pairs of replays, and by eight of each."""
-    problem, _ = null
+    problem, _ = posed((), count=8, duration_s=1.2)
     (c,) = [v for v in local_candidates(candidate("rolling_friction", gripper), gripper) if v.element == TIP]
     point = (c, np.log([0.0025]))
     one, eight = [], []
@@ -166,11 +175,19 @@ def told(problem, gripper, label, losses):
     return Fit(((c, c.neutral + 1.0),), None, CrossFit(1.1 - loss, loss, np.zeros((4, 1))))
 
 
+@pytest.fixture(scope="module")
+def replays(null):
+    """Replays of the null problem that are played once for all tests."""
+    problem, _ = null
+    return Averaged(problem, 0)
+
+
 @pytest.mark.parametrize(
     ("more", "found"), [(0.05, True), (0.0, False), (-0.05, False)], ids=["surely", "as much", "less"]
 )
-def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, gripper, monkeypatch, more, found):
+def test_an_effect_moves_to_an_element_where_it_surely_gains_more(null, replays, gripper, monkeypatch, more, found):
     problem, _ = null
+    monkeypatch.setattr(averaged, "_of", lambda problem: replays)
     spread = 0.01 * np.random.default_rng(0).standard_normal(20)
     whole = told(problem, gripper, "torsional_friction", 1.05 + spread)
     tip = told(problem, gripper, "torsional_friction left_tip", 1.05 - more - spread)
@@ -280,14 +297,15 @@ def test_the_mean_is_not_asked_after_a_force_or_of_tosses(null, monkeypatch, for
     assert (attribute.attribute(problem).mean == "many") == (force is None and not toss)
 
 
-def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, gripper, played, planted, judge, monkeypatch):
+def test_the_report_says_that_it_shows_in_the_mean_alone(hidden, shown, gripper, played, planted, judge, monkeypatch):
     """The gap is that in the mean, and one of the notes says so."""
-    _, first = hidden
+    (_, first), (in_mean, _) = hidden, shown
 
     def search(problem):
         found = attribute.Attribution(first, None, (), problem.score, False)
         return attribute._in_mean(problem, found)
 
+    monkeypatch.setattr(attribute, "faint", lambda *a: in_mean)
     monkeypatch.setattr(diagnosis, "attribute", search)
     monkeypatch.setattr(diagnosis, "sizes_in_mean", lambda *a: (np.full(20, 1.05), np.full(20, 1.0)))
     effects = planted("rolling_friction", TIP, rolling_m=ROLLING_M)
@@ -305,11 +323,3 @@ def test_a_dataset_without_a_faint_effect_keeps_its_notes(null, gripper, played,
     report = judge(gripper, played(gripper, count=20, duration_s=2.4)).report
     assert report.verdict == "no_gap"
     assert not any("mean over" in note for note in report.data.notes)
-
-
-def test_steps_are_told(hidden):
-    problem, first = hidden
-    said = []
-    problem = replace(problem, pace=Pace(said.append))
-    faint(problem, replace(first, rough=()))
-    assert said == ["looking for what contact hides, in the mean over many replays"]

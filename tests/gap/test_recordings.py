@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -254,3 +256,14 @@ def test_of_a_large_dataset_no_more_than_so_many_episodes_are_read_and_that_is_s
     assert set(found.ids) < set(dataset.ids)
     assert found.notes == ("4 of 9 episodes looked at, drawn at random",)
     assert read(arm, dataset).ids == found.ids
+
+
+def test_episodes_end_where_a_servo_is_switched_off(arm, arm_episodes):
+    """Its replay goes on to follow the commands; the joint falls."""
+    first, second = arm_episodes(count=2)
+    off = np.ones((160, 2), bool)
+    off[100:, 1] = False
+    released = replace(first, arrays=dict(first.arrays) | {"torque_on": off})
+    recs = recordings(arm, [released, second])
+    assert recs.lengths.tolist() == [100, 160]
+    assert any(note.startswith("1 of 2 episodes end where a servo is switched off") for note in recs.notes)

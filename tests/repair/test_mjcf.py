@@ -20,6 +20,8 @@ from tests.repair.rig import EDITS, MAIN, drawn, write_rig
 
 #: Twelve digits are written; meshes are stored in single precision; MuJoCo saves whole models with six digits.
 TWELVE, SINGLE, SIX = 1e-9, 1e-6, 2e-5
+#: Effects that turn servos into DC motors, whose law has no room for an encoder that is off.
+MOTORS = ("drive_voltage", "back_emf")
 
 
 def numbers(model) -> dict[str, np.ndarray]:
@@ -54,17 +56,20 @@ def export(scene, effects, out: Path):
 
 
 @pytest.mark.parametrize("name", EDITS)
-def test_the_model_of_a_patch_is_the_one_that_the_effect_makes(gripper, tmp_path, name):
-    effects = [drawn(name, gripper)]
-    found, written = export(gripper, effects, tmp_path / "out")
-    target, names = touched(gripper, effects)
+def test_the_model_of_a_patch_is_the_one_that_the_effect_makes(gripper, neck, tmp_path, name):
+    scene = gripper if effect(name).possible(gripper) else neck
+    effects = [drawn(name, scene)]
+    found, written = export(scene, effects, tmp_path / "out")
+    target, names = touched(scene, effects)
     assert (found.way, [h.name for h in found.held]) == ("patch", [name])
     assert names
     assert agree(written.model, target, target, TWELVE)
 
 
 def test_a_model_of_classes_includes_and_meshes_takes_all_effects_at_once(rig, tmp_path):
-    effects = [drawn(name, rig) for name in EDITS if name not in ("anisotropic_friction", "object_size")]
+    rest = ("anisotropic_friction", "object_size", *MOTORS)
+    names = [name for name in EDITS if effect(name).possible(rig) and name not in rest]
+    effects = [drawn(name, rig) for name in names]
     found, written = export(rig, effects, tmp_path / "out")
     target, names = touched(rig, effects)
     assert (found.way, len(found.held)) == ("patch", len(effects))
@@ -81,10 +86,11 @@ def test_a_larger_object_grows_with_its_meshes_and_the_bodies_it_carries(rig, tm
 
 
 def test_a_built_in_scene_is_saved_whole(hand, tmp_path):
-    effects = [drawn(name, hand) for name in EDITS if effect(name).possible(hand)]
+    names = [name for name in EDITS if effect(name).possible(hand) and name != "joint_offset"]
+    effects = [drawn(name, hand) for name in names]
     found, written = export(hand, effects, tmp_path / "out")
     target, names = touched(hand, effects)
-    assert (found.way, len(found.held)) == ("whole", len(EDITS) - 1)
+    assert (found.way, len(found.held)) == ("whole", len(effects))
     assert agree(written.model, target, names, SIX)
 
 
@@ -266,6 +272,26 @@ def test_an_effect_that_cannot_be_written_exactly_is_left_with_the_reason(tmp_pa
     assert (entry.name, entry.whole) == ("support_height", True)
     assert "geom_pos" in entry.why
     assert read_effects(tmp_path / "out/effects.yaml").effects == tuple(effects[:1])
+
+
+def test_motors_take_the_servos_other_changes_and_play_alike_in_plain_mujoco(gripper, tmp_path):
+    effects = [drawn(name, gripper) for name in ("servo_gain", *MOTORS, "servo_damping", "torque_limit")]
+    found, written = export(gripper, effects, tmp_path / "out")
+    assert (found.way, len(found.held)) == ("patch", len(effects))
+    assert (tmp_path / "out/scene.xml").read_text().count("<dcmotor") == 2
+    own, plain = play_grip(gripper, [effects, []]).readings, play_grip(written, [[]]).readings
+    # The same steps on numbers of twelve digits: contact multiplies the last of them a thousandfold.
+    joints = own["joint_position"]
+    assert np.abs(plain["joint_position"][0] - joints[0]).max() < 1e-6
+    assert np.abs(joints[1] - joints[0]).max() > 1e-3
+
+
+def test_an_encoder_offset_stays_outside_a_motor_with_the_reason(gripper, tmp_path):
+    effects = [drawn("drive_voltage", gripper), drawn("joint_offset", gripper)]
+    found, _ = export(gripper, effects, tmp_path / "out")
+    assert [h.name for h in found.held] == ["drive_voltage"]
+    (entry,) = found.left
+    assert "encoder that is off" in entry.why
 
 
 def test_an_existing_folder_is_refused_and_left_alone(gripper, tmp_path):

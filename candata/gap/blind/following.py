@@ -82,7 +82,7 @@ def again(
     The first diagnosis is done again, as its motion was not kept; should it be ambiguous no more, that is the result.
     """
     truth = Label.model_validate_json(label)
-    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache)
+    found = diagnose(case, scene, jobs=1, seed=seed, cache=cache, calibrate=False)
     if not found.report.ambiguous_class or not found.motion:
         return found.report
     turns = [found.motion[i % len(found.motion)] for i in range(PLAYED)]
@@ -103,4 +103,4 @@ def again(
     shutil.rmtree(both, ignore_errors=True)
     create_dataset(both, both.name)
     append(both, [*case, *hidden_world(scene, truth, plans)], Lineage(operation="blind case", sealed=sealed))
-    return diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache).report
+    return diagnose(open_dataset(both), scene, jobs=1, seed=seed, cache=cache, calibrate=False).report

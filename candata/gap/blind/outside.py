@@ -17,7 +17,7 @@ from mujoco.batch import Batch
 from numpy.typing import NDArray
 
 from candata.effects import Forces
-from candata.effects._select import drive_damping, drive_torque
+from candata.effects._select import drive_torque
 from candata.errors import UnknownNameError
 from candata.scenes import Scene
 from candata.schema.bench import OutsideCause
@@ -26,8 +26,6 @@ from candata.simulate.world import Filter, Worlds
 
 Array = NDArray[np.float64]
 Values = dict[str, float]
-#: Speed at which friction has half its size [rad/s].
-TURNING_RADPS = 0.3
 #: Force at which a fingertip counts as touching [N], and how long a pull lasts after it let go [s].
 TOUCHING_N, SUCTION_S = 0.3, 0.08
 
@@ -211,25 +209,6 @@ def _apply_cogging(state: Any, x: Array) -> tuple[Any, Array]:
     return state, x
 
 
-# Friction in the gears that grows with what the motor pulls.
-def _draw_load(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
-    return None, {"share": rng.uniform(0.5, 0.9)}
-
-
-def _start_load(scene: Scene, outside: OutsideCause, batch: Batch) -> Any:
-    dofs = scene.joint_dof[scene.driven_hinges]
-    fields = batch.bind("qvel"), batch.bind("qfrc_actuator")
-    return *fields, dofs, outside.values["share"], drive_damping(scene)
-
-
-def _apply_load(state: Any, x: Array) -> tuple[Any, Array]:
-    qvel, motor, dofs, share, damping = state
-    speed, limit = qvel[:, dofs], share * np.abs(motor[:, dofs])
-    # Never steeper than the joints' own damping: a steeper force, held over a control step, makes them chatter.
-    x[:, dofs] -= limit * speed / (np.abs(speed) + TURNING_RADPS + limit / damping)
-    return state, x
-
-
 # Motors that warm up under load and lose gain.
 def _draw_fading(scene: Scene, rng: np.random.Generator) -> tuple[None, Values]:
     return None, {"loss": rng.uniform(0.3, 0.5), "warming_s": rng.uniform(0.4, 0.8)}
@@ -360,7 +339,6 @@ CAUSES: dict[str, _Cause] = {
         "joint", "force", lambda scene: len(scene.driven_hinges) > 1, _draw_coupling, _start_coupling, _apply_coupling
     ),
     "cogging": _Cause("joint", "force", _has_hinges, _draw_cogging, _start_cogging, _apply_cogging),
-    "load_friction": _Cause("joint", "force", _has_hinges, _draw_load, _start_load, _apply_load),
     "fading_gain": _Cause("joint", "force", _has_hinges, _draw_fading, _start_fading, _apply_fading),
     "command_loss": _Cause("joint", "command", _has_hinges, _draw_loss, _start_loss, _apply_loss),
     "sticky_sensor": _Cause("fingertip", "reading", _has_forces, _draw_sticky, _start_sticky, _apply_sticky),

@@ -1,0 +1,338 @@
+"""Labelled real recordings as a bench: every pair of settings is diagnosed, and the answers are held to the labels."""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections.abc import Callable, Iterator, Sequence
+from itertools import permutations
+from math import inf
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from candata.datasets import Dataset, append, create_dataset, open_dataset
+from candata.datasets.registry import resolve
+from candata.effects import effect_names
+from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
+from candata.gap.blind.crew import Crew
+from candata.gap.blind.running import finished, spread
+from candata.gap.diagnosis import diagnose
+from candata.gap.recordings import piece
+from candata.scenes import load_scene
+from candata.schema.bench import BenchFile, BenchRow, Miss
+from candata.schema.episode import Episode
+from candata.schema.labelled import LabelledSetFile, PairResult
+from candata.schema.manifest import Lineage
+from candata.schema.report import NamedEffect, Report
+from candata.schema.yaml_text import read_yaml
+
+#: File in the folder of a labelled set, and what a run keeps.
+LABELS, PAIRS, SETTINGS = "labels.yaml", "pairs.jsonl", "settings"
+#: Targets: nulls that may be named, nulls that are `no_gap`, changes named first or in their class, and coverage of
+#: 90 % intervals. Source: the table of promises in docs/measured.md.
+NULLS_NAMED, NULLS_RIGHT, CHANGES_RIGHT, COVERAGE = 0.0, 90.0, 85.0, (80.0, 95.0)
+#: Largest median error of a size that counts as met [% of the label's ratio]. Source: the same.
+SIZE_ERROR = 20.0
+
+
+class Pair(NamedTuple):
+    """Two settings to compare: their names, what was changed (None for a null) and the ratio of the labels."""
+
+    a: str
+    b: str
+    label: str | None
+    ratio: float | None
+
+
+class LabelledSet(NamedTuple):
+    """A labelled set, read: the file, the labels of each setting, and the ids of its episodes."""
+
+    folder: Path
+    file: LabelledSetFile
+    labels: dict[str, dict[str, str]]
+    episodes: dict[str, tuple[str, ...]]
+
+    @property
+    def dataset(self) -> str:
+        """Folder, or registered name, of the recordings."""
+        path = self.folder / self.file.dataset
+        return str(path) if path.exists() else self.file.dataset
+
+    @property
+    def scene(self) -> str:
+        """What `load_scene` takes."""
+        path = self.folder / self.file.scene
+        return str(path) if path.exists() else self.file.scene
+
+
+def read_labelled(folder: Path) -> LabelledSet:
+    """Return the labelled set of a folder.
+
+    Raises
+    ------
+    UsageError, DataError, UnknownNameError
+        When `labels.yaml` or the table is missing or wrong, when a label names nothing, or an episode is not there.
+    """
+    path = folder / LABELS
+    if not path.is_file():
+        raise UsageError(
+            "no labelled set", expected=f"{LABELS} in the folder", where=Where(path=str(folder)), fix="see the docs"
+        )
+    file = LabelledSetFile.parse(read_yaml(path), path)
+    for label, cause in file.causes.items():
+        for name in cause.effects:
+            if name not in effect_names():
+                raise UnknownNameError(f"effect of the label {label}", name, effect_names())
+    dataset = open_dataset(resolve(str(folder / file.dataset))[0])
+    columns = [*file.causes, *([file.same] if file.same else [])]
+    rows = _labels_of(dataset, columns) if file.settings is None else _table(folder / file.settings, dataset, columns)
+    labels: dict[str, dict[str, str]] = {}
+    episodes: dict[str, tuple[str, ...]] = {}
+    for episode, row in rows.items():
+        name = "_".join(f"{label}-{row[label]}" for label in file.causes)
+        labels[name] = row
+        episodes[name] = (*episodes.get(name, ()), episode)
+    return LabelledSet(folder, file, labels, episodes)
+
+
+def _labels_of(dataset: Dataset, columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the labels of each episode as the dataset keeps them."""
+    rows = {}
+    for episode in dataset.episodes():
+        for name in columns:
+            if name not in episode.meta.labels:
+                raise DataError(
+                    f"an episode has no label {name}",
+                    expected=", ".join(columns),
+                    found=", ".join(episode.meta.labels) or "no labels",
+                    where=Where(path=str(dataset.path), episode=episode.meta.id),
+                    fix="give a table of settings, or take the label out of `causes`",
+                )
+        rows[episode.meta.id] = {name: str(episode.meta.labels[name]) for name in columns}
+    return rows
+
+
+def _table(path: Path, dataset: Dataset, columns: Sequence[str]) -> dict[str, dict[str, str]]:
+    """Return the labels of each episode from a CSV file."""
+    wanted = ["episode", *columns]
+    rows = _rows(path)
+    for name in wanted:
+        if name not in rows[0]:
+            raise DataError(
+                f"the table of settings has no column {name}",
+                expected=", ".join(wanted),
+                found=", ".join(rows[0]),
+                where=Where(path=str(path)),
+                fix="add the column, or take the label out of `causes`",
+            )
+    for number, row in enumerate(rows, 2):
+        if row["episode"] not in dataset.ids:
+            raise DataError(
+                "the table names an episode that is not in the dataset",
+                found=row["episode"],
+                expected=f"one of {len(dataset.ids)} ids",
+                where=Where(path=str(path), index=number),
+            )
+    return {row["episode"]: {name: row[name] for name in columns} for row in rows}
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, UnicodeDecodeError) as fault:
+        raise UsageError(
+            "the table of settings cannot be read", found=str(fault), where=Where(path=str(path))
+        ) from fault
+    if not rows:
+        raise DataError(
+            "the table of settings is empty", expected="a row for each episode", where=Where(path=str(path))
+        )
+    return rows
+
+
+def pairs_of(labelled: LabelledSet) -> list[Pair]:
+    """Return all ordered pairs of settings that differ in one label, and the halves of each setting as nulls."""
+    file, pairs = labelled.file, []
+    for a, b in permutations(labelled.labels, 2):
+        old, new = labelled.labels[a], labelled.labels[b]
+        differing = [label for label in file.causes if old[label] != new[label]]
+        if len(differing) == 1:
+            is_null = file.same is not None and old[file.same] == new[file.same] != ""
+            pairs.append(Pair(a, b, None if is_null else differing[0], _ratio(old[differing[0]], new[differing[0]])))
+    return [*pairs, *(Pair(f"{name}.first", f"{name}.second", None, None) for name in labelled.labels)]
+
+
+def _ratio(old: str, new: str) -> float | None:
+    """Return the ratio of two labels; None where they are no numbers other than zero."""
+    try:
+        return float(new) / float(old)
+    except (ValueError, ZeroDivisionError):
+        return None
+
+
+def write_settings(labelled: LabelledSet, out: Path) -> None:
+    """Write a dataset for each setting, and for each of its halves, unless it is there.
+
+    The runs of a motion take turns between the halves, so that both hold every motion that was repeated.
+    """
+    dataset = open_dataset(resolve(labelled.dataset)[0])
+    for name, ids in labelled.episodes.items():
+        runs = list(dataset.episodes(ids))
+        turn: dict[str, int] = {}
+        side = []
+        for run in runs:
+            turn[run.meta.task or ""] = turn.get(run.meta.task or "", -1) + 1
+            side.append(turn[run.meta.task or ""] % 2)
+        parts = {
+            name: runs,
+            f"{name}.first": [r for r, s in zip(runs, side, strict=True) if s == 0],
+            f"{name}.second": [r for r, s in zip(runs, side, strict=True) if s == 1],
+        }
+        for part, members in parts.items():
+            folder = out / SETTINGS / part
+            if members and not folder.exists():
+                create_dataset(folder)
+                append(folder, list(_cut(members, labelled.file.cut_s)), Lineage(operation="gap real"))
+
+
+def _cut(runs: Sequence[Episode], length_s: float | None) -> Iterator[Episode]:
+    """Yield runs, or pieces of them that are `length_s` long; a piece is a motion of its own."""
+    for run in runs:
+        if length_s is None:
+            yield run
+            continue
+        rows = max(2, round(length_s * run.meta.rate_hz))
+        for k in range(len(run) // rows):
+            name, task = f"{run.meta.id}-{k}", f"{run.meta.task or ''}-{k}"
+            yield piece(run, k * rows, (k + 1) * rows, id=name, task=task)
+
+
+def run_pairs(
+    labelled: LabelledSet,
+    out: Path,
+    crew: Crew,
+    seed: int = 0,
+    until: float = inf,
+    advance: Callable[[int], None] = lambda count: None,
+) -> list[PairResult]:
+    """Return the diagnoses of all pairs, those that stand in `out` first; each is written as it comes."""
+    write_settings(labelled, out)
+    pairs = [p for p in pairs_of(labelled) if all((out / SETTINGS / n).exists() for n in (p.a, p.b))]
+    done = {(r.a, r.b): r for r in finished(out / PAIRS, PairResult)}
+    advance(len(done))
+    tasks = [(str(out), labelled.scene, *p, seed) for p in pairs if (p.a, p.b) not in done]
+    for result in spread(out / PAIRS, diagnose_pair, tasks, crew, until):
+        done[result.a, result.b] = result
+        advance(1)
+    return [done[p.a, p.b] for p in pairs if (p.a, p.b) in done]
+
+
+def diagnose_pair(
+    out: str, scene: str, a: str, b: str, label: str | None, ratio: float | None, seed: int
+) -> PairResult:
+    """Return what the diagnosis of B against A says; runs in any process."""
+    start, folder = time.process_time(), Path(out) / SETTINGS
+    report: Report | None = None
+    error = None
+    try:
+        data, reference = open_dataset(folder / b), open_dataset(folder / a)
+        report = diagnose(data, load_scene(scene), seed=seed, against=reference, calibrate=False).report
+    except CandataError as fault:
+        error = str(fault)
+    cpu_s = time.process_time() - start
+    return PairResult(a=a, b=b, label=label, ratio=ratio, cpu_s=cpu_s, report=report, error=error)
+
+
+def is_right(pair: PairResult, file: LabelledSetFile) -> bool:
+    """Tell whether a pair's answer is right: its cause first or in the class, or `no_gap` for a null."""
+    if pair.report is None:
+        return False
+    if pair.label is None:
+        return pair.report.verdict == "no_gap"
+    causes = set(file.causes[pair.label].effects)
+    if pair.report.verdict == "ambiguous":
+        return any(name.split(" ")[0] in causes for name in pair.report.ambiguous_class)
+    return bool(pair.report.effects) and pair.report.effects[0].name in causes
+
+
+def score_pairs(labelled: LabelledSet, results: Sequence[PairResult]) -> BenchFile:
+    """Return the table of a labelled set: nulls, changes, sizes, coverage and cost, and the pairs that went wrong."""
+    file = labelled.file
+    nulls = [r for r in results if r.label is None]
+    changes = [r for r in results if r.label is not None]
+    second = [r for r in changes if any(e.name not in file.causes[r.label or ""].effects for e in _effects(r)[1:])]
+    sizes = [s for r in changes if (s := _size(r, file)) is not None]
+    errors = [100 * abs(value / true - 1) for value, true, _ in sizes]
+    rows = (
+        _share("nulls with an effect named", [bool(_effects(r)) for r in nulls], high=NULLS_NAMED),
+        _share("nulls that are no_gap", [is_right(r, file) for r in nulls], low=NULLS_RIGHT),
+        _share("changes named first, or in the class", [is_right(r, file) for r in changes], low=CHANGES_RIGHT),
+        _share("changes with a wrong second name", [r in second for r in changes]),
+        BenchRow(
+            measure="median error of a size against the label",
+            value=float(np.median(errors)) if errors else None,
+            n=len(errors),
+            high=SIZE_ERROR,
+        ),
+        _share("labels inside the 90 % interval", [inside for *_, inside in sizes], *COVERAGE),
+        BenchRow(
+            measure="median CPU s of a pair",
+            value=float(np.median([r.cpu_s for r in results])) if results else None,
+            n=len(results),
+            unit="s",
+        ),
+    )
+    order = {False: 0, True: 2, None: 3}
+    return BenchFile(
+        scene=Path(labelled.scene).name,
+        cases=len(pairs_of(labelled)),
+        done=len(results),
+        rows=tuple(sorted((r for r in rows if r.n), key=lambda r: order[r.is_met])),
+        misses=tuple(_miss(r) for r in results if not is_right(r, file)),
+        confusion={},
+        calibration=(),
+    )
+
+
+def _share(measure: str, hits: Sequence[bool], low: float | None = None, high: float | None = None) -> BenchRow:
+    """Return the share of hits in per cent as a row."""
+    value = 100 * float(np.mean(hits)) if hits else None
+    return BenchRow(measure=measure, value=value, n=len(hits), low=low, high=high)
+
+
+def _effects(result: PairResult) -> Sequence[NamedEffect]:
+    """Return the named effects of a pair."""
+    return result.report.effects if result.report else ()
+
+
+def _size(result: PairResult, file: LabelledSetFile) -> tuple[float, float, bool] | None:
+    """Return the found size, the label's ratio, and whether the interval holds it; None without either."""
+    wanted = file.causes[result.label or ""].size
+    if wanted is None or result.ratio is None:
+        return None
+    estimate = next((e.parameters.get(wanted.parameter) for e in _effects(result) if e.name == wanted.effect), None)
+    if estimate is None or not isinstance(estimate.value, float):
+        return None
+    low = estimate.low if isinstance(estimate.low, float) else -inf
+    high = estimate.high if isinstance(estimate.high, float) else inf
+    return estimate.value, result.ratio, low <= result.ratio <= high
+
+
+def _miss(result: PairResult) -> Miss:
+    """Return a wrong answer as a row."""
+    report = result.report
+    named = ", ".join([e.name for e in _effects(result)] or (report.ambiguous_class if report else ()))
+    fault = (result.error or "").partition("\n")[0]
+    return Miss(
+        case=f"{result.b} against {result.a}",
+        kind="null" if result.label is None else "change",
+        truth="nothing changed" if result.label is None else f"{result.label} changed",
+        verdict=report.verdict if report else "error",
+        named=named or "nothing",
+        why=fault or ("not no_gap" if result.label is None else "not first"),
+        gap=report.gap.before if report and report.gap else None,
+    )

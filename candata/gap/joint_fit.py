@@ -1,0 +1,408 @@
+"""The joint fit: every quantity that the recordings move, fitted at once, whatever a name of its own would be worth.
+
+A datasheet is wrong in many quantities at once, and a search that adds one effect after another stops where no single
+one helps. Nonlinear least squares within bounds (Gauss-Newton) begins at several places instead. A replay forgets its
+errors within 1 / (gain x rate), half a second at 100 Hz, as the observer pulls it to its recording: like the restarts
+of multiple shooting (Bock & Plitt 1984), this keeps an error of phase from locking the fit. Held-out episodes decide
+which quantities stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+from scipy.stats import qmc
+
+from candata.gap.candidates import Candidate, typical_size
+from candata.gap.compare import standard_error
+from candata.gap.folds import FOLDS, CrossFit, rest
+from candata.gap.refine import divided
+from candata.gap.response import Plane
+from candata.gap.robust import rho, weights
+from candata.gap.score import Compact
+from candata.gap.search import Fit, Members, Problem
+from candata.gap.shortlist import few, taken
+from candata.gap.sparse import present
+from candata.statistics import MAD_TO_SD
+
+Array = NDArray[np.float64]
+#: Most numbers that are fitted at once. Chosen: each costs a replay for every slope.
+MOST_NUMBERS = 16
+#: Shares of the allowed replays that may be spent on where to begin, and on the fits from there, and that are left for
+#: the quantities that stay. Chosen.
+BEGINNING, FIRST_FITS, LAST = 0.1, 0.4, 0.35
+#: Most places at which the fit may begin beside what was named, how far they lie from the neutral values in plausible
+#: sizes, and from how many of them it begins. Chosen.
+PLACES, REACH, BEGUN = 48, 1.5, 3
+#: Shares of a plausible size over which slopes are differenced, rough and sharp. Chosen: the wider, the less is seen of
+#: single contacts and of friction that holds or lets go.
+ROUGH, SHARP = 0.1, 0.01
+#: Most Gauss-Newton steps of a fit, shares of a step that are simulated, and share of the loss that a step must take
+#: off for another to follow. Chosen.
+STEPS, SHARES, HELPS = 12, (1.0, 0.5, 0.2, 0.05), 0.01
+#: Room, in plausible sizes, that a number at its bound has beyond it: a bounded fit needs some. Chosen.
+EDGE = 1e-6
+#: Standard errors over held-out episodes by which a quantity must gain to stay. Source: the one-standard-error rule of
+#: Breiman, Friedman, Olshen & Stone, "Classification and Regression Trees" (1984), section 3.4.3.
+SURE = 1.0
+#: Plausible sizes off its neutral value below which a quantity is no repair. Chosen.
+NEGLIGIBLE = 0.01
+#: Share of the whole gain that a quantity must be worth to stay. Chosen: a thousandth is no repair.
+WORTH = 0.001
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A joint fit.
+
+    Attributes
+    ----------
+    fit : Fit
+        Members, the plane around them, and losses of held-out episodes.
+    combinations : int
+        How many combinations of the numbers are known to less than a plausible size: singular values of the slopes, in
+        units of noise and of plausible sizes, above one.
+    """
+
+    fit: Fit
+    combinations: int
+
+
+class _AllowanceSpent(Exception):
+    """The allowed replays are spent."""
+
+
+@dataclass
+class _Allowance:
+    """Replays of all episodes that are still to be had, and how many of them are reserved for a later step."""
+
+    replays: float
+    reserved: float = 0.0
+
+    def spend(self, replays: float) -> None:
+        """Take replays off.
+
+        Raises
+        ------
+        _AllowanceSpent
+            When fewer are left that are not reserved.
+        """
+        if replays > self.replays - self.reserved:
+            raise _AllowanceSpent
+        self.replays -= replays
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Coordinates `at (d,)`, residuals `z (E, K)` and their `slope (d, E, K)` there.
+
+    `scale` is the spread of the residuals, and `prior` how much of them a plausible size off a neutral value costs.
+    """
+
+    at: Array
+    z: Compact
+    slope: Compact
+    scale: float
+    prior: float
+
+
+@dataclass(frozen=True)
+class _Fold:
+    """Episodes that are held out, the others, and the place that these are fitted best."""
+
+    test: NDArray[np.int64]
+    train: NDArray[np.int64]
+    place: _Place
+
+
+@dataclass
+class _Joint:
+    """Quantities of a problem as one vector of coordinates `u (d,)`, each in units of its plausible size.
+
+    Attributes
+    ----------
+    problem : Problem
+    kinds : tuple of Candidate
+    allowance : _Allowance
+    whole : int
+        Episodes of the whole problem, by which replays are counted.
+    """
+
+    problem: Problem
+    kinds: tuple[Candidate, ...]
+    allowance: _Allowance
+    whole: int
+
+    def __post_init__(self) -> None:
+        """Set sizes and bounds of the coordinates."""
+        scene = self.problem.replayer.scene
+        self.size = np.concatenate([typical_size(c, scene) for c in self.kinds])
+        self.neutral, low, high = (
+            np.concatenate([getattr(c, side) for c in self.kinds]) for side in ("neutral", "low", "high")
+        )
+        self.low, self.high = low / self.size, high / self.size
+        self.owners = np.repeat([c.label for c in self.kinds], [c.size for c in self.kinds])
+
+    def members(self, u: Array) -> Members:
+        """Return the members at coordinates."""
+        pairs = tuple((c, c.neutral) for c in self.kinds)
+        return divided(pairs, np.clip(u * self.size, self.low * self.size, self.high * self.size))
+
+    def residuals(self, places: Sequence[Array]) -> list[Compact]:
+        """Return normalised residuals `(E, K)` at each place, all simulated together."""
+        self.allowance.spend(len(places) * len(self.problem.recs) / self.whole)
+        return self.problem.residuals([self.problem.setting(present(self.members(u))) for u in places])
+
+    def slopes(self, u: Array, z: Compact, width: float) -> Compact:
+        """Return `(d, E, K)` how residuals change with each coordinate, by differences towards the wider side."""
+        steps = np.where(self.high - u >= np.minimum(width, u - self.low), width, -width)
+        moved = self.residuals([u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True)])
+        return np.stack([(there - z) / np.float32(step) for there, step in zip(moved, steps, strict=True)])
+
+    def loss(self, z: Compact, scale: float) -> Array:
+        """Return the robust loss `(E,)` of residuals of a spread."""
+        return self.problem.score.loss(z / np.float32(scale))
+
+    def prior(self, z: Compact) -> float:
+        """Return what a plausible size off a neutral value costs: one independent residual (maximum a posteriori).
+
+        So what the data do not tell stays as the scene says. Residuals of one episode that err together count as one:
+        their mean is known by (1 - r) / (1 + r) as many, r being the correlation of neighbours.
+
+        Source: G. V. Bayley and J. M. Hammersley, "The 'Effective' Number of Independent Observations in an
+        Autocorrelated Time Series", JRSS Supplement 8 (1946).
+        """
+        blocks = z.reshape(len(z), -1, len(self.problem.plan.columns)).astype(float)
+        r = float((blocks[:, 1:] * blocks[:, :-1]).sum() / max((blocks[:, 1:] ** 2).sum(), 1e-12))
+        most = blocks.shape[1]
+        return _scale(z) * float(np.sqrt(np.clip((1 + r) / max(1 - r, 1e-9), 1.0, most)))
+
+
+def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, replays: float) -> JointFit | None:
+    """Return the joint fit of all quantities that gain on held-out episodes; None where none does.
+
+    Parameters
+    ----------
+    problem : Problem
+    kinds : sequence of Candidate
+        Quantities that may be wrong, the likeliest first; choices do not count.
+    named : Members
+        What a search found: one of the places at which the fit begins.
+    replays : float
+        Replays of all episodes to spend at most; None is returned where they end before a fit was judged.
+    """
+    chosen = tuple(c for c, _ in named if not c.choices)
+    kinds = _first_numbers((*chosen, *(c for c in kinds if c.label not in {n.label for n in chosen})))
+    if not kinds:
+        return None
+    allowance = _Allowance(replays, (1 - FIRST_FITS) * replays)
+    everything = _Joint(problem, kinds, allowance, len(problem.recs))
+    telling = few(problem.recs.tasks, problem.score.loss(problem.nominal))
+    brief = replace(everything, problem=taken(problem, telling))
+    try:
+        at, z = min(_first_fits(brief, named, problem.rng.spawn(1)[0]), key=lambda pair: _spread(pair[1]))
+        allowance.reserved = LAST * replays
+        at, _ = _descended(brief, at, z, SHARP, STEPS)
+        allowance.reserved = 0.0
+        return _thinned(everything, at, everything.residuals([at])[0])
+    except _AllowanceSpent:
+        return None
+
+
+def _first_numbers(kinds: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """Return the first quantities, of at most `MOST_NUMBERS` numbers together."""
+    kept: list[Candidate] = []
+    for c in kinds:
+        if not c.choices and sum(k.size for k in kept) + c.size <= MOST_NUMBERS:
+            kept.append(c)
+    return tuple(kept)
+
+
+def _scale(z: Compact) -> float:
+    """Return the robust spread of residuals, at least that of noise: what counts as an outlier depends on it."""
+    return max(1.0, MAD_TO_SD * float(np.median(np.abs(z[z != 0])))) if (z != 0).any() else 1.0
+
+
+def _spread(z: Compact) -> float:
+    """Return the mean size of residuals."""
+    return float(np.abs(z).mean())
+
+
+def _first_fits(brief: _Joint, named: Members, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+    """Return where fits from several places end, each with an equal share of the replays that are not reserved."""
+    allowance = brief.allowance
+    count = int(BEGINNING * allowance.replays * brief.whole / len(brief.problem.recs))
+    begins = _begins(brief, named, min(PLACES, count), rng)
+    reserved, ends = allowance.reserved, []
+    for i, (u, z) in enumerate(begins):
+        later = len(begins) - i - 1
+        allowance.reserved = reserved + (allowance.replays - reserved) * later / (later + 1)
+        ends.append(_descended(brief, u, z, ROUGH, STEPS))
+    return ends
+
+
+def _begins(brief: _Joint, named: Members, count: int, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+    """Return the places from which to fit and their residuals: what was named, and the best of a Latin hypercube."""
+    neutral = brief.neutral / brief.size
+    at = {c.label: u for c, u in named}
+    known = np.concatenate([at.get(c.label, c.neutral) for c in brief.kinds]) / brief.size
+    cube = qmc.LatinHypercube(len(neutral), rng=rng).random(count)
+    low, high = np.maximum(neutral - REACH, brief.low), np.minimum(neutral + REACH, brief.high)
+    places = [known, *(low + cube * (high - low))]
+    zs = brief.residuals(places)
+    order = sorted(range(len(places)), key=lambda i: _spread(zs[i]))[:BEGUN]
+    return [(places[i], zs[i]) for i in dict.fromkeys([*order, 0])]
+
+
+def _descended(joint: _Joint, at: Array, z: Compact, width: float, steps: int) -> tuple[Array, Compact]:
+    """Return coordinates and residuals `(E, K)` after Gauss-Newton steps within bounds, while they help.
+
+    Of each step some shares are simulated together, and the best is taken. It ends where no share helps, or replays do.
+    """
+    neutral = joint.neutral / joint.size
+    with suppress(_AllowanceSpent):
+        for _ in range(steps):
+            place = _Place(at, z, joint.slopes(at, z, width), _scale(z), joint.prior(z))
+            way = _refitted(joint, place, np.arange(len(z))) - at
+            tried = [(at + share * way) for share in SHARES]
+            places = [(at, z), *zip(tried, joint.residuals(tried), strict=True)]
+
+            def cost(pair: tuple[Array, Compact], place: _Place = place) -> float:
+                off = place.prior / place.scale * (pair[0] - neutral)
+                return float(rho(pair[1] / np.float32(place.scale)).sum(dtype=np.float64) + 0.5 * (off**2).sum())
+
+            before = cost(places[0])
+            at, z = min(places, key=cost)
+            if cost((at, z)) > (1 - HELPS) * before:
+                break
+    return at, z
+
+
+def _settled(joint: _Joint, at: Array, z: Compact, width: float) -> tuple[Array, Compact]:
+    """Return coordinates and residuals fitted on; what is needed to judge a fit stays of the allowance."""
+    joint.allowance.reserved = 2.0 * (len(at) + len(joint.kinds) + len(SHARES) * FOLDS + 2)
+    at, z = _descended(joint, at, z, width, STEPS)
+    joint.allowance.reserved = 0.0
+    return at, z
+
+
+def _thinned(joint: _Joint, at: Array, z: Compact) -> JointFit | None:
+    """Return the fit without the quantities that do not gain on held-out episodes, the others fitted again."""
+    while True:
+        place = _Place(at, z, joint.slopes(at, z, SHARP), _scale(z), joint.prior(z))
+        folds = _folds(joint, place)
+        idle = _idle(joint, place, folds)
+        if not idle.any():
+            return _concluded(joint, _last_step(joint, place), folds)
+        if idle.all():
+            return None
+        at = _refitted(joint, place, np.arange(len(z)), idle)[~idle]
+        joint = replace(joint, kinds=tuple(c for c in joint.kinds if c.label in set(joint.owners[~idle])))
+        (z,) = joint.residuals([at])
+        at, z = _settled(joint, at, z, SHARP)
+
+
+def _folds(joint: _Joint, place: _Place) -> list[_Fold]:
+    """Return the fit without each fold: the share of the way that slopes promise which is best for its other episodes.
+
+    Slopes lead astray where a joint sticks or a contact comes and goes, so that simulations decide how far they are
+    followed.
+    """
+    parts = joint.problem.parts
+    trains = [rest(parts, f) for f in range(len(parts))]
+    ends = [_refitted(joint, place, train) for train in trains]
+    steps = [place.at + share * (end - place.at) for end in ends for share in SHARES]
+    zs = iter(joint.residuals(steps))
+    found = []
+    for test, train, end in zip(parts, trains, ends, strict=True):
+        tried = [(place.at, place.z), *((place.at + share * (end - place.at), next(zs)) for share in SHARES)]
+        u, z = min(tried, key=lambda pair: joint.loss(pair[1], place.scale)[train].mean())
+        found.append(_Fold(test, train, replace(place, at=u, z=z)))
+    return found
+
+
+def _last_step(joint: _Joint, place: _Place) -> _Place:
+    """Return the place where slopes lead once more; the same one where that is no better."""
+    if joint.allowance.replays < 1:
+        return place
+    moved = _refitted(joint, place, np.arange(len(place.z)))
+    (z,) = joint.residuals([moved])
+    return replace(place, at=moved, z=z) if _spread(z) < _spread(place.z) else place
+
+
+def _idle(joint: _Joint, place: _Place, folds: Sequence[_Fold]) -> NDArray[np.bool_]:
+    """Return `(d,)` the numbers of quantities without which, the others following, held-out episodes lose nothing sure.
+
+    Those that move least are tried first; each stands at its neutral value from then on.
+    """
+    losses = joint.loss(_unseen(folds), place.scale)
+    gain = float((joint.loss(joint.problem.nominal, place.scale) - losses).mean())
+    idle = np.zeros(len(place.at), bool)
+    distance = np.abs(place.at - joint.neutral / joint.size)
+    moved = distance * np.abs(place.slope).mean((1, 2))
+    for c in sorted(joint.kinds, key=lambda c: float(moved[joint.owners == c.label].sum())):
+        own = joint.owners == c.label
+        trial = idle | own
+        if distance[own].max() < NEGLIGIBLE:
+            idle = trial
+            continue
+        rise = joint.loss(_without(joint, folds, trial), place.scale) - losses
+        if rise.mean() <= max(WORTH * gain, SURE * standard_error(rise)):
+            idle = trial
+    return idle
+
+
+def _unseen(folds: Sequence[_Fold]) -> Compact:
+    """Return the residuals `(E, K)` of every episode by the fit without its fold."""
+    z = np.zeros_like(folds[0].place.z)
+    for fold in folds:
+        z[fold.test] = fold.place.z[fold.test]
+    return z
+
+
+def _without(joint: _Joint, folds: Sequence[_Fold], fixed: NDArray[np.bool_]) -> Compact:
+    """Return the residuals `(E, K)` of held-out episodes with some coordinates at their neutral values."""
+    joint.allowance.spend(1.0)
+    z = np.zeros_like(folds[0].place.z)
+    for fold in folds:
+        u = _refitted(joint, fold.place, fold.train, fixed)
+        part = taken(joint.problem, fold.test)
+        (z[fold.test],) = part.residuals([part.setting(present(joint.members(u)))])
+    return z
+
+
+def _refitted(joint: _Joint, place: _Place, train: NDArray[np.int64], fixed: NDArray[np.bool_] | None = None) -> Array:
+    """Return the coordinates `(d,)` that fit some episodes best by the slopes of a place, within bounds.
+
+    Coordinates that are `fixed` stand at their neutral values.
+    """
+    neutral = joint.neutral / joint.size
+    free = np.ones(len(place.at), bool) if fixed is None else ~fixed
+    u = np.where(free, place.at, neutral)
+    if not free.any():
+        return u
+    here = place.z[train] + np.tensordot((u - place.at).astype(np.float32), place.slope[:, train], 1)
+    weight = np.sqrt(weights(here / np.float32(place.scale))).ravel().astype(float)
+    matrix = (place.slope[free][:, train].reshape(int(free.sum()), -1) * weight).T
+    matrix = np.concatenate([matrix, place.prior * np.eye(matrix.shape[1])])
+    target = np.concatenate([-here.ravel() * weight, place.prior * (neutral - u)[free]])
+    room = (joint.low - u - EDGE)[free], (joint.high - u + EDGE)[free]
+    u[free] += lsq_linear(matrix, target, room).x
+    return np.clip(u, joint.low, joint.high)
+
+
+def _concluded(joint: _Joint, place: _Place, folds: Sequence[_Fold]) -> JointFit:
+    """Return a joint fit with its evidence, in the coordinates of its candidates."""
+    problem, size = joint.problem, joint.size
+    base, loss = problem.score.loss(problem.nominal), problem.score.loss(_unseen(folds))
+    slope = (place.slope / size[:, None, None]).astype(np.float32)
+    plane = Plane(joint.low * size, joint.high * size, place.at * size, place.z, slope)
+    evidence = CrossFit(base - loss, loss, np.stack([fold.place.at for fold in folds]) * size)
+    weighted = place.slope.reshape(len(size), -1) * np.sqrt(weights(place.z / np.float32(place.scale))).ravel()
+    values = np.linalg.svd(weighted.astype(float), compute_uv=False)
+    return JointFit(Fit(joint.members(place.at), plane, evidence), int((values > place.prior).sum()))
