@@ -4,6 +4,7 @@
     python examples/run.py cube_tosses
     python examples/run.py elbow_tosses --from FOLDER          # published files that are here already
     python examples/run.py other_engine --hidden mass
+    python examples/run.py real_servos --set so101_motions --from FOLDER
 
 Each step is printed before it runs, so that it can be run, or changed, by hand. Recordings that stand in --out are not
 made again; remove the folder for fresh ones.
@@ -68,6 +69,29 @@ def _servos(name: str, asked: argparse.Namespace) -> list[Step]:
     ]
 
 
+#: Real servo sets: the label that says most, and the episodes that are diagnosed: those in which the servo drives, and
+#: of the longer sets a part that takes minutes.
+REAL_SERVOS = {
+    "xl330_pendulum": ("kp", "task <> 'lift_and_drop'"),
+    "so101_motions": ("kp", "rows < 2600"),
+    "rh56_contacts": ("speed", "id LIKE 'speed1000-limit%-0%'"),
+}
+
+
+def _real_servos(name: str, asked: argparse.Namespace) -> list[Step]:
+    """Return the steps of real servos with labelled causes."""
+    out, scene = asked.out / name / asked.set, HERE / name / asked.set / "scene.yaml"
+    data, chosen = out / "recordings", out / "chosen"
+    label, condition = REAL_SERVOS[asked.set]
+    return [
+        _fetched(asked.set.replace("_", "-"), asked, data),
+        _step("candata", "validate", data),
+        _step("candata", "registry", "filter", data, condition, "--out", chosen, makes=chosen / "dataset.json"),
+        _step(HERE / name / "nominal.py", "--dataset", chosen, "--scene", scene, "--by", label),
+        _diagnosis(chosen, scene, out / "report", asked.seed),
+    ]
+
+
 def _other_engine(name: str, asked: argparse.Namespace) -> list[Step]:
     """Return the steps of a world of another physics engine."""
     out = asked.out / f"{name}_{asked.hidden}"
@@ -95,6 +119,7 @@ EXAMPLES: dict[str, Callable[[str, argparse.Namespace], list[Step]]] = {
     "cube_tosses": _tosses,
     "elbow_tosses": _tosses,
     "g1_inspire_pick": _servos,
+    "real_servos": _real_servos,
     "other_engine": _other_engine,
     "four_finger_hand": _hand("any", "--episodes", "10", "--duration-s", "2.5", "--seed", "4"),
     "shadow_hand": _hand("joint_damping", "--episodes", "8", "--duration-s", "2.0", "--seed", "3"),
@@ -119,6 +144,7 @@ def parsed(words: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--out", type=Path, default=Path("out"), help="where recordings and reports go")
     parser.add_argument("--from", dest="folder", help="folder with the published files, where no network is to be used")
     parser.add_argument("--hidden", default="none", help="other_engine: none, mass, friction or damping")
+    parser.add_argument("--set", choices=REAL_SERVOS, default="xl330_pendulum", help="real_servos: which recordings")
     parser.add_argument("--seed", type=int, default=0, help="of the diagnosis: folds, null replays, resamples")
     return parser.parse_args(words)
 

@@ -9,7 +9,7 @@ import numpy as np
 from candata.checks._finding import Finding, Rule
 from candata.checks._view import EpisodeView
 
-REMEDY = "cut these rows off before a diagnosis: its replay follows the commands, the servo does not"
+REMEDY = "a diagnosis compares the rows before: after them a replay follows the commands, the servo does not"
 
 
 def _episode(view: EpisodeView) -> Iterator[Finding]:

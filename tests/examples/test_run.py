@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from candata.scenes import load_scene
 from candata_cli.main import build
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
@@ -52,6 +53,15 @@ def test_the_steps_are_commands_that_exist(script, accepted, name, more):
             accepted(step.words[1:])
         else:
             assert Path(step.words[0]).exists()
+
+
+def test_each_set_of_real_servos_has_its_scene_and_its_steps(script):
+    for name in script.REAL_SERVOS:
+        steps = script.EXAMPLES["real_servos"]("real_servos", script.parsed(["real_servos", "--set", name]))
+        scenes = {word for step in steps for word in step.words if word.endswith("scene.yaml")}
+        (scene,) = scenes
+        assert load_scene(scene).file.joints
+        assert steps[0].words[:3] == ("candata", "fetch", name.replace("_", "-"))
 
 
 def test_a_word_that_no_command_knows_is_seen(accepted):
