@@ -101,10 +101,7 @@ def diagnose(
     from candata.scenes import load_scene
 
     world = _nominal(load_scene(scene), effects)
-    edit_world = _nominal(load_scene(edit_scene), effects) if edit_scene else world
-    edit_data = None if edit is None else (console.open_named(edit), edit_world)
-    if edit_data is not None:
-        _check_edit(*edit_data)
+    edit_data = None if edit is None else _edit_data(edit, edit_scene, world, effects)
     kept_text = f"what was simulated is kept in {cache}" if cache else "nothing is kept"
     with console.stoppable(kept_text, goes_on=keep), console.stages(with_bar=True) as stage:
         data = console.open_named(dataset, version)
@@ -187,11 +184,15 @@ def _verdicts(text: str) -> tuple[str, ...]:
     return console.words(text)
 
 
-def _check_edit(dataset: Dataset, scene: Scene) -> None:
-    """Refuse recordings that do not fit their scene before the long work begins."""
+def _edit_data(edit: str, edit_scene: str | None, world: Scene, effects: Path | None) -> tuple[Dataset, Scene]:
+    """Return recordings of an edit test and their scene; what does not fit is refused before the long work begins."""
     from candata.gap.edit import readable
+    from candata.scenes import load_scene
 
+    scene = _nominal(load_scene(edit_scene), effects) if edit_scene else world
+    dataset = console.open_named(edit)
     readable(dataset, scene)
+    return dataset, scene
 
 
 def _with_edit_test(

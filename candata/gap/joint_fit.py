@@ -18,21 +18,20 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 from scipy.stats import qmc
 
-from candata.gap.candidates import Candidate, typical_size
+from candata.gap.candidates import Candidate
 from candata.gap.compare import standard_error
 from candata.gap.folds import FOLDS, CrossFit, rest
-from candata.gap.refine import divided
+from candata.gap.quantities import Allowance, AllowanceSpent, Quantities, mean_size, robust_spread
 from candata.gap.response import Plane
 from candata.gap.robust import rho, weights
 from candata.gap.score import Compact
 from candata.gap.search import Fit, Members, Problem
 from candata.gap.shortlist import few, taken
 from candata.gap.sparse import present
-from candata.statistics import MAD_TO_SD
 
 Array = NDArray[np.float64]
-#: Most numbers that are fitted at once. Chosen: each costs a replay for every slope.
-MOST_NUMBERS = 16
+#: Most numbers that are fitted at once, and replays that each needs: one for every slope, in some ten steps. Chosen.
+MOST_NUMBERS, REPLAYS_EACH = 16, 12.0
 #: Shares of the allowed replays that may be spent on where to begin, and on the fits from there, and that are left for
 #: the quantities that stay. Chosen.
 BEGINNING, FIRST_FITS, LAST = 0.1, 0.4, 0.35
@@ -73,30 +72,6 @@ class JointFit:
     combinations: int
 
 
-class _AllowanceSpent(Exception):
-    """The allowed replays are spent."""
-
-
-@dataclass
-class _Allowance:
-    """Replays of all episodes that are still to be had, and how many of them are reserved for a later step."""
-
-    replays: float
-    reserved: float = 0.0
-
-    def spend(self, replays: float) -> None:
-        """Take replays off.
-
-        Raises
-        ------
-        _AllowanceSpent
-            When fewer are left that are not reserved.
-        """
-        if replays > self.replays - self.reserved:
-            raise _AllowanceSpent
-        self.replays -= replays
-
-
 @dataclass(frozen=True)
 class _Place:
     """Coordinates `at (d,)`, residuals `z (E, K)` and their `slope (d, E, K)` there.
@@ -120,69 +95,6 @@ class _Fold:
     place: _Place
 
 
-@dataclass
-class _Joint:
-    """Quantities of a problem as one vector of coordinates `u (d,)`, each in units of its plausible size.
-
-    Attributes
-    ----------
-    problem : Problem
-    kinds : tuple of Candidate
-    allowance : _Allowance
-    whole : int
-        Episodes of the whole problem, by which replays are counted.
-    """
-
-    problem: Problem
-    kinds: tuple[Candidate, ...]
-    allowance: _Allowance
-    whole: int
-
-    def __post_init__(self) -> None:
-        """Set sizes and bounds of the coordinates."""
-        scene = self.problem.replayer.scene
-        self.size = np.concatenate([typical_size(c, scene) for c in self.kinds])
-        self.neutral, low, high = (
-            np.concatenate([getattr(c, side) for c in self.kinds]) for side in ("neutral", "low", "high")
-        )
-        self.low, self.high = low / self.size, high / self.size
-        self.owners = np.repeat([c.label for c in self.kinds], [c.size for c in self.kinds])
-
-    def members(self, u: Array) -> Members:
-        """Return the members at coordinates."""
-        pairs = tuple((c, c.neutral) for c in self.kinds)
-        return divided(pairs, np.clip(u * self.size, self.low * self.size, self.high * self.size))
-
-    def residuals(self, places: Sequence[Array]) -> list[Compact]:
-        """Return normalised residuals `(E, K)` at each place, all simulated together."""
-        self.allowance.spend(len(places) * len(self.problem.recs) / self.whole)
-        return self.problem.residuals([self.problem.setting(present(self.members(u))) for u in places])
-
-    def slopes(self, u: Array, z: Compact, width: float) -> Compact:
-        """Return `(d, E, K)` how residuals change with each coordinate, by differences towards the wider side."""
-        steps = np.where(self.high - u >= np.minimum(width, u - self.low), width, -width)
-        moved = self.residuals([u + step * unit for step, unit in zip(steps, np.eye(len(u)), strict=True)])
-        return np.stack([(there - z) / np.float32(step) for there, step in zip(moved, steps, strict=True)])
-
-    def loss(self, z: Compact, scale: float) -> Array:
-        """Return the robust loss `(E,)` of residuals of a spread."""
-        return self.problem.score.loss(z / np.float32(scale))
-
-    def prior(self, z: Compact) -> float:
-        """Return what a plausible size off a neutral value costs: one independent residual (maximum a posteriori).
-
-        So what the data do not tell stays as the scene says. Residuals of one episode that err together count as one:
-        their mean is known by (1 - r) / (1 + r) as many, r being the correlation of neighbours.
-
-        Source: G. V. Bayley and J. M. Hammersley, "The 'Effective' Number of Independent Observations in an
-        Autocorrelated Time Series", JRSS Supplement 8 (1946).
-        """
-        blocks = z.reshape(len(z), -1, len(self.problem.plan.columns)).astype(float)
-        r = float((blocks[:, 1:] * blocks[:, :-1]).sum() / max((blocks[:, 1:] ** 2).sum(), 1e-12))
-        most = blocks.shape[1]
-        return _scale(z) * float(np.sqrt(np.clip((1 + r) / max(1 - r, 1e-9), 1.0, most)))
-
-
 def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, replays: float) -> JointFit | None:
     """Return the joint fit of all quantities that gain on held-out episodes; None where none does.
 
@@ -197,43 +109,34 @@ def joint_fit(problem: Problem, kinds: Sequence[Candidate], named: Members, repl
         Replays of all episodes to spend at most; None is returned where they end before a fit was judged.
     """
     chosen = tuple(c for c, _ in named if not c.choices)
-    kinds = _first_numbers((*chosen, *(c for c in kinds if c.label not in {n.label for n in chosen})))
+    others = (c for c in kinds if c.label not in {n.label for n in chosen})
+    kinds = _first_numbers((*chosen, *others), min(MOST_NUMBERS, int(replays / REPLAYS_EACH)))
     if not kinds:
         return None
-    allowance = _Allowance(replays, (1 - FIRST_FITS) * replays)
-    everything = _Joint(problem, kinds, allowance, len(problem.recs))
+    allowance = Allowance(replays, (1 - FIRST_FITS) * replays)
+    everything = Quantities(problem, kinds, allowance, len(problem.recs))
     telling = few(problem.recs.tasks, problem.score.loss(problem.nominal))
     brief = replace(everything, problem=taken(problem, telling))
     try:
-        at, z = min(_first_fits(brief, named, problem.rng.spawn(1)[0]), key=lambda pair: _spread(pair[1]))
+        at, z = min(_first_fits(brief, named, problem.rng.spawn(1)[0]), key=lambda pair: mean_size(pair[1]))
         allowance.reserved = LAST * replays
         at, _ = _descended(brief, at, z, SHARP, STEPS)
         allowance.reserved = 0.0
         return _thinned(everything, at, everything.residuals([at])[0])
-    except _AllowanceSpent:
+    except AllowanceSpent:
         return None
 
 
-def _first_numbers(kinds: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """Return the first quantities, of at most `MOST_NUMBERS` numbers together."""
+def _first_numbers(kinds: Sequence[Candidate], most: int) -> tuple[Candidate, ...]:
+    """Return the first quantities, of at most so many numbers together."""
     kept: list[Candidate] = []
     for c in kinds:
-        if not c.choices and sum(k.size for k in kept) + c.size <= MOST_NUMBERS:
+        if not c.choices and sum(k.size for k in kept) + c.size <= most:
             kept.append(c)
     return tuple(kept)
 
 
-def _scale(z: Compact) -> float:
-    """Return the robust spread of residuals, at least that of noise: what counts as an outlier depends on it."""
-    return max(1.0, MAD_TO_SD * float(np.median(np.abs(z[z != 0])))) if (z != 0).any() else 1.0
-
-
-def _spread(z: Compact) -> float:
-    """Return the mean size of residuals."""
-    return float(np.abs(z).mean())
-
-
-def _first_fits(brief: _Joint, named: Members, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+def _first_fits(brief: Quantities, named: Members, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
     """Return where fits from several places end, each with an equal share of the replays that are not reserved."""
     allowance = brief.allowance
     count = int(BEGINNING * allowance.replays * brief.whole / len(brief.problem.recs))
@@ -246,7 +149,7 @@ def _first_fits(brief: _Joint, named: Members, rng: np.random.Generator) -> list
     return ends
 
 
-def _begins(brief: _Joint, named: Members, count: int, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
+def _begins(brief: Quantities, named: Members, count: int, rng: np.random.Generator) -> list[tuple[Array, Compact]]:
     """Return the places from which to fit and their residuals: what was named, and the best of a Latin hypercube."""
     neutral = brief.neutral / brief.size
     at = {c.label: u for c, u in named}
@@ -255,22 +158,22 @@ def _begins(brief: _Joint, named: Members, count: int, rng: np.random.Generator)
     low, high = np.maximum(neutral - REACH, brief.low), np.minimum(neutral + REACH, brief.high)
     places = [known, *(low + cube * (high - low))]
     zs = brief.residuals(places)
-    order = sorted(range(len(places)), key=lambda i: _spread(zs[i]))[:BEGUN]
+    order = sorted(range(len(places)), key=lambda i: mean_size(zs[i]))[:BEGUN]
     return [(places[i], zs[i]) for i in dict.fromkeys([*order, 0])]
 
 
-def _descended(joint: _Joint, at: Array, z: Compact, width: float, steps: int) -> tuple[Array, Compact]:
+def _descended(quantities: Quantities, at: Array, z: Compact, width: float, steps: int) -> tuple[Array, Compact]:
     """Return coordinates and residuals `(E, K)` after Gauss-Newton steps within bounds, while they help.
 
     Of each step some shares are simulated together, and the best is taken. It ends where no share helps, or replays do.
     """
-    neutral = joint.neutral / joint.size
-    with suppress(_AllowanceSpent):
+    neutral = quantities.neutral / quantities.size
+    with suppress(AllowanceSpent):
         for _ in range(steps):
-            place = _Place(at, z, joint.slopes(at, z, width), _scale(z), joint.prior(z))
-            way = _refitted(joint, place, np.arange(len(z))) - at
+            place = _Place(at, z, quantities.slopes(at, z, width), robust_spread(z), quantities.prior(z))
+            way = _refitted(quantities, place, np.arange(len(z))) - at
             tried = [(at + share * way) for share in SHARES]
-            places = [(at, z), *zip(tried, joint.residuals(tried), strict=True)]
+            places = [(at, z), *zip(tried, quantities.residuals(tried), strict=True)]
 
             def cost(pair: tuple[Array, Compact], place: _Place = place) -> float:
                 off = place.prior / place.scale * (pair[0] - neutral)
@@ -283,75 +186,77 @@ def _descended(joint: _Joint, at: Array, z: Compact, width: float, steps: int) -
     return at, z
 
 
-def _settled(joint: _Joint, at: Array, z: Compact, width: float) -> tuple[Array, Compact]:
+def _settled(quantities: Quantities, at: Array, z: Compact, width: float) -> tuple[Array, Compact]:
     """Return coordinates and residuals fitted on; what is needed to judge a fit stays of the allowance."""
-    joint.allowance.reserved = 2.0 * (len(at) + len(joint.kinds) + len(SHARES) * FOLDS + 2)
-    at, z = _descended(joint, at, z, width, STEPS)
-    joint.allowance.reserved = 0.0
+    quantities.allowance.reserved = 2.0 * (len(at) + len(quantities.kinds) + len(SHARES) * FOLDS + 2)
+    at, z = _descended(quantities, at, z, width, STEPS)
+    quantities.allowance.reserved = 0.0
     return at, z
 
 
-def _thinned(joint: _Joint, at: Array, z: Compact) -> JointFit | None:
+def _thinned(quantities: Quantities, at: Array, z: Compact) -> JointFit | None:
     """Return the fit without the quantities that do not gain on held-out episodes, the others fitted again."""
     while True:
-        place = _Place(at, z, joint.slopes(at, z, SHARP), _scale(z), joint.prior(z))
-        folds = _folds(joint, place)
-        idle = _idle(joint, place, folds)
+        place = _Place(at, z, quantities.slopes(at, z, SHARP), robust_spread(z), quantities.prior(z))
+        folds = _folds(quantities, place)
+        idle = _idle(quantities, place, folds)
         if not idle.any():
-            return _concluded(joint, _last_step(joint, place), folds)
+            return _concluded(quantities, _last_step(quantities, place), folds)
         if idle.all():
             return None
-        at = _refitted(joint, place, np.arange(len(z)), idle)[~idle]
-        joint = replace(joint, kinds=tuple(c for c in joint.kinds if c.label in set(joint.owners[~idle])))
-        (z,) = joint.residuals([at])
-        at, z = _settled(joint, at, z, SHARP)
+        at = _refitted(quantities, place, np.arange(len(z)), idle)[~idle]
+        quantities = replace(
+            quantities, kinds=tuple(c for c in quantities.kinds if c.label in set(quantities.owners[~idle]))
+        )
+        (z,) = quantities.residuals([at])
+        at, z = _settled(quantities, at, z, SHARP)
 
 
-def _folds(joint: _Joint, place: _Place) -> list[_Fold]:
+def _folds(quantities: Quantities, place: _Place) -> list[_Fold]:
     """Return the fit without each fold: the share of the way that slopes promise which is best for its other episodes.
 
     Slopes lead astray where a joint sticks or a contact comes and goes, so that simulations decide how far they are
     followed.
     """
-    parts = joint.problem.parts
+    parts = quantities.problem.parts
     trains = [rest(parts, f) for f in range(len(parts))]
-    ends = [_refitted(joint, place, train) for train in trains]
+    ends = [_refitted(quantities, place, train) for train in trains]
     steps = [place.at + share * (end - place.at) for end in ends for share in SHARES]
-    zs = iter(joint.residuals(steps))
+    zs = iter(quantities.residuals(steps))
     found = []
     for test, train, end in zip(parts, trains, ends, strict=True):
         tried = [(place.at, place.z), *((place.at + share * (end - place.at), next(zs)) for share in SHARES)]
-        u, z = min(tried, key=lambda pair: joint.loss(pair[1], place.scale)[train].mean())
+        u, z = min(tried, key=lambda pair: quantities.loss(pair[1], place.scale)[train].mean())
         found.append(_Fold(test, train, replace(place, at=u, z=z)))
     return found
 
 
-def _last_step(joint: _Joint, place: _Place) -> _Place:
+def _last_step(quantities: Quantities, place: _Place) -> _Place:
     """Return the place where slopes lead once more; the same one where that is no better."""
-    if joint.allowance.replays < 1:
+    if quantities.allowance.replays < 1:
         return place
-    moved = _refitted(joint, place, np.arange(len(place.z)))
-    (z,) = joint.residuals([moved])
-    return replace(place, at=moved, z=z) if _spread(z) < _spread(place.z) else place
+    moved = _refitted(quantities, place, np.arange(len(place.z)))
+    (z,) = quantities.residuals([moved])
+    return replace(place, at=moved, z=z) if mean_size(z) < mean_size(place.z) else place
 
 
-def _idle(joint: _Joint, place: _Place, folds: Sequence[_Fold]) -> NDArray[np.bool_]:
+def _idle(quantities: Quantities, place: _Place, folds: Sequence[_Fold]) -> NDArray[np.bool_]:
     """Return `(d,)` the numbers of quantities without which, the others following, held-out episodes lose nothing sure.
 
     Those that move least are tried first; each stands at its neutral value from then on.
     """
-    losses = joint.loss(_unseen(folds), place.scale)
-    gain = float((joint.loss(joint.problem.nominal, place.scale) - losses).mean())
+    losses = quantities.loss(_unseen(folds), place.scale)
+    gain = float((quantities.loss(quantities.problem.nominal, place.scale) - losses).mean())
     idle = np.zeros(len(place.at), bool)
-    distance = np.abs(place.at - joint.neutral / joint.size)
+    distance = np.abs(place.at - quantities.neutral / quantities.size)
     moved = distance * np.abs(place.slope).mean((1, 2))
-    for c in sorted(joint.kinds, key=lambda c: float(moved[joint.owners == c.label].sum())):
-        own = joint.owners == c.label
+    for c in sorted(quantities.kinds, key=lambda c: float(moved[quantities.owners == c.label].sum())):
+        own = quantities.owners == c.label
         trial = idle | own
         if distance[own].max() < NEGLIGIBLE:
             idle = trial
             continue
-        rise = joint.loss(_without(joint, folds, trial), place.scale) - losses
+        rise = quantities.loss(_without(quantities, folds, trial), place.scale) - losses
         if rise.mean() <= max(WORTH * gain, SURE * standard_error(rise)):
             idle = trial
     return idle
@@ -365,23 +270,25 @@ def _unseen(folds: Sequence[_Fold]) -> Compact:
     return z
 
 
-def _without(joint: _Joint, folds: Sequence[_Fold], fixed: NDArray[np.bool_]) -> Compact:
+def _without(quantities: Quantities, folds: Sequence[_Fold], fixed: NDArray[np.bool_]) -> Compact:
     """Return the residuals `(E, K)` of held-out episodes with some coordinates at their neutral values."""
-    joint.allowance.spend(1.0)
+    quantities.allowance.spend(1.0)
     z = np.zeros_like(folds[0].place.z)
     for fold in folds:
-        u = _refitted(joint, fold.place, fold.train, fixed)
-        part = taken(joint.problem, fold.test)
-        (z[fold.test],) = part.residuals([part.setting(present(joint.members(u)))])
+        u = _refitted(quantities, fold.place, fold.train, fixed)
+        part = taken(quantities.problem, fold.test)
+        (z[fold.test],) = part.residuals([part.setting(present(quantities.members(u)))])
     return z
 
 
-def _refitted(joint: _Joint, place: _Place, train: NDArray[np.int64], fixed: NDArray[np.bool_] | None = None) -> Array:
+def _refitted(
+    quantities: Quantities, place: _Place, train: NDArray[np.int64], fixed: NDArray[np.bool_] | None = None
+) -> Array:
     """Return the coordinates `(d,)` that fit some episodes best by the slopes of a place, within bounds.
 
     Coordinates that are `fixed` stand at their neutral values.
     """
-    neutral = joint.neutral / joint.size
+    neutral = quantities.neutral / quantities.size
     free = np.ones(len(place.at), bool) if fixed is None else ~fixed
     u = np.where(free, place.at, neutral)
     if not free.any():
@@ -391,18 +298,18 @@ def _refitted(joint: _Joint, place: _Place, train: NDArray[np.int64], fixed: NDA
     matrix = (place.slope[free][:, train].reshape(int(free.sum()), -1) * weight).T
     matrix = np.concatenate([matrix, place.prior * np.eye(matrix.shape[1])])
     target = np.concatenate([-here.ravel() * weight, place.prior * (neutral - u)[free]])
-    room = (joint.low - u - EDGE)[free], (joint.high - u + EDGE)[free]
+    room = (quantities.low - u - EDGE)[free], (quantities.high - u + EDGE)[free]
     u[free] += lsq_linear(matrix, target, room).x
-    return np.clip(u, joint.low, joint.high)
+    return np.clip(u, quantities.low, quantities.high)
 
 
-def _concluded(joint: _Joint, place: _Place, folds: Sequence[_Fold]) -> JointFit:
+def _concluded(quantities: Quantities, place: _Place, folds: Sequence[_Fold]) -> JointFit:
     """Return a joint fit with its evidence, in the coordinates of its candidates."""
-    problem, size = joint.problem, joint.size
+    problem, size = quantities.problem, quantities.size
     base, loss = problem.score.loss(problem.nominal), problem.score.loss(_unseen(folds))
     slope = (place.slope / size[:, None, None]).astype(np.float32)
-    plane = Plane(joint.low * size, joint.high * size, place.at * size, place.z, slope)
+    plane = Plane(quantities.low * size, quantities.high * size, place.at * size, place.z, slope)
     evidence = CrossFit(base - loss, loss, np.stack([fold.place.at for fold in folds]) * size)
     weighted = place.slope.reshape(len(size), -1) * np.sqrt(weights(place.z / np.float32(place.scale))).ravel()
     values = np.linalg.svd(weighted.astype(float), compute_uv=False)
-    return JointFit(Fit(joint.members(place.at), plane, evidence), int((values > place.prior).sum()))
+    return JointFit(Fit(quantities.members(place.at), plane, evidence), int((values > place.prior).sum()))

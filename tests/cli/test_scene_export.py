@@ -172,7 +172,8 @@ def test_diagnose_adds_the_edit_test_to_its_report(tosses, monkeypatch):
     named = EffectsFile.parse(yaml.safe_load(SLIPPERY), "effects.yaml")
     data = DiagnosisData(dataset="first@0", episodes=EpisodeCount(total=8, folds=4, held_out=8))
     report = Report(verdict="explained", data=data, gap=Gap(before=3.0, after=1.1, closed=0.95, low=0.9, high=0.98))
-    monkeypatch.setattr(candata.gap, "diagnose", lambda *a, **k: Diagnosis(report, Evidence(), named))
+    diagnosis = Diagnosis(report, Evidence(), named, named=named.effects)
+    monkeypatch.setattr(candata.gap, "diagnose", lambda *a, **k: diagnosis)
     done = run("diagnose", "real", "--scene", "cube_toss", "--edit", "real", "--out", "out", "--jobs", 1)
     assert done.code == 0, done.err
     assert "edit test  It is kept in real@" in done.out
