@@ -39,7 +39,7 @@ def _edit(model: mujoco.MjModel, scene: Scene, x: Array, element: str | None) ->
 EFFECT = Effect(
     about="a torsion spring is added to the joints",
     advice=Advice(
-        "Add a spring to {joint}: stiffness, and torque at the joint's zero, of {x}",
+        "Add a spring to {joint}, with stiffness and torque at the joint's zero of {x}",
         "add the first of {raw} to stiffness of the <joint>; springref is the second over the first",
     ),
     parameters=(

@@ -1,4 +1,4 @@
-"""A pendulum on a servo: a heavier link, a softer servo, and what slow motion cannot tell apart."""
+"""A pendulum on a servo, and a neck of two links: heavier links, softer servos, and what motion cannot tell apart."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from candata.schema.episode import Episode, EpisodeMeta
 from candata.schema.scene import Noise
 from candata.simulate import at_rest, rollout
 from candata.simulate.episodes import add_noise
+from tests.effects.pan_tilt import write_neck
 
 RATE_HZ = 100.0
 XML = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/><worldbody>
@@ -47,7 +48,7 @@ def swings(rng: np.random.Generator, frequencies_hz, amplitudes_rad, rows: int, 
 
 
 def recorded(scene: Scene, commands: np.ndarray, effects, rng: np.random.Generator) -> list[Episode]:
-    """Recordings of commands `(E, T, 1)` in a world with effects."""
+    """Recordings of commands `(E, T, A)` in a world with effects."""
     count, rows = commands.shape[:2]
     played = rollout(scene, commands, *at_rest(scene, count), [effects] * count)
     readings = add_noise(played.readings, scene.file.noise, rng)
@@ -121,3 +122,14 @@ def test_slow_motion_cannot_tell_mass_from_length(pendulum, planted, judge):
     assert set(report.ambiguous_class) == {"link_mass", "link_com"}
     assert report.next_motion is not None
     assert report.unknown is None
+
+
+@pytest.mark.slow
+def test_a_heavy_link_of_several_is_named(tmp_path, planted, judge):
+    neck, rng = write_neck(tmp_path), np.random.default_rng(3)
+    kinds = (((0.3, 0.5), (0.7, 1.1)), ((1.0, 1.6), (0.3, 0.5)))
+    commands = [np.hstack([swings(rng, *kinds[i % 2], rows=160, rise_s=0.3) for _ in range(2)]) for i in range(8)]
+    report = judge(neck, recorded(neck, np.stack(commands), planted("link_mass", "head", mass_scale=1.3), rng)).report
+    (effect,) = report.effects
+    assert (report.verdict, effect.name, effect.element) == ("explained", "link_mass", "head")
+    assert effect.parameters["mass_scale"].value == pytest.approx(1.3, rel=0.02)

@@ -45,6 +45,16 @@ def named_effect(name: str, element: str | None = None, **values) -> NamedEffect
             "Move the object's centre of mass by [10, 0, -2] mm, in its own frame",
             "add 0.01 0 -0.002 to pos of its <inertial>",
         ),
+        (
+            named_effect("link_mass", "forearm", mass_scale=[1.4, 1.37, 1.43]),
+            "Multiply mass and inertia of link forearm by 1.4 (1.37 to 1.43)",
+            "multiply mass or density of its <geom>s by 1.4, or mass and diaginertia of its <inertial>",
+        ),
+        (
+            named_effect("joint_spring", "elbow", stiffness_Nm_rad=0.3, torque_Nm=-0.12),
+            "Add a spring to joint elbow, with stiffness and torque at the joint's zero of 0.3 N m/rad and -0.12 N m",
+            "add the first of 0.3 -0.12 to stiffness of the <joint>; springref is the second over the first",
+        ),
         (named_effect("actuation_delay", delay_s=0.0125), "Delay the commands of every servo by 12.5 ms", ""),
     ],
 )
