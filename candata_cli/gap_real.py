@@ -35,6 +35,9 @@ def register(app: typer.Typer) -> None:
 def real(
     folder: Annotated[Path, typer.Argument(help="Folder of a labelled set: labels.yaml and what it names.")],
     out: Annotated[Path, typer.Option(help="Folder for results and score; an interrupted run goes on.")],
+    dataset: Annotated[
+        str | None, typer.Option(help="Recordings: a folder or registered name (default: the one of labels.yaml).")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of each diagnosis.")] = 0,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
     minutes: Annotated[float | None, typer.Option(min=0, help="Begin no pair after so long.")] = None,
@@ -46,7 +49,7 @@ def real(
     from candata.gap.blind.labelled import pairs_of, read_labelled, run_pairs, score_pairs
     from candata.reports.bench import bench_text, write_bench
 
-    labelled = read_labelled(folder)
+    labelled = read_labelled(folder, dataset)
     kept_text = f"the pairs diagnosed so far are kept in {out}"
     with console.stoppable(kept_text, goes_on=True), bench_lock(out):
         with console.progress("diagnosing pairs", len(pairs_of(labelled))) as advance:

@@ -7,6 +7,7 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.gap.blind.labelled import SETTINGS, pairs_of, read_labelled, run_pairs, score_pairs
+from candata.schema.episode import Episode
 from candata.schema.labelled import PairResult
 from candata.schema.manifest import Lineage
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
@@ -134,6 +135,25 @@ def test_what_is_wrong_in_the_labels_is_said(folder, file, old, new, kind, text)
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(kind, match=text):
         read_labelled(folder)
+
+
+def test_labels_may_be_those_that_episodes_keep(folder, arm_episodes):
+    """Then no table is needed; the command may name the recordings."""
+    (folder / "labels.yaml").write_text("scene: scene.yaml\ncauses: {gain: {effects: [servo_gain]}}\n")
+    create_dataset(folder / "others")
+    episodes = [
+        Episode(e.meta.model_copy(update={"labels": {"gain": 100 * (1 + i % 2)}}), e.arrays)
+        for i, e in enumerate(arm_episodes(count=4, rows=40))
+    ]
+    append(folder / "others", episodes, Lineage(operation="test"))
+    labelled = read_labelled(folder, str(folder / "others"))
+    assert {name: len(ids) for name, ids in labelled.episodes.items()} == {"gain-100": 2, "gain-200": 2}
+    assert {p.ratio for p in pairs_of(labelled) if p.label} == {0.5, 2.0}
+    with pytest.raises(UsageError, match="no recordings"):
+        read_labelled(folder)
+    (folder / "labels.yaml").write_text("scene: scene.yaml\ncauses: {mass: {effects: [servo_gain]}}\n")
+    with pytest.raises(DataError, match="no label mass"):
+        read_labelled(folder, str(folder / "others"))
 
 
 def test_a_folder_without_labels_is_refused(tmp_path):

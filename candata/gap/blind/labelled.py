@@ -47,18 +47,13 @@ class Pair(NamedTuple):
 
 
 class LabelledSet(NamedTuple):
-    """A labelled set, read: the file, the labels of each setting, and the ids of its episodes."""
+    """A labelled set, read: the file, its recordings, the labels of each setting, and the ids of its episodes."""
 
     folder: Path
     file: LabelledSetFile
+    dataset: Dataset
     labels: dict[str, dict[str, str]]
     episodes: dict[str, tuple[str, ...]]
-
-    @property
-    def dataset(self) -> str:
-        """Folder, or registered name, of the recordings."""
-        path = self.folder / self.file.dataset
-        return str(path) if path.exists() else self.file.dataset
 
     @property
     def scene(self) -> str:
@@ -67,8 +62,8 @@ class LabelledSet(NamedTuple):
         return str(path) if path.exists() else self.file.scene
 
 
-def read_labelled(folder: Path) -> LabelledSet:
-    """Return the labelled set of a folder.
+def read_labelled(folder: Path, dataset: str | None = None) -> LabelledSet:
+    """Return the labelled set of a folder, of its own recordings or of a dataset's folder or registered name.
 
     Raises
     ------
@@ -85,16 +80,31 @@ def read_labelled(folder: Path) -> LabelledSet:
         for name in cause.effects:
             if name not in effect_names():
                 raise UnknownNameError(f"effect of the label {label}", name, effect_names())
-    dataset = open_dataset(resolve(str(folder / file.dataset))[0])
+    recordings = _recordings(folder, file, dataset)
     columns = [*file.causes, *([file.same] if file.same else [])]
-    rows = _labels_of(dataset, columns) if file.settings is None else _table(folder / file.settings, dataset, columns)
+    rows = (
+        _labels_of(recordings, columns)
+        if file.settings is None
+        else _table(folder / file.settings, recordings, columns)
+    )
     labels: dict[str, dict[str, str]] = {}
     episodes: dict[str, tuple[str, ...]] = {}
     for episode, row in rows.items():
         name = "_".join(f"{label}-{row[label]}" for label in file.causes)
         labels[name] = row
         episodes[name] = (*episodes.get(name, ()), episode)
-    return LabelledSet(folder, file, labels, episodes)
+    return LabelledSet(folder, file, recordings, labels, episodes)
+
+
+def _recordings(folder: Path, file: LabelledSetFile, dataset: str | None) -> Dataset:
+    """Return the dataset that the command names, else the file: a folder beside it, or a registered name."""
+    if dataset is None and file.dataset is None:
+        raise UsageError(
+            "no recordings", expected=f"--dataset, or `dataset` in {LABELS}", where=Where(path=str(folder))
+        )
+    name = dataset or (str(folder / str(file.dataset)) if (folder / str(file.dataset)).exists() else str(file.dataset))
+    path, version = resolve(name)
+    return open_dataset(path, version)
 
 
 def _labels_of(dataset: Dataset, columns: Sequence[str]) -> dict[str, dict[str, str]]:
@@ -179,9 +189,8 @@ def write_settings(labelled: LabelledSet, out: Path) -> None:
 
     The runs of a motion take turns between the halves, so that both hold every motion that was repeated.
     """
-    dataset = open_dataset(resolve(labelled.dataset)[0])
     for name, ids in labelled.episodes.items():
-        runs = list(dataset.episodes(ids))
+        runs = list(labelled.dataset.episodes(ids))
         turn: dict[str, int] = {}
         side = []
         for run in runs:
