@@ -37,7 +37,7 @@ def test_an_unknown_key_names_the_known_and_the_nearest():
     assert refusal(SceneFile, SCENE | {"suport": "table"}) == (
         "map.yaml is not valid: unknown key `suport`, did you mean `support`\n"
         "  expected: keys model, rate_hz, object, joints, actuators, fingertips, fingertip_frames, support, groups, "
-        "noise\n"
+        "noise, repeatability\n"
         "  found: 'table'\n"
         "  where: folder/map.yaml\n"
         "  do: rename or remove what is unknown"
