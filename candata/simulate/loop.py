@@ -156,7 +156,9 @@ class _Run:
         self.scene, self.push, self.n = scene, push, len(qpos)
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.laws = servo_laws(scene, worlds.models) if worlds.servo else None
-        self.batch.set_models(without_command_limits(worlds.models) if worlds.servo else worlds.models)
+        if worlds.servo:
+            worlds = replace(worlds, models=without_command_limits(worlds.models))
+        self.batch.set_models(worlds.models)
         self.batch.bind("qpos")[:] = qpos
         self.batch.bind("qvel")[:] = qvel
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
