@@ -41,6 +41,8 @@ LOOKED_AT = 12
 #: episode is broken (effects gave at most 0.04 on the built-in hand, broken channels 0.4 and more), and the share of
 #: such episodes, or of those that the scene cannot be stepped through, beyond which nothing is diagnosed.
 STRANGE, STRANGER, MANY = 0.3, 10.0, 0.25
+#: Fewest of them: a motor may be too weak for the motion of one. Chosen.
+FEWEST_BROKEN = 2
 
 
 def mismatch(replayer: Replayer, recs: Recordings) -> tuple[RecordingMismatch, ...]:
@@ -183,7 +185,7 @@ def _swapped(look: SampleReplay, pairs: Paired, own: Array) -> list[RecordingMis
 def _strangers(look: SampleReplay, pairs: Paired, own: Array) -> list[RecordingMismatch]:
     """Return that the joints of some episodes do not belong to their commands, while those of others do.
 
-    Sure where many are such, unless they move otherwise in all episodes of some tasks that are looked at and in none of
+    Sure where many are such and no less than `FEWEST_BROKEN`, unless they move otherwise in all episodes of some tasks that are looked at and in none of
     another: joints may be too weak for that motion. (With 0.12 N m, a heavier rotor and less damping those of fast
     sweeps were refused.) What is a constant off is no weakness.
     """
@@ -198,7 +200,9 @@ def _strangers(look: SampleReplay, pairs: Paired, own: Array) -> list[RecordingM
         RecordingMismatch(
             "broken_episodes",
             bool(
-                strange.mean() >= MANY and not (_by_task(look.recs.tasks, strange) and (2 * swing > off)[strange].all())
+                strange.mean() >= MANY
+                and strange.sum() >= FEWEST_BROKEN
+                and not (_by_task(look.recs.tasks, strange) and (2 * swing > off)[strange].all())
             ),
             "joints and commands of some episodes do not belong together",
             f"joints within {STRANGE:g} rad or m of where the commands take the scene's, as in the others",

@@ -126,7 +126,8 @@ def votes(given: dict[str, Array], alternative: dict[str, Array], closer: float 
 def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[str, Array], play: Play) -> Comparison:
     """Return the alternative that holds, the best of several; else those that the recordings cannot decide.
 
-    Each is tried on the most telling episodes, and on all where these speak for it.
+    Each is tried on the most telling episodes, and on all where these speak for it. It must also fit far better than
+    an object that nothing touches: in a hand too weak to reach it, whatever misses the object fits.
 
     Parameters
     ----------
@@ -134,6 +135,7 @@ def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[
         What the scene does under the recordings as given.
     """
     given, telling = errors(recs, nominal), _telling(recs)
+    untouched = errors(recs, _untouched(recs, nominal))
     first = {name: error[telling] for name, error in given.items()}
     won: list[tuple[float, RecordingMismatch]] = []
     undecided: list[Alternative] = []
@@ -145,14 +147,27 @@ def judged(alternatives: Iterable[Alternative], recs: Recordings, nominal: dict[
                 undecided += [alternative] * (not vote.ruled_out)
                 continue
         played = play(alternative.recs) if alternative.moves else nominal
-        vote = votes(given, errors(alternative.recs, played))
-        if vote.won:
+        read = errors(alternative.recs, played)
+        vote = votes(given, read)
+        if vote.won and votes(untouched, read).better >= BETTER_IN:
             won.append((vote.gain, _read_otherwise(alternative, vote)))
         elif not vote.ruled_out:
             undecided.append(alternative)
     if won:
         return Comparison((min(won, key=lambda ranked: ranked[0])[1],))
     return Comparison((), tuple(dict.fromkeys(a.name for a in undecided if a.name)))
+
+
+def _untouched(recs: Recordings, nominal: dict[str, Array]) -> dict[str, Array]:
+    """Return readings of a world in which nothing touches the object; the joints move as the scene's do."""
+    out = dict(nominal)
+    if "object_pose" in recs.readings:
+        pose = recs.readings["object_pose"]
+        begin = np.isfinite(pose).all(2).argmax(1)
+        out["object_pose"] = np.broadcast_to(pose[np.arange(len(pose)), begin][:, None], pose.shape)
+    if "fingertip_force" in recs.readings:
+        out["fingertip_force"] = np.zeros_like(recs.readings["fingertip_force"])
+    return out
 
 
 def _read_otherwise(alternative: Alternative, vote: Votes) -> RecordingMismatch:
