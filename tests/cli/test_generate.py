@@ -233,13 +233,13 @@ def diagnosis(monkeypatch):
 
 
 def test_demo_shows_the_verdict_beside_the_truth(tmp_path, capsys, diagnosis):
-    calls = diagnosis("tactile_lag", {"timeconst_s": 0.05})
+    calls = diagnosis("tactile_gain", {"gain": 0.7})
     assert exit_code("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1) == 0
     printed = capsys.readouterr().out
     folder = tmp_path / "seed-2"
     assert calls == [("real", "xhand_tabletop", 1, 2)]
-    assert "seal opened: tactile_lag, found\n" in printed
-    assert "timeconst_s  0.09035  0.05   -0.05 .. 0.15" in printed
+    assert "seal opened: tactile_gain, found\n" in printed
+    assert re.search(r"gain +0\.7064 +0\.7 +0\.6 \.\. 0\.8", printed)
     assert printed.endswith(f"report: {folder / 'report' / 'report.html'}\n")
 
 
@@ -248,5 +248,5 @@ def test_demo_says_so_when_it_misses(tmp_path, capsys, diagnosis):
     words = ("demo", "--seed", 2, "--episodes", 2, "--out", tmp_path, "--jobs", 1, "--json")
     assert exit_code(*words) == 0
     found = json.loads(capsys.readouterr().out)
-    assert (found["outcome"], found["truth"]["name"]) == ("missed", "tactile_lag")
+    assert (found["outcome"], found["truth"]["name"]) == ("missed", "tactile_gain")
     assert (tmp_path / "seed-2" / "nominal" / "versions" / "000001.json").is_file()

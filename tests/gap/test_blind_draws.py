@@ -22,7 +22,7 @@ from candata.schema.effect import EffectSetting
 
 @pytest.fixture(scope="module")
 def labels(hand):
-    return draw_labels(hand, {k: 40 for k in COUNTS}, np.random.default_rng(1))
+    return draw_labels(hand, {k: 48 for k in COUNTS}, np.random.default_rng(1))
 
 
 def of(labels, kind):

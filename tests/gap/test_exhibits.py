@@ -141,5 +141,5 @@ def test_ranges_are_the_effects_own_in_this_scene(arm):
     )
     assert set(found) == {("servo_gain", None, "kp_scale"), ("torque_limit", None, "limit_Nm")}
     gain = found["servo_gain", None, "kp_scale"]
-    assert (gain.low, gain.high, gain.identity) == (0.15, 4.0, 1.0)
+    assert (gain.low, gain.high, gain.identity) == (0.1, 8.0, 1.0)
     assert found["torque_limit", None, "limit_Nm"].identity is None

@@ -19,7 +19,7 @@ from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.stage import look
-from tests.gap.conftest import members
+from tests.gap.conftest import ALIKE, members
 
 
 def test_an_early_member_gives_way_to_the_true_one(arm, two_causes):
@@ -32,7 +32,9 @@ def test_an_early_member_gives_way_to_the_true_one(arm, two_causes):
 
 def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, planted):
     recs = recordings(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = replace(
+        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
+    )
     base = problem.score.loss(problem.nominal)
     blunt = members(arm, joint_dry_friction=0.22)
     plane = around(problem, blunt, lambda u: divided(blunt, u))
@@ -99,7 +101,9 @@ def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, pla
         *planted("servo_gain", "shoulder", kp_scale=0.6),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = replace(
+        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
+    )
     base = problem.score.loss(problem.nominal)
     wrong = joint(problem, members(arm, joint_dry_friction=0.3, armature=0.01), base)
     found = sets._retraced(problem, wrong)
@@ -145,7 +149,9 @@ def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(a
 def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
     effects = (*planted("joint_damping", damping_Nms_rad=0.3), *planted("actuation_delay", "elbow", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = replace(
+        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
+    )
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
     assert float(half.evidence.loss.mean()) - 1 > worth.LEFT
@@ -154,7 +160,9 @@ def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
 
 def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm, arm_episodes, planted):
     recs = recordings(arm, arm_episodes(planted("actuation_delay", "shoulder", delay_s=0.03), count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = replace(
+        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
+    )
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.005]))
     wrong = joint(problem, (*members(arm, armature=0.0005), elbow), problem.score.loss(problem.nominal))
     assert elsewhere.moved(problem, wrong).labels == ("actuation_delay shoulder",)
@@ -392,7 +400,9 @@ def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
 def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted):
     effects = (*planted("actuation_delay", delay_s=0.02), *planted("joint_dry_friction", frictionloss_Nm=0.005))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    problem = replace(
+        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
+    )
     delay = joint(problem, members(arm, actuation_delay=0.02), problem.score.loss(problem.nominal))
     found, world, remains = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())
