@@ -343,7 +343,9 @@ def test_ctrl_c_ends_a_first_load(folder):
     put(folder, BUSY)
     env = os.environ | {"PYTHONPATH": str(ROOT), "CANDATA_MODEL_SECONDS": "600"}
     command = [sys.executable, "-m", "candata_cli.main", "scene", "show", "scene.yaml"]
-    with subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True) as process:
+    # A job in the background of a shell ignores Ctrl-C, and so would what it starts.
+    heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    with subprocess.Popen(command, cwd=folder, env=env, stderr=subprocess.PIPE, text=True, **heard) as process:
         assert process.stderr is not None
         assert (
             process.stderr.readline()
