@@ -56,8 +56,8 @@ def recorded(tmp_path_factory) -> Path:
 
 
 def whole(folder: Path) -> list[Path]:
-    """The files of a cache that are under their names; each reads back."""
-    files = [path for path in folder.rglob("*.npz") if not path.name.startswith(".")]
+    """The files of a cache that are under their names, not drafts in hidden folders; each reads back."""
+    files = [p for p in folder.rglob("*.npz") if not any(part.startswith(".") for part in p.relative_to(folder).parts)]
     assert all(kept.read(path) is not None for path in files)
     return files
 
