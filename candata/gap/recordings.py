@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,7 +85,7 @@ class Recordings:
         """Return the number of episodes E."""
         return len(self.ids)
 
-    @property
+    @cached_property
     def compared(self) -> dict[str, Array]:
         """Readings that are compared with a replay: those recorded, less the misfit of a reference."""
         return self.readings if self.misfit is None else shifted_readings(self.readings, -self.misfit)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from candata.errors import DataError, Where
 from candata.gap.deviation import SlowDeviation, unshaped
 from candata.gap.floor import null_residuals
-from candata.gap.noise import PAIRS, motion_numbers, repeat_groups, same_motions, sensor_noise
+from candata.gap.noise import motion_numbers, same_motions, sensor_noise
 from candata.gap.recordings import Recordings
-from candata.gap.repeats import duration_s, slow_deviation
+from candata.gap.repeats import duration_s, has_repeats, mean_of_runs, measured_deviation
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual, row_residual
 from candata.gap.starts import is_toss, starts
@@ -33,7 +33,7 @@ FORETOLD = 0.2
 class _Replayed(NamedTuple):
     """Recordings under the nominal replay: residuals by row `(E, T, D)` and by block `(E, B, D)`.
 
-    `slow` is what repeats differ by beyond sensor noise, none where nothing or where no motion was repeated.
+    `slow` is what repeats differ by beyond sensor noise; None where nothing, or where no motion was repeated.
     """
 
     recs: Recordings
@@ -42,7 +42,7 @@ class _Replayed(NamedTuple):
     rows: Array
     raw: Array
     has_repeats: bool
-    slow: tuple[SlowDeviation, ...]
+    slow: SlowDeviation | None
 
 
 def changed_since(replayer: Replayer, recs: Recordings, reference: Recordings, title: str, seed: int = 0) -> Recordings:
@@ -105,12 +105,14 @@ def changed_since(replayer: Replayer, recs: Recordings, reference: Recordings, t
 
 def _between_runs(new: _Replayed, old: _Replayed, same: list[list[int]]) -> tuple[SlowDeviation, ...]:
     """Return what runs of the recordings differ by; as those of the reference where none of their own is repeated."""
-    if new.has_repeats or not old.slow:
-        return new.slow
-    variance = old.slow[0].variance
+    if new.slow is not None:
+        return (new.slow,)
+    if new.has_repeats or old.slow is None:
+        return ()
+    variance = old.slow.variance
     usual = np.broadcast_to(variance.mean((0, 1)), new.rows.shape[1:])
     sd = np.stack([np.sqrt(_cut(variance[others].mean(0), len(usual)) if others else usual) for others in same])
-    return (unshaped(sd, old.slow[0].time_s),)
+    return (unshaped(sd, old.slow.time_s),)
 
 
 def _unknown_misfit(
@@ -125,9 +127,9 @@ def _unknown_misfit(
     sd = np.where(is_known[:, None, None], 0.0, np.broadcast_to(np.sqrt(model.variance), new.rows.shape))
     parts = (unshaped(sd, _duration_s(replayer, old, model), motion),) if sd.any() else ()
     source, at = (old, [o[0] if o else 0 for o in same]) if old.has_repeats else (new, list(range(len(same))))
-    if not is_known.any() or not source.slow:
+    seen = source.slow
+    if not is_known.any() or seen is None:
         return parts
-    seen = source.slow[0]
     share = np.array([1 / np.sqrt(len(o)) if k else 0.0 for o, k in zip(same, is_known, strict=True)])
     shapes = np.stack([_cut(seen.shapes[seen.motion[i]].swapaxes(0, 1), rows).swapaxes(0, 1) for i in at])
     spread = np.stack([_cut(seen.sd[i], rows) for i in at]) * share[:, None, None]
@@ -144,12 +146,12 @@ def _notes(new: _Replayed, old: _Replayed, same: list[list[int]], model: MisfitM
     """Return how the recordings were compared with the reference, and what that leaves open."""
     matched = sum(bool(others) for others in same)
     notes = [f"{matched} of {len(same)} episodes play a motion of the reference"]
-    has_repeats = new.has_repeats or old.has_repeats
-    if matched and not has_repeats:
+    repeated = new.has_repeats or old.has_repeats
+    if matched and not repeated:
         notes[0] += (
             "; no motion was repeated in either, so what its runs differ by is taken from the reference's misfit"
         )
-    if matched < len(same) or not has_repeats:
+    if matched < len(same) or not repeated:
         largest = max(range(len(model.variance)), key=lambda i: model.variance[i])
         channel, element, unit = new.plan.columns[largest]
         how = "less what a smooth function of the joints' state foretells of it" if model.is_used else "as it is"
@@ -173,13 +175,11 @@ def _replayed(replayer: Replayer, recs: Recordings, seed: int) -> _Replayed:
     plan = layout(scene, recs, begin, readings)
     raw = residual(recs, plan, readings)
     noise = sensor_noise(scene.file.noise, recs, readings, scene.sliding)
-    groups = repeat_groups(recs)
-    has_repeats = sum(len(g) - 1 for g in groups) >= PAIRS
-    slow: tuple[SlowDeviation, ...] = ()
-    if has_repeats:
+    repeated, slow = has_repeats(recs), None
+    if repeated:
         null = null_residuals(replayer, recs, begin, plan, noise.noise, np.random.default_rng(seed))
-        slow, _ = slow_deviation(scene, recs, raw, null, plan, noise.kind)
-    return _Replayed(recs, plan, readings, row_residual(recs, plan, readings), raw, has_repeats, slow)
+        slow = measured_deviation(recs, raw, null, plan, scene.file.rate_hz)
+    return _Replayed(recs, plan, readings, row_residual(recs, plan, readings), raw, repeated, slow)
 
 
 def _duration_s(replayer: Replayer, old: _Replayed, model: MisfitModel) -> Array:
@@ -192,9 +192,7 @@ def _duration_s(replayer: Replayer, old: _Replayed, model: MisfitModel) -> Array
 
 def _mean(rows: Array, length: int) -> Array:
     """Return `(length, D)` the mean of runs `(n, T, D)`; NaN where none of them has a reading."""
-    finite = np.isfinite(rows)
-    count = finite.sum(0)
-    mean = np.where(count > 0, np.where(finite, rows, 0.0).sum(0) / np.maximum(count, 1), np.nan)[:length]
+    mean = mean_of_runs(rows)[:length]
     return np.concatenate([mean, np.full((length - len(mean), rows.shape[2]), np.nan)])
 
 
@@ -231,7 +229,7 @@ class MisfitModel(NamedTuple):
 def _fitted(replayer: Replayer, old: _Replayed) -> MisfitModel:
     """Return the model of the reference's misfit, each penalty judged on motions left out."""
     joints = old.recs.readings["joint_position"].shape[2] if "joint_position" in old.recs.readings else 0
-    variance = np.nan_to_num(np.nanmean(np.where(np.isfinite(old.raw), old.raw, np.nan) ** 2, axis=(0, 1)))
+    variance = np.nan_to_num(mean_of_runs(old.raw.reshape(-1, old.raw.shape[2]) ** 2))
     motion, every = motion_numbers(old.recs), slice(None, None, old.plan.rows)
     size = _features(replayer, old, 0).shape[2] if joints else 0
     weights, scale = np.zeros((joints, size)), np.ones((joints, size))

@@ -49,22 +49,21 @@ def slow_deviation(
     noise_kind : str
         Where the sensors' noise comes from.
     """
-    if recs.slow:  # as a comparison with a reference found
-        return recs.slow, ()
-    rows, rate_hz = recs.commands.shape[1], scene.file.rate_hz
-    groups = repeat_groups(recs)
-    is_known = sum(len(g) - 1 for g in groups) >= PAIRS
-    measured = None
-    if is_known:
-        moving = moving_blocks(recs, plan, rate_hz)
-        measured = measured_deviation(raw, null, plan, groups, moving, rate_hz, rows)
-    found = () if measured is None else (measured,)
-    notes = () if measured is None else _sizes_told(measured, plan)
+    is_known, found = bool(recs.slow) or has_repeats(recs), recs.slow
+    notes: tuple[str, ...] = ()
+    if is_known and not found:  # a comparison with a reference has found it already
+        measured = measured_deviation(recs, raw, null, plan, scene.file.rate_hz)
+        found, notes = ((measured,), _sizes_told(measured, plan)) if measured else ((), ())
     if scene.file.repeatability is not None:
-        return (*found, *_declared(scene.file.repeatability, plan, rows, found)), notes
+        return (*found, *_declared(scene.file.repeatability, plan, recs.commands.shape[1], found)), notes
     if not is_known and noise_kind == "assumed":
-        notes = (_lower_bound(recs, rate_hz),)
+        notes = (_lower_bound(recs, scene.file.rate_hz),)
     return found, notes
+
+
+def has_repeats(recs: Recordings) -> bool:
+    """Tell whether enough motions were played more than once to measure what repeats differ by."""
+    return sum(len(g) - 1 for g in repeat_groups(recs)) >= PAIRS
 
 
 def deviation_of_others(recs: Recordings, episodes: int) -> tuple[SlowDeviation, ...]:
@@ -101,7 +100,7 @@ def _sizes_told(measured: SlowDeviation, plan: Layout) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def moving_blocks(recs: Recordings, plan: Layout, rate_hz: float) -> NDArray[np.bool_]:
+def _moving_blocks(recs: Recordings, plan: Layout, rate_hz: float) -> NDArray[np.bool_]:
     """Return `(E, B)` the blocks in which a command differs from what it was `STRETCH_S` before."""
     commands, blocks = recs.commands, plan.phase.shape[1]
     back = max(1, round(STRETCH_S * rate_hz))
@@ -126,28 +125,23 @@ def _declared(
     return (unshaped(sd, np.full(len(least), declared.time_s)),) if sd.any() else ()
 
 
-def measured_deviation(
-    raw: Array, null: Array, plan: Layout, groups: list[list[int]], moving: NDArray[np.bool_], rate_hz: float, rows: int
-) -> SlowDeviation | None:
+def measured_deviation(recs: Recordings, raw: Array, null: Array, plan: Layout, rate_hz: float) -> SlowDeviation | None:
     """Return by how much repeats of a motion differ beyond null recordings; None where they do not.
 
     Parameters
     ----------
+    recs : Recordings
+        E recordings, some of them repeats.
     raw : (E, B, D) float64
-        Residuals of the recordings under the nominal replay.
+        Their residuals under the nominal replay.
     null : (R, E, B, D) float64
         Those of null recordings with the sensors' noise alone.
     plan : Layout
         Their blocks.
-    groups : list of list of int
-        Episodes in which one motion was repeated.
-    moving : (E, B) bool
-        Blocks in which commands move, or have just moved.
     rate_hz : float
         Rows a second.
-    rows : int
-        Rows T of the result.
     """
+    groups, moving, rows = repeat_groups(recs), _moving_blocks(recs, plan, rate_hz), recs.commands.shape[1]
     size = max(1, round(STRETCH_S * rate_hz / plan.rows))
     observed, copies = _variance(raw, groups), np.stack([_variance(z, groups) for z in null])
     differing = _differs(observed, copies)
@@ -161,19 +155,19 @@ def measured_deviation(
         for begin in range(0, raw.shape[1], size):
             part = slice(begin, begin + size)
             kind = bool(moving[group[0], part].any())
-            seen = np.nanmean(_finite(excess[k, part]), axis=0)
+            seen = np.nan_to_num(mean_of_runs(excess[k, part]))
             pooled = (df[k] * seen + PRIOR_DF * typical[kind]) / (df[k] + PRIOR_DF)
             spread[group, part] = np.maximum(pooled, 0.0) / (df[k] + 1)  # the part that no run seen has
     # A variance known from few repeats is larger than it seems as often as smaller: Student's t of as many degrees.
     total = max(df.sum(), 3.0)
     for e in np.setdiff1d(np.arange(len(raw)), np.concatenate(groups)):
         spread[e] = np.where(moving[e][:, None], typical[True], typical[False]) * total / (total - 2)
-    away = [np.nan_to_num(raw[g] - _mean_of(raw[g])) for g in groups]
+    away = [np.nan_to_num(raw[g] - mean_of_runs(raw[g])) for g in groups]
     motion, shapes = np.full(len(raw), len(groups)), np.zeros((len(groups) + 1, int(df.max()) + 1, *raw.shape[1:]))
     slow_share = np.sqrt(np.clip(np.nansum(excess, (0, 1)) / np.maximum(np.nansum(observed, (0, 1)), 1e-18), 0.0, 1.0))
     for k, group in enumerate(groups):
         motion[group] = k
-        shapes[k, : len(group)] = away[k] * slow_share / np.sqrt(df[k]) * np.sqrt(df[k] / (df[k] + 1))
+        shapes[k, : len(group)] = away[k] * slow_share / np.sqrt(df[k] + 1)
     return SlowDeviation(
         _by_row(np.sqrt(spread), plan.rows, rows),
         duration_s(np.concatenate(away), plan.rows / rate_hz),
@@ -189,30 +183,22 @@ def _by_row(blocks: Array, size: int, rows: int) -> Array:
     return blocks[..., at, :]
 
 
-def _mean_of(values: Array) -> Array:
-    """Return the mean over runs `(n, B, D)`; NaN where no run has a value."""
+def mean_of_runs(values: Array) -> Array:
+    """Return the mean over the first axis `(n, ...)`; NaN where no run has a value."""
     finite = np.isfinite(values)
     count = finite.sum(0)
     return np.where(count > 0, np.where(finite, values, 0.0).sum(0) / np.maximum(count, 1), np.nan)
 
 
-def _finite(values: Array) -> Array:
-    """Return values with a row of zeros where a column has none, so that its mean is no warning."""
-    empty = ~np.isfinite(values).any(0)
-    return np.where(empty, 0.0, values)
-
-
 def _variance(residuals: Array, groups: list[list[int]]) -> Array:
     """Return `(G, B, D)` the unbiased variance of residuals between repeats; NaN where fewer than two were seen."""
-    out = np.full((len(groups), *residuals.shape[1:]), np.nan)
-    for k, group in enumerate(groups):
+    out = []
+    for group in groups:
         values = residuals[group]
-        finite = np.isfinite(values)
-        count = finite.sum(0)
-        mean = np.where(finite, values, 0.0).sum(0) / np.maximum(count, 1)
-        squares = np.where(finite, (values - mean) ** 2, 0.0).sum(0)
-        out[k] = np.where(count > 1, squares / np.maximum(count - 1, 1), np.nan)
-    return out
+        count = np.isfinite(values).sum(0)
+        squares = np.nansum((values - mean_of_runs(values)) ** 2, axis=0)
+        out.append(np.where(count > 1, squares / np.maximum(count - 1, 1), np.nan))
+    return np.stack(out)
 
 
 def _differs(observed: Array, copies: Array) -> NDArray[np.bool_]:

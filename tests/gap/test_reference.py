@@ -11,7 +11,8 @@ from candata.errors import DataError
 from candata.gap.recordings import recordings
 from candata.gap.reference import changed_since
 from candata.gap.replay import Replayer
-from tests.gap.test_repeats import runs
+from candata.schema.scene import Repeatability
+from tests.gap.test_repeats import problem_of, runs
 
 #: The machine as it is: its servos are late and weaker than the scene says.
 LATE_S, WEAK = 0.03, 0.6
@@ -50,6 +51,15 @@ def test_motions_that_the_reference_lacks_are_compared_after_a_model_of_its_misf
     assert (sum(part.variance for part in compared.slow) > 0.002**2).all()
     assert any("0 of 4 episodes play a motion" in note for note in compared.notes)
     assert any("joins the floor" in note for note in compared.notes)
+
+
+@pytest.mark.parametrize("repeated", [False, True])
+def test_what_the_scene_declares_is_in_the_floor_of_a_comparison_too(arm, as_dataset, arm_episodes, repeated):
+    """With and without repeats, of runs that differ by noise alone."""
+    scene = replace(arm, file=arm.file.model_copy(update={"repeatability": Repeatability(joint_position=0.02)}))
+    first, second = (runs(arm_episodes, 3, seed=s) if repeated else arm_episodes(count=8, seed=1) for s in (5, 9))
+    problem = problem_of(as_dataset, scene, second, against=as_dataset(first))
+    assert (sum(part.variance for part in problem.recs.slow) >= 0.02**2 - 1e-12).all()
 
 
 def test_a_reference_without_shared_channels_or_of_tosses_is_refused(arm, cube, arm_episodes, played):
