@@ -54,6 +54,12 @@ ALIKE = frozenset(
 )
 
 
+def step_problem(arm: Scene, recs: Recordings) -> Problem:
+    """The problem that recordings of the arm pose to a single step of the search, without `ALIKE`."""
+    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
+    return replace(problem, ruled_out=ALIKE)
+
+
 @pytest.fixture(scope="session")
 def arm(tmp_path_factory) -> Scene:
     """Two driven hinges that turn about the vertical; no object, no forces."""
@@ -209,8 +215,7 @@ def two_causes(arm, arm_episodes, planted) -> tuple[Problem, np.ndarray]:
         *planted("actuation_delay", delay_s=0.03),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None)
-    problem = replace(problem, ruled_out=ALIKE)
+    problem = step_problem(arm, recs)
     return problem, problem.score.loss(problem.nominal)
 
 

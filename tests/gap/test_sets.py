@@ -10,7 +10,6 @@ import pytest
 
 from candata.gap import elsewhere, own_floor, sets, trials, worth
 from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
 from candata.gap.folds import cross_fit
 from candata.gap.pace import Pace
 from candata.gap.recordings import recordings
@@ -19,7 +18,7 @@ from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.search import Fit, Problem, SoFar
 from candata.gap.stage import look
-from tests.gap.conftest import ALIKE, members
+from tests.gap.conftest import members, step_problem
 
 
 def test_an_early_member_gives_way_to_the_true_one(arm, two_causes):
@@ -32,9 +31,7 @@ def test_an_early_member_gives_way_to_the_true_one(arm, two_causes):
 
 def test_what_a_blunt_fit_leaves_is_given_to_no_other_effect(arm, arm_episodes, planted):
     recs = recordings(arm, arm_episodes(planted("joint_dry_friction", frictionloss_Nm=0.3), count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     blunt = members(arm, joint_dry_friction=0.22)
     plane = around(problem, blunt, lambda u: divided(blunt, u))
@@ -101,9 +98,7 @@ def test_the_next_best_and_a_third_replace_a_wrong_second(arm, arm_episodes, pla
         *planted("servo_gain", "shoulder", kp_scale=0.6),
     )
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     wrong = joint(problem, members(arm, joint_dry_friction=0.3, armature=0.01), base)
     found = sets._retraced(problem, wrong)
@@ -149,9 +144,7 @@ def test_a_fault_of_one_joint_is_taken_for_one_of_all_where_that_explains_more(a
 def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
     effects = (*planted("joint_damping", damping_Nms_rad=0.3), *planted("actuation_delay", "elbow", delay_s=0.03))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.03]))
     half = joint(problem, (elbow,), problem.score.loss(problem.nominal))
     assert float(half.evidence.loss.mean()) - 1 > worth.LEFT
@@ -160,9 +153,7 @@ def test_a_true_fault_of_one_joint_stays_one(arm, arm_episodes, planted):
 
 def test_a_fault_moves_to_the_joint_that_has_it_and_what_made_up_for_it_goes(arm, arm_episodes, planted):
     recs = recordings(arm, arm_episodes(planted("actuation_delay", "shoulder", delay_s=0.03), count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     elbow = (candidate("actuation_delay", arm, "elbow"), np.array([0.005]))
     wrong = joint(problem, (*members(arm, armature=0.0005), elbow), problem.score.loss(problem.nominal))
     assert elsewhere.moved(problem, wrong).labels == ("actuation_delay shoulder",)
@@ -400,9 +391,7 @@ def test_what_takes_most_of_what_is_left_by_one_episode_is_not_named(lone):
 def test_a_faint_effect_beside_a_strong_one_is_found(arm, arm_episodes, planted):
     effects = (*planted("actuation_delay", delay_s=0.02), *planted("joint_dry_friction", frictionloss_Nm=0.005))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     delay = joint(problem, members(arm, actuation_delay=0.02), problem.score.loss(problem.nominal))
     found, world, remains = sets.forward(problem, delay, ())
     faint = float(world.score.loss(world.without_each(found.members)[-1]).mean() - found.evidence.loss.mean())

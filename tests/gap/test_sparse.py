@@ -9,13 +9,11 @@ import pytest
 
 from candata.gap import sparse as module
 from candata.gap.candidates import candidate
-from candata.gap.diagnosis import _problem
 from candata.gap.recordings import recordings
 from candata.gap.refine import WIDTHS, joint
-from candata.gap.replay import Replayer
 from candata.gap.sparse import pruned, sparse
 from candata.gap.stage import typical
-from tests.gap.conftest import ALIKE
+from tests.gap.conftest import step_problem
 
 #: Four things wrong at once, the damping most of all.
 WRONG = {
@@ -31,9 +29,7 @@ def found(arm, arm_episodes, planted):
     """The joint fit around the damping alone, and the loss of the nominal arm."""
     effects = tuple(s for name, x in WRONG.items() for s in planted(name, **x))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base, _ = typical(problem, problem.nominal, ())
     c = candidate("joint_damping", arm)
     start = joint(problem, ((c, np.full(1, 0.2)),), base)

@@ -19,16 +19,14 @@ from candata.gap.shortlist import brief
 from candata.gap.stage import look
 from candata.scenes import load_scene
 from candata.simulate.episodes import EpisodeJob, make_episodes
-from tests.gap.conftest import ALIKE, members
+from tests.gap.conftest import members, step_problem
 
 
 @pytest.mark.parametrize(("unsure", "finished"), [(0.0, 1), (np.inf, 2)])
 def test_rivals_that_stay_near_alone_are_fitted_on(arm, arm_episodes, planted, monkeypatch, unsure, finished):
     """Two sets that nothing tells apart at first: the one that is clearly worse after one width is left there."""
     recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.4), count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     made = []
 
@@ -70,9 +68,7 @@ def test_a_light_fit_that_takes_a_part_is_fitted_on(left, gain, extra, promising
 
 def test_what_promises_nothing_beside_a_set_is_not_fitted_sharply(arm, arm_episodes, planted, monkeypatch):
     recs = recordings(arm, arm_episodes(planted("joint_damping", damping_Nms_rad=0.4), count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     best = joint(problem, ((candidate("servo_gain", arm), np.full(1, 0.01)),), base, widths=())
     idle = [(*best.members, (candidate("armature", arm), np.full(1, 1e-5)))]
@@ -97,9 +93,7 @@ def test_of_many_that_cannot_be_told_apart_only_the_first_few_are_fitted_on():
 def test_two_that_do_much_alike_share_what_the_one_taken_made_up_for(arm, arm_episodes, planted):
     effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     fits = [
         joint(problem, ((candidate(name, arm), np.full(1, value)),), base)
@@ -161,9 +155,7 @@ def test_in_a_full_set_the_one_that_shares_takes_the_place_of_what_made_up_for_i
 ):
     effects = (*planted("servo_damping", kv_scale=3.0), *planted("joint_damping", damping_Nms_rad=0.4))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     base = problem.score.loss(problem.nominal)
     servos, joints, inertia = [
         (candidate(name, arm), np.full(1, value))
@@ -183,9 +175,7 @@ def test_a_pair_begins_at_shares_of_what_each_explains_alone(arm, arm_episodes, 
     """Both slow the arm: what each does alone adds up to too much."""
     effects = (*planted("joint_damping", damping_Nms_rad=0.6), *planted("servo_gain", kp_scale=0.6))
     recs = recordings(arm, arm_episodes(effects, count=12))
-    problem = replace(
-        _problem(Replayer(arm), recs, np.random.default_rng(0), None, lambda stage: None), ruled_out=ALIKE
-    )
+    problem = step_problem(arm, recs)
     part, _ = brief(problem)
     rough = look(problem, problem.nominal, ()).rough
     (members,) = added._started(part, rough)
