@@ -110,6 +110,19 @@ def test_a_second_run_goes_on_with_what_stands(folder, tmp_path):
     assert len(asked) == len(first)
 
 
+def test_another_question_in_the_same_folder_is_refused(folder, tmp_path):
+    crew = crew_of(lambda *_: answer("no_gap"))
+    run_pairs(read_labelled(folder), tmp_path / "out", crew)
+    with pytest.raises(UsageError, match="asked for something else"):
+        run_pairs(read_labelled(folder), tmp_path / "out", crew, seed=1)
+
+
+def test_settings_of_which_nothing_was_repeated_have_no_halves(folder):
+    table = folder / "settings.csv"
+    table.write_text("\n".join(table.read_text().splitlines()[:3]) + "\n")  # a slow and a fast run
+    assert pairs_of(read_labelled(folder)) == []
+
+
 def test_long_runs_are_cut(folder, tmp_path):
     (folder / "labels.yaml").write_text(LABELS + "cut_s: 0.2\n")
     labelled = read_labelled(folder)

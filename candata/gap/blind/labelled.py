@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import permutations
@@ -15,6 +16,7 @@ import numpy as np
 from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.datasets.drafts import draft_beside, place
 from candata.datasets.registry import resolve
+from candata.datasets.writing import write_text
 from candata.effects import effect_names
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.gap.blind.crew import Crew
@@ -30,7 +32,7 @@ from candata.schema.report import NamedEffect, Report
 from candata.schema.yaml_text import read_yaml
 
 #: File in the folder of a labelled set, and what a run keeps.
-LABELS, PAIRS, SETTINGS = "labels.yaml", "pairs.jsonl", "settings"
+LABELS, PAIRS, SETTINGS, REQUEST = "labels.yaml", "pairs.jsonl", "settings", "request.json"
 #: Targets [%]: nulls that may be named, nulls that are `no_gap`, changes named first or in their class, and coverage
 #: of 90 % intervals. Chosen: what a user must be able to trust before changing a machine.
 NULLS_NAMED, NULLS_RIGHT, CHANGES_RIGHT, COVERAGE = 0.0, 90.0, 85.0, (80.0, 95.0)
@@ -166,7 +168,7 @@ def _rows(path: Path) -> list[dict[str, str]]:
 
 
 def pairs_of(labelled: LabelledSet) -> list[Pair]:
-    """Return all ordered pairs of settings that differ in one label, and the halves of each setting as nulls."""
+    """Return all ordered pairs of settings that differ in one label, and as nulls the halves of what was repeated."""
     file, pairs = labelled.file, []
     for a, b in permutations(labelled.labels, 2):
         old, new = labelled.labels[a], labelled.labels[b]
@@ -174,7 +176,9 @@ def pairs_of(labelled: LabelledSet) -> list[Pair]:
         if len(differing) == 1:
             is_null = file.same is not None and old[file.same] == new[file.same] != ""
             pairs.append(Pair(a, b, None if is_null else differing[0], _ratio(old[differing[0]], new[differing[0]])))
-    return [*pairs, *(Pair(f"{name}.first", f"{name}.second", None, None) for name in labelled.labels)]
+    tasks = dict(zip(*labelled.dataset.catalog(["id", "task"]).to_pydict().values(), strict=True))
+    repeated = [n for n, ids in labelled.episodes.items() if len({tasks[i] for i in ids}) < len(ids)]
+    return [*pairs, *(Pair(f"{name}.first", f"{name}.second", None, None) for name in repeated)]
 
 
 def _ratio(old: str, new: str) -> float | None:
@@ -231,9 +235,16 @@ def run_pairs(
     until: float = inf,
     advance: Callable[[int], None] = lambda count: None,
 ) -> list[PairResult]:
-    """Return the diagnoses of all pairs, those that stand in `out` first; each is written as it comes."""
+    """Return the diagnoses of all pairs, those that stand in `out` first; each is written as it comes.
+
+    Raises
+    ------
+    UsageError
+        When what stands in `out` was asked for otherwise.
+    """
+    _keep_request(labelled, out, seed)
     write_settings(labelled, out)
-    pairs = [p for p in pairs_of(labelled) if all((out / SETTINGS / n).exists() for n in (p.a, p.b))]
+    pairs = pairs_of(labelled)
     done = {(r.a, r.b): r for r in finished(out / PAIRS, PairResult)}
     advance(len(done))
     tasks = [(str(out), labelled.scene, *p, seed) for p in pairs if (p.a, p.b) not in done]
@@ -241,6 +252,22 @@ def run_pairs(
         done[result.a, result.b] = result
         advance(1)
     return [done[p.a, p.b] for p in pairs if (p.a, p.b) in done]
+
+
+def _keep_request(labelled: LabelledSet, out: Path, seed: int) -> None:
+    """Write down what is asked for, unless the same is there: answers to another question would be scored with it."""
+    digests = {"dataset": labelled.dataset.digest, "scene": load_scene(labelled.scene).digest, "seed": seed}
+    text = json.dumps({**digests, "labels": labelled.labels, "cut_s": labelled.file.cut_s}, indent=1) + "\n"
+    path = out / REQUEST
+    if path.exists() and path.read_text(encoding="utf-8") != text:
+        raise UsageError(
+            "the folder holds a run that was asked for something else",
+            expected="the dataset, scene, labels and seed of the first command",
+            where=Where(path=str(path)),
+            fix="repeat the first command, or choose another --out",
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(path, text, "request")
 
 
 def diagnose_pair(
