@@ -142,9 +142,16 @@ def diagnose(
             sofar=sofar,
             against=against,
         )
-        return _searched(dataset, scene, some, calibrate)
+        diagnosis = _searched(dataset, scene, some, calibrate)
     except BudgetSpent as spent:
-        return unfinished(dataset, scene, sofar, spent.budget)
+        diagnosis = unfinished(dataset, scene, sofar, spent.budget)
+    return diagnosis if against is None else _since(diagnosis, title(against))
+
+
+def _since(diagnosis: Diagnosis, reference: str) -> Diagnosis:
+    """Return the diagnosis with its report naming the reference."""
+    data = diagnosis.report.data.model_copy(update={"against": reference})
+    return replace(diagnosis, report=diagnosis.report.model_copy(update={"data": data}))
 
 
 def _near(reference: Dataset, replayer: Replayer, seed: int) -> Scene:
@@ -239,8 +246,7 @@ def posed(
         return Posed(everything, untouched, None)
     left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
-    named = None if against is None else title(against)
-    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar, against=named)
+    problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
     sofar.problem = problem
     return Posed(everything, untouched, problem)
 

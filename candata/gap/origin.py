@@ -18,7 +18,6 @@ def data_used(dataset: Dataset, problem: Problem, total: int, held_out: int) -> 
     apart = [f"effects searched on {searched} episodes, measured on the other {held_out}"] * (total > searched)
     return DiagnosisData(
         dataset=title(dataset),
-        against=problem.against,
         episodes=EpisodeCount(total=total, folds=FOLDS, held_out=held_out),
         floor=problem.floor_kind,
         channels=tuple(problem.recs.readings),

@@ -69,8 +69,8 @@ class Problem:
     set where only a few of the episodes are looked at, and fewer signatures do; `played` keeps the residuals `(B, D)`
     of episodes from their starts in worlds that were simulated, as some of them are asked for again, alone or among
     others; `simulated` is set where every candidate is simulated on the recording, its signature set aside, and
-    `telling` where other episodes are looked at first than usual; `against` is what the reference is called, if any;
-    `pace` tells how far the search is, and `sofar` keeps what it has come to know.
+    `telling` where other episodes are looked at first than usual; `pace` tells how far the search is, and `sofar` keeps
+    what it has come to know.
     """
 
     replayer: Replayer
@@ -91,7 +91,6 @@ class Problem:
     simulated: bool = False
     telling: Index | None = None
     played: dict[tuple[str, tuple[str, bytes]], Array] = field(default_factory=dict)
-    against: str | None = None
     pace: Pace = field(default_factory=Pace)
     sofar: SoFar = field(default_factory=SoFar)
 

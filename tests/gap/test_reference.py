@@ -62,6 +62,14 @@ def test_what_the_scene_declares_is_in_the_floor_of_a_comparison_too(arm, as_dat
     assert (sum(part.variance for part in problem.recs.slow) >= 0.02**2 - 1e-12).all()
 
 
+def test_a_report_names_its_reference_however_it_ends(arm, judge, arm_episodes, before):
+    few = judge(arm, arm_episodes(count=4), against=before).report
+    spent = judge(arm, arm_episodes(count=8), against=before, budget=0.1).report
+    assert (few.verdict, spent.verdict) == ("too_little_data", "out_of_budget")
+    assert few.data.against == spent.data.against
+    assert few.data.against.startswith(before.name)
+
+
 def test_a_reference_without_shared_channels_or_of_tosses_is_refused(arm, cube, arm_episodes, played):
     recs = recordings(arm, arm_episodes(count=2))
     with pytest.raises(DataError, match="share no channel"):

@@ -201,14 +201,13 @@ def write_settings(labelled: LabelledSet, out: Path) -> None:
         for run in runs:
             turn[run.meta.task or ""] = turn.get(run.meta.task or "", -1) + 1
             side.append(turn[run.meta.task or ""] % 2)
-        parts = {
-            name: runs,
-            f"{name}.first": [r for r, s in zip(runs, side, strict=True) if s == 0],
-            f"{name}.second": [r for r, s in zip(runs, side, strict=True) if s == 1],
-        }
+        parts = {name: runs}
+        if any(side):
+            parts[f"{name}.first"] = [r for r, s in zip(runs, side, strict=True) if s == 0]
+            parts[f"{name}.second"] = [r for r, s in zip(runs, side, strict=True) if s == 1]
         for part, members in parts.items():
             folder = out / SETTINGS / part
-            if members and not folder.exists():
+            if not folder.exists():
                 with draft_beside(folder) as draft:
                     made = create_dataset(draft / "dataset", name=part)
                     append(made, list(_cut(members, labelled.file.cut_s)), Lineage(operation="gap real"))
