@@ -20,6 +20,7 @@ from candata.gap.budget import Budget, BudgetSpent
 from candata.gap.calibration import reference_fit, with_calibration
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
+from candata.gap.effort_unit import with_effort_unit
 from candata.gap.floor import spread
 from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
@@ -233,7 +234,7 @@ def posed(
     progress("reading")
     sofar.recs = read(scene, dataset)
     reference = None if against is None else read(scene, against)
-    sofar.recs = checked(replayer, sofar.recs, reference)
+    sofar.recs, reference = with_effort_unit(replayer, checked(replayer, sofar.recs, reference), reference)
     if against is not None and reference is not None:
         progress("comparing with the reference")
         sofar.recs = changed_since(replayer, sofar.recs, reference, title(against), seed)

@@ -15,12 +15,16 @@ from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
 from candata.gap.spikes import without_lost, without_spikes
+from candata.gap.velocity import aligned_velocity
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Channels that are compared, in the order of the residual's columns.
+#: Channels that are compared, and those that are compared too where every episode holds them.
 COMPARED = ("joint_position", "object_pose", "fingertip_force")
+ALONGSIDE = ("joint_velocity", "joint_effort")
+#: Length of the blocks over which residuals are averaged [s].
+BLOCK_S = 0.05
 #: Recorded rate may differ this much from the scene's: clocks drift by parts per million, not by per cent.
 RATE_TOLERANCE = 0.02
 #: Share of the usual length, and of a channel's rows, below which an episode is no use.
@@ -47,8 +51,9 @@ class Recordings:
     commands : (E, T, A) float64
         Held over [time_k, time_k+1).
     readings : dict of str to ndarray
-        Recorded `joint_position (E, T, J)`, `object_pose (E, T, 7)`, `fingertip_force (E, T, F, 3)`; NaN where not
-        valid. Channels that an episode set lacks are not there.
+        Recorded `joint_position (E, T, J)`, `object_pose (E, T, 7)`, `fingertip_force (E, T, F, 3)`,
+        `joint_velocity` and `joint_effort (E, T, J)`; NaN where not valid. Channels that an episode set lacks are not
+        there.
     lengths : (E,) int64
         Rows of each episode.
     instant_force : bool
@@ -66,6 +71,10 @@ class Recordings:
         What the simulator left open in a reference, by the columns of a residual; None without a reference.
     noise_factor : float
         By how much the noise of `compared` is larger than that of one recording: the misfit holds noise too.
+    rate_hz : float
+        Rows a second; 0 where no velocity or effort needs it.
+    unscaled_effort : bool
+        Whether the size of `joint_effort` tells nothing, as its unit is not known.
     """
 
     ids: tuple[str, ...]
@@ -80,6 +89,8 @@ class Recordings:
     slow: tuple[SlowDeviation, ...] = ()
     misfit: Array | None = None
     noise_factor: float = 1.0
+    rate_hz: float = 0.0
+    unscaled_effort: bool = False
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -112,6 +123,11 @@ class Recordings:
             slow=tuple(part.take(index) for part in self.slow),
             misfit=None if self.misfit is None else self.misfit[index],
         )
+
+
+def block_rows(rate_hz: float) -> int:
+    """Return the rows of a block."""
+    return max(1, round(BLOCK_S * rate_hz))
 
 
 def read(scene: Scene, dataset: Dataset) -> Recordings:
@@ -161,12 +177,18 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         )
         for c in shared
     }
-    slow, slower = sources(readings, scene.file.rate_hz)
+    slow, slower = sources({c: v for c, v in readings.items() if c in COMPARED}, scene.file.rate_hz)
     spiky: tuple[str, ...] = ()
     if "object_pose" in readings:
         readings["object_pose"], lost = without_lost(readings["object_pose"])
         readings["object_pose"], spiky = without_spikes(readings["object_pose"])
         spiky = (*lost, *spiky)
+    if "joint_velocity" in readings:
+        velocity = readings.pop("joint_velocity")
+        velocity, late = aligned_velocity(velocity, readings["joint_position"], scene.file.rate_hz, scene.file.joints)
+        slower = (*slower, *late)
+        if np.isfinite(velocity).any():
+            readings["joint_velocity"] = velocity
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
@@ -179,6 +201,8 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         found[0].meta.force == "instant",
         (*off_notes, *notes, *slower, *spiky),
         sources=slow,
+        rate_hz=scene.file.rate_hz,
+        unscaled_effort=any("joint_effort" in e.meta.unscaled for e in found),
     )
 
 
@@ -220,12 +244,22 @@ def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[s
         if len(have) == len(sound):
             shared += [c] * bool(have)
         elif have:
-            notes.append(f"{c} is not compared: {len(sound) - len(have)} of {len(sound)} episodes lack it")
+            notes.append(_not_compared(c, len(sound) - len(have), len(sound)))
+    if "joint_position" in shared:
+        for c in ALONGSIDE:
+            lacking = sum(not _seen(e, c) for e in sound)
+            shared += [c] * (not lacking)
+            notes += [_not_compared(c, lacking, len(sound))] * (0 < lacking < len(sound))
     if broken:
         named = "; ".join(f"{name}: {why}" for name, why in broken[:10])
         more = f"; and {len(broken) - 10} more" if len(broken) > 10 else ""
         notes.append(f"{len(broken)} of {len(episodes)} episodes left out ({named}{more})")
     return sound, shared, tuple(notes)
+
+
+def _not_compared(channel: str, lacking: int, count: int) -> str:
+    """Return the note on a channel that some episodes lack."""
+    return f"{channel} is not compared: {lacking} of {count} episodes lack it"
 
 
 def fault_of(scene: Scene, episode: Episode, usual: float) -> DataError | None:
@@ -297,7 +331,7 @@ def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
             fix="give map.yaml (or the episode) and scene.yaml the true rate of the recording",
         )
     pairs = {
-        "joint_position": (meta.joint_names, file.joints),
+        **{c: (meta.joint_names, file.joints) for c in ("joint_position", *ALONGSIDE)},
         "action": (meta.actuator_names, file.actuator_names),
         "fingertip_force": (meta.fingertip_names, file.fingertips),
     }

@@ -40,7 +40,8 @@ class Trajectory:
     ----------
     readings : dict of str to ndarray
         `object_pose (n, T, 7)`, `joint_position (n, T, J)`, `fingertip_force (n, T, F, 3)` [N], as the sensors of
-        the world report them. Row 0 of the force is zero: it belongs to the step before.
+        the world report them; `joint_effort (n, T, J)` [N m; N of slides], what the actuators put on the joints, if
+        asked for. Row 0 of forces and efforts is zero: they belong to the step before.
     touch : (n, T) bool
         Whether anything but the support touched the object in the step before the row.
     tip_force : (n, T, F) float64 [N]
@@ -87,6 +88,7 @@ def rollout(
     push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
+    read_effort: bool = False,
     settle: int = 0,
     threads: int = 1,
     alter: Alter | None = None,
@@ -113,6 +115,8 @@ def rollout(
         Report the force of the last physics step instead of the mean over the control step.
     keep_state : bool
         Also keep qpos and qvel of each row.
+    read_effort : bool
+        Also read `joint_effort`.
     settle : int
         Rows before the recording begins: a clock that drifts does so from there.
     threads : int
@@ -129,9 +133,8 @@ def rollout(
     UsageError
         When an effect cannot act in the scene.
     """
-    run = _Run(
-        scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter, push
-    )
+    worlds, states = build_worlds(scene, effects), (np.asarray(qpos, float), np.asarray(qvel, float))
+    run = _Run(scene, worlds, *states, threads, alter, push, read_effort)
     if memory is not None and memory.size:
         run.remember(memory)
     if earlier_commands is not None:
@@ -152,8 +155,10 @@ class _Run:
         threads: int,
         alter: Alter | None,
         push: Push | None,
+        read_effort: bool,
     ) -> None:
         self.scene, self.push, self.n = scene, push, len(qpos)
+        self.read_effort = read_effort
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.laws = servo_laws(scene, worlds.models) if worlds.servo else None
         if worlds.servo:
@@ -166,7 +171,7 @@ class _Run:
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         # Outputs are copied after every call: only where something reads them.
-        needs_effort = worlds.force or worlds.friction or push
+        needs_effort = worlds.force or worlds.friction or push or read_effort
         self.effort = self.batch.bind("qfrc_actuator") if needs_effort else np.zeros(0)
         self.own_friction = np.array([model.dof_frictionloss for model in worlds.models])
         steps = steps_of(scene, worlds)
@@ -247,6 +252,8 @@ class _Run:
             out["object_pose"] = self.qpos[:, self.object : self.object + 7].copy()
         if len(scene.joint_qpos):
             out["joint_position"] = self.qpos[:, scene.joint_qpos]
+            if self.read_effort:
+                out["joint_effort"] = self.effort[:, scene.joint_dof]
         return out
 
     def _nothing(self) -> list[Array]:
