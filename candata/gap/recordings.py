@@ -15,6 +15,7 @@ from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
 from candata.gap.spikes import without_lost, without_spikes
+from candata.gap.supply import CHANNEL, followed_supply
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
@@ -66,6 +67,8 @@ class Recordings:
         What the simulator left open in a reference, by the columns of a residual; None without a reference.
     noise_factor : float
         By how much the noise of `compared` is larger than that of one recording: the misfit holds noise too.
+    supply : (E, T, A) float64 or None
+        Recorded supply of the actuators over its median; None where no reading of it was recorded.
     """
 
     ids: tuple[str, ...]
@@ -80,6 +83,7 @@ class Recordings:
     slow: tuple[SlowDeviation, ...] = ()
     misfit: Array | None = None
     noise_factor: float = 1.0
+    supply: Array | None = None
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -89,6 +93,11 @@ class Recordings:
     def compared(self) -> dict[str, Array]:
         """Readings that are compared with a replay: those recorded, less the misfit of a reference."""
         return self.readings if self.misfit is None else shifted_readings(self.readings, -self.misfit)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What was recorded for effects to show in or to follow."""
+        return (*self.readings, *([] if self.supply is None else [CHANNEL]))
 
     @property
     def independent(self) -> NDArray[np.int64]:
@@ -111,6 +120,7 @@ class Recordings:
             sources={n: rows[index] for n, rows in self.sources.items()},
             slow=tuple(part.take(index) for part in self.slow),
             misfit=None if self.misfit is None else self.misfit[index],
+            supply=None if self.supply is None else self.supply[index],
         )
 
 
@@ -170,6 +180,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
+    supply, supply_notes = followed_supply(scene, found, length)
     return Recordings(
         tuple(e.meta.id for e in found),
         tuple(e.meta.task or "" for e in found),
@@ -177,8 +188,9 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*off_notes, *notes, *slower, *spiky),
+        (*off_notes, *notes, *slower, *spiky, *supply_notes),
         sources=slow,
+        supply=supply,
     )
 
 
