@@ -87,7 +87,7 @@ def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
     UnknownNameError
         When there is no such effect.
     UsageError
-        When it cannot act in the scene, or the salt is no hex of 32 bytes.
+        When it cannot act in the scene, follows what is recorded, or the salt is no hex of 32 bytes.
     """
     rng = np.random.default_rng(secret_number(seed, salt, "effect"))
     possible_effects = [drawn_name for drawn_name in effect_names() if effect(drawn_name).possible(scene)]

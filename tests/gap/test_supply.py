@@ -11,6 +11,7 @@ from candata.gap.replay import Replayer, replay
 from candata.gap.starts import starts
 from candata.gap.untested import library
 from candata.schema.episode import Episode, EpisodeMeta
+from candata.simulate import with_effects
 from tests.effects.pendulum import excitation, write_pendulum
 from tests.effects.sagging import play_on_weak_supply
 
@@ -77,6 +78,7 @@ def test_a_replay_follows_the_reading_and_the_nominal_one_does_not(pendulum, sag
         return np.sqrt(np.nanmean((replayed(pendulum, recs, effects) - recs.readings["joint_position"]) ** 2))
 
     assert error(whole) < 0.1 * error()
+    assert np.array_equal(replayed(with_effects(pendulum, whole), recs), replayed(pendulum, recs, whole))
 
 
 @pytest.mark.parametrize(
