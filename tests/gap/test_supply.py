@@ -11,7 +11,7 @@ from candata.gap.replay import Replayer, replay
 from candata.gap.starts import starts
 from candata.gap.untested import library
 from candata.schema.episode import Episode, EpisodeMeta
-from candata.simulate import with_effects
+from candata.simulate import at_rest, rollout, with_effects
 from tests.effects.pendulum import excitation, write_pendulum
 from tests.effects.sagging import play_on_weak_supply
 
@@ -61,6 +61,16 @@ def test_a_supply_that_sags_is_named_alone_from_its_reading(pendulum, sagging, j
     assert (report.verdict, [e.name for e in report.effects]) == ("explained", ["supply_sag"])
     # All of the sag reaches this servo.
     assert report.effects[0].parameters["share"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_a_sag_that_does_not_reach_the_servo_is_not_named(pendulum, sagging, judge):
+    """A current loop makes up for it: the same readings of the supply beside the motion of a stiff one."""
+    rng, commands = np.random.default_rng(2), np.stack([e["action"] for e in sagging])
+    stiff = rollout(pendulum, commands, *at_rest(pendulum, COUNT), [()] * COUNT).readings["joint_position"]
+    stiff = stiff + rng.normal(0, ENCODER_RAD, stiff.shape)
+    episodes = [Episode(e.meta, dict(e.arrays) | {"joint_position": q}) for e, q in zip(sagging, stiff, strict=True)]
+    report = judge(pendulum, episodes, only=("supply_sag",)).report
+    assert (report.verdict, report.effects) == ("no_gap", ())
 
 
 def replayed(scene, recs: Recordings, effects=()) -> np.ndarray:
