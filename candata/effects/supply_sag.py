@@ -45,7 +45,8 @@ def _apply(share: Array, x: DriveStrength) -> tuple[Array, DriveStrength]:
 EFFECT = Effect(
     about="position gain and torque limit of the servos follow their recorded supply",
     advice=Advice(
-        "Scale position gain and torque limit of {servo} in each step by 1 + {x} (V / median V - 1), V the supply"
+        "Let position gain and torque limit of {servo} change with the recorded supply: by {x} of its relative change",
+        "no attribute follows a recording: scale gainprm, biasprm and forcerange before each control step",
     ),
     parameters=(
         Parameter(
@@ -54,7 +55,7 @@ EFFECT = Effect(
             constant_bounds(0.0, 1.5),
             values(0.4, 1.0),
             spans((0.5, 1.1)),
-            "1 without a current loop, 0 with an ideal one; wires behind the reading lose more. Widths chosen",
+            "1 without a current loop, 0 with an ideal one; wires behind the reading lose more. Ends chosen",
             always(0.0),
         ),
     ),
