@@ -46,7 +46,7 @@ def followed_supply(scene: Scene, episodes: Sequence[Episode], length: int) -> t
     ) * bool(labels)
     if not is_reading.any():
         return None, notes
-    usual = np.median(np.concatenate(volts), axis=0)
+    usual = np.where(is_reading, np.median(np.concatenate(volts), axis=0), 1.0)
     if (usual <= 0).any():
         name, value = next((n, v) for n, v in zip(names, usual, strict=True) if v <= 0)
         raise DataError(

@@ -139,7 +139,7 @@ def of_arm(arm_episodes, volts: np.ndarray, names: tuple[str, ...]) -> list[Epis
 def test_columns_come_in_the_order_of_the_scene_and_labels_among_them_are_one(arm, arm_episodes):
     """By name, as of commands; what is one value beside a reading is left as it is, and said."""
     falls = np.linspace(12, 10, 40)
-    volts = np.stack([np.full(40, 5.0), falls], axis=1)
+    volts = np.stack([np.zeros(40), falls], axis=1)
     recs = recordings(arm, of_arm(arm_episodes, volts, ("elbow", "shoulder")))
     np.testing.assert_allclose(recs.supply[:, :, 0], np.tile(falls / 11, (2, 1)), rtol=1e-6)
     assert (recs.supply[:, :, 1] == 1).all()
