@@ -245,7 +245,7 @@ def posed(
     searched, untouched = np.sort(order[:most]), np.sort(order[most:])
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)
-    left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
+    left_out = frozenset(effect_names(everything.channels)) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
     problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
     sofar.problem = problem

@@ -72,6 +72,7 @@ def null_recordings(
         true.qvel0,
         [world] * len(true.rows),
         memory=true.memory0,
+        supply=None if recs.supply is None else np.concatenate([recs.supply] * worlds),
         instant_force=recs.instant_force,
         read_effort="joint_effort" in recs.readings,
         threads=replayer.threads,

@@ -15,7 +15,8 @@ from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
 from candata.gap.spikes import without_lost, without_spikes
-from candata.gap.velocity import aligned_velocity
+from candata.gap.supply import CHANNEL, followed_supply
+from candata.gap.velocity import with_aligned_velocity
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
@@ -75,6 +76,8 @@ class Recordings:
         Rows a second; 0 where no velocity or effort needs it.
     unscaled_effort : bool
         Whether the size of `joint_effort` tells nothing, as its unit is not known.
+    supply : (E, T, A) float64 or None
+        Recorded supply of the actuators over its median; None where no reading of it was recorded.
     """
 
     ids: tuple[str, ...]
@@ -91,6 +94,7 @@ class Recordings:
     noise_factor: float = 1.0
     rate_hz: float = 0.0
     unscaled_effort: bool = False
+    supply: Array | None = None
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -100,6 +104,11 @@ class Recordings:
     def compared(self) -> dict[str, Array]:
         """Readings that are compared with a replay: those recorded, less the misfit of a reference."""
         return self.readings if self.misfit is None else shifted_readings(self.readings, -self.misfit)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What was recorded for effects to show in or to follow."""
+        return (*self.readings, *([] if self.supply is None else [CHANNEL]))
 
     @property
     def independent(self) -> NDArray[np.int64]:
@@ -122,6 +131,7 @@ class Recordings:
             sources={n: rows[index] for n, rows in self.sources.items()},
             slow=tuple(part.take(index) for part in self.slow),
             misfit=None if self.misfit is None else self.misfit[index],
+            supply=None if self.supply is None else self.supply[index],
         )
 
 
@@ -183,15 +193,11 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings["object_pose"], lost = without_lost(readings["object_pose"])
         readings["object_pose"], spiky = without_spikes(readings["object_pose"])
         spiky = (*lost, *spiky)
-    if "joint_velocity" in readings:
-        velocity = readings.pop("joint_velocity")
-        velocity, late = aligned_velocity(velocity, readings["joint_position"], scene.file.rate_hz, scene.file.joints)
-        slower = (*slower, *late)
-        if np.isfinite(velocity).any():
-            readings["joint_velocity"] = velocity
+    readings, late = with_aligned_velocity(readings, scene.file.rate_hz, scene.file.joints)
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
+    supply, supply_notes = followed_supply(scene, found, length)
     return Recordings(
         tuple(e.meta.id for e in found),
         tuple(e.meta.task or "" for e in found),
@@ -199,10 +205,11 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*off_notes, *notes, *slower, *spiky),
+        (*off_notes, *notes, *slower, *late, *spiky, *supply_notes),
         sources=slow,
         rate_hz=scene.file.rate_hz,
         unscaled_effort=any("joint_effort" in e.meta.unscaled for e in found),
+        supply=supply,
     )
 
 

@@ -94,6 +94,7 @@ def _batch(
         observer=observer,
         memory=np.concatenate([s.memory for s in states]),
         earlier_commands=_tile(commands_before(recs.commands, begin.rows), copies),
+        supply=None if recs.supply is None else _tile(_shift(recs.supply, begin.rows, hold=True), copies),
         instant_force=recs.instant_force,
         keep_state=keep_state,
         read_effort="joint_effort" in recs.readings,

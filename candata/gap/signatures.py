@@ -274,6 +274,7 @@ def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout,
         begin.qvel0,
         [world] * len(recs),
         memory=begin.memory0,
+        supply=recs.supply,
         instant_force=recs.instant_force,
         read_effort="joint_effort" in recs.readings,
         threads=replayer.threads,
@@ -290,7 +291,8 @@ def _key(replayer: Replayer, recs: Recordings, begin: Starts) -> str:
     text = hashlib.sha256(f"{replayer.scene.digest}|{mujoco.__version__}|{_code()}|{recs.instant_force}".encode())
     text.update("|".join(recs.readings).encode())
     text.update("|".join(recs.sources).encode())
-    for values in (recs.commands, recs.lengths, begin.rows, *recs.sources.values()):
+    supply = () if recs.supply is None else (recs.supply,)
+    for values in (recs.commands, recs.lengths, begin.rows, *supply, *recs.sources.values()):
         text.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
     return text.hexdigest()[:32]
 

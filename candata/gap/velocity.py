@@ -27,6 +27,17 @@ def joint_velocity(position: Array, rate_hz: float) -> Array:
     return np.asarray(np.gradient(position, axis=-2)) * rate_hz
 
 
+def with_aligned_velocity(
+    readings: dict[str, Array], rate_hz: float, joints: Sequence[str]
+) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return readings with what their `joint_velocity` tells on the clock of `joint_position`, or without it."""
+    if "joint_velocity" not in readings:
+        return readings, ()
+    velocity, notes = aligned_velocity(readings["joint_velocity"], readings["joint_position"], rate_hz, joints)
+    others = {channel: values for channel, values in readings.items() if channel != "joint_velocity"}
+    return others | ({"joint_velocity": velocity} if np.isfinite(velocity).any() else {}), notes
+
+
 def aligned_velocity(
     reported: Array, position: Array, rate_hz: float, joints: Sequence[str]
 ) -> tuple[Array, tuple[str, ...]]:
