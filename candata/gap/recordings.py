@@ -21,9 +21,8 @@ from candata.scenes import Scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Channels that are compared, and those that are compared too where every episode holds them.
-COMPARED = ("joint_position", "object_pose", "fingertip_force")
-ALONGSIDE = ("joint_velocity", "joint_effort")
+#: Channels that are compared, and those that are where every episode holds them.
+COMPARED, ALONGSIDE = ("joint_position", "object_pose", "fingertip_force"), ("joint_velocity", "joint_effort")
 #: Length of the blocks over which residuals are averaged [s].
 BLOCK_S = 0.05
 #: Recorded rate may differ this much from the scene's: clocks drift by parts per million, not by per cent.
