@@ -6,11 +6,8 @@ from collections.abc import Iterator
 
 from candata.checks._finding import Finding, Rule
 from candata.checks._view import EpisodeView
-from candata.gap.spikes import spike_rows
+from candata.gap.spikes import JOINT_LEAST, spike_rows
 
-#: Least jump of a joint that counts [rad, m, 1]: a joint that runs at 2 rad/s and is stopped makes 0.04 rad less in a
-#: row of 50 Hz, and goes on from there.
-LEAST = 0.05
 REMEDY = "mark these rows invalid (NaN in the table, then --allow-gaps), and look at the encoder's wire and bus"
 
 
@@ -21,7 +18,7 @@ def _episode(view: EpisodeView) -> Iterator[Finding]:
         return
     for column, name in enumerate(view.elements("joint_position")):
         reading = joint[:, column : column + 1]
-        rows = spike_rows(reading, LEAST)
+        rows = spike_rows(reading, JOINT_LEAST)
         if rows.any():
             sizes = [abs(float(reading[k, 0] - (reading[k - 1, 0] + reading[k + 1, 0]) / 2)) for k in rows.nonzero()[0]]
             yield view.finding(

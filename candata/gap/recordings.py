@@ -14,7 +14,7 @@ from candata.datasets import Dataset
 from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
-from candata.gap.spikes import without_lost, without_spikes
+from candata.gap.spikes import without_jumps
 from candata.gap.supply import CHANNEL, followed_supply
 from candata.gap.velocity import with_aligned_velocity
 from candata.scenes import Scene
@@ -187,11 +187,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         for c in shared
     }
     slow, slower = sources({c: v for c, v in readings.items() if c in COMPARED}, scene.file.rate_hz)
-    spiky: tuple[str, ...] = ()
-    if "object_pose" in readings:
-        readings["object_pose"], lost = without_lost(readings["object_pose"])
-        readings["object_pose"], spiky = without_spikes(readings["object_pose"])
-        spiky = (*lost, *spiky)
+    readings, spiky = without_jumps(readings, scene.file.joints)
     readings, late = with_aligned_velocity(readings, scene.file.rate_hz, scene.file.joints)
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]

@@ -1,6 +1,8 @@
-"""Poses of a tracker that took another marker, or saw nothing: they jump out for one row and back, or to one value."""
+"""Readings that jump out for one row and back, or to one value: another marker was taken, an encoder was misread."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +13,32 @@ Array = NDArray[np.float64]
 #: How many times the usual bend of an episode's poses a spike is, and the least that it is [m, rad]. Chosen: an object
 #: that bounces at 1 m/s turns round within 10 mm a row, but goes on from there.
 TIMES, LEAST = 12.0, (0.005, 0.2)
+#: Least jump of a joint that is a spike [rad, m]: a joint that runs at 2 rad/s and is stopped makes 0.04 rad less in a
+#: row of 50 Hz, and goes on from there.
+JOINT_LEAST = 0.05
 #: Share of a spike's size that its neighbours may be apart. Chosen: of a motion that takes one row they are twice as
 #: far from one another as that row is from their middle.
 RETURNS = 0.5
 #: Least jump to a value that stands for nothing [m], chosen: a finger's width; fewest rows that show it.
 LOST_M, FEWEST = 0.02, 5
+
+
+def without_jumps(readings: dict[str, Array], joints: Sequence[str]) -> tuple[dict[str, Array], tuple[str, ...]]:
+    """Return readings with NaN where poses or `joint_position (E, T, J)` jump out and back, and notes."""
+    out, notes = dict(readings), []
+    if "joint_position" in readings:
+        out["joint_position"] = readings["joint_position"].copy()
+        for j, name in enumerate(joints):
+            column = readings["joint_position"][..., j]
+            spike = np.stack([spike_rows(each[:, None], JOINT_LEAST) for each in column])
+            out["joint_position"][spike, j] = np.nan
+            if spike.any():
+                notes.append(f"joint_position of {name} jumps out for one row and back {spike.sum()} times: left out")
+    if "object_pose" in readings:
+        for clean in (without_lost, without_spikes):
+            out["object_pose"], told = clean(out["object_pose"])
+            notes += told
+    return out, tuple(notes)
 
 
 def without_spikes(poses: Array) -> tuple[Array, tuple[str, ...]]:

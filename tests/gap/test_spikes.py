@@ -10,6 +10,7 @@ import pytest
 from candata.gap.recordings import recordings
 from candata.gap.spikes import without_spikes
 from candata.rotation import exp
+from candata.schema.episode import Episode
 
 
 def flying(rows=100, spin=0.0):
@@ -92,3 +93,15 @@ def test_recordings_leave_them_out_and_say_so(cube, played):
     recs = recordings(cube, episodes)
     assert np.argwhere(np.isnan(recs.readings["object_pose"][..., 0])).tolist() == [[0, 10]]
     assert any("jump out for one row and back" in note for note in recs.notes)
+
+
+def test_a_misread_encoder_is_left_out_too(arm, arm_episodes):
+    """One row half a turn away; what a joint does when it is stopped is no spike."""
+    clean = arm_episodes(count=2)
+    joints = np.array(clean[1]["joint_position"])
+    joints[70, 1] -= 3.14
+    joints[100:, 0] = joints[100, 0]
+    broken = Episode(clean[1].meta, {**clean[1].arrays, "joint_position": joints})
+    found = recordings(arm, [clean[0], broken])
+    assert np.argwhere(np.isnan(found.readings["joint_position"])).tolist() == [[1, 70, 1]]
+    assert "joint_position of elbow jumps out for one row and back 1 times: left out" in found.notes
