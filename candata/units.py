@@ -32,6 +32,8 @@ TO_SI: dict[str, float] = {
     "N m s/rad": 1.0,
     "N s/m": 1.0,
     "N/m": 1.0,
+    "A": 1.0,
+    "mA": 1e-3,
     "V": 1.0,
     "mV": 1e-3,
     "kg": 1.0,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from candata.errors import DataError, UnknownNameError, UsageError, Where
 from candata.formats._assemble import Block
-from candata.formats._mapping import check_channels, fits, si_units, unfit
+from candata.formats._mapping import SIZELESS, check_channels, fits, si_units, unfit
 from candata.formats._names import element_names, fingertip_names, split_entry
 from candata.schema.channels import CHANNELS, QUATERNION
 from candata.schema.exchange import FeatureMap
@@ -54,6 +54,8 @@ class Pick:
         What each column is called.
     elements : tuple of str
         Names of joints, actuators or fingertips, where they are known.
+    has_unit : bool
+        Whether the map says how large its values are; not of an effort without a unit of torque or force.
     """
 
     channel: str
@@ -62,6 +64,7 @@ class Pick:
     factors: tuple[float, ...]
     columns: tuple[str, ...]
     elements: tuple[str, ...]
+    has_unit: bool = True
 
 
 def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple[Pick, ...]:
@@ -128,7 +131,7 @@ def picked_features(channel_picks: Iterable[Pick]) -> tuple[str, ...]:
 
 
 def names_of(channel_picks: Sequence[Pick]) -> dict[str, tuple[str, ...]]:
-    """Return the fields of an episode's record that name joints, actuators and fingertips."""
+    """Return the fields of an episode's record that name joints, actuators, fingertips and channels without a unit."""
     by_channel = {pick.channel: pick.elements for pick in channel_picks}
 
     def first_names(*channels: str) -> tuple[str, ...]:
@@ -138,6 +141,7 @@ def names_of(channel_picks: Sequence[Pick]) -> dict[str, tuple[str, ...]]:
         "joint_names": first_names("joint_position", "joint_velocity", "joint_effort"),
         "actuator_names": first_names("action"),
         "fingertip_names": first_names("fingertip_force", "fingertip_contact"),
+        "unscaled": tuple(pick.channel for pick in channel_picks if not pick.has_unit),
     }
 
 
@@ -145,7 +149,7 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     """Return how one channel is made."""
     location = Where(path=str(path), channel=channel)
     entry = mapping.channels[channel]
-    parts = tuple(part(text, by_name, location) for text in ((entry,) if isinstance(entry, str) else entry))
+    parts = tuple(part(text, by_name, location) for text in _listed(entry))
     feature_columns = [(by_name[name], column) for name, columns in parts for column in columns]
     _check_repeats(channel, feature_columns, location)
     shape = _shape(channel, [_label(feature, column) for feature, column in feature_columns], location)
@@ -159,7 +163,13 @@ def _pick(mapping: FeatureMap, channel: str, by_name: Mapping[str, Feature], pat
     scales = _scales(channel, mapping.scales.get(channel, 1.0), len(feature_columns), location)
     factors = tuple(unit * scale for unit, scale in zip(units, scales, strict=True))
     elements = _elements(channel, column_names, shape, mapping.names.get(channel), location)
-    return Pick(channel, parts, shape, factors, columns, elements)
+    has_unit = channel != "joint_effort" or not set(_listed(mapping.units.get(channel, "1"))) & set(SIZELESS)
+    return Pick(channel, parts, shape, factors, columns, elements, has_unit)
+
+
+def _listed(entry: str | tuple[str, ...]) -> tuple[str, ...]:
+    """Return an entry of a map as a list."""
+    return (entry,) if isinstance(entry, str) else entry
 
 
 def part(text: str, by_name: Mapping[str, Feature], location: Where) -> tuple[str, tuple[int, ...]]:

@@ -22,15 +22,19 @@ _SAME_KIND: dict[str, frozenset[str]] = {
     "N m": frozenset({"N m", "mN m"}),
     "s": frozenset({"s", "ms", "us", "ns"}),
     "V": frozenset({"V", "mV"}),
+    "A": frozenset({"A", "mA"}),
+    "count": frozenset({"count"}),
     "1": frozenset({"1"}),
 }
 #: SI units that an element of a channel may have; for `joint` channels the scene says which.
-_POSITION, _RATE, _EFFORT = ("m", "rad", "1"), ("m/s", "rad/s", "1"), ("N", "N m", "1")
+_POSITION, _RATE, _FORCE = ("m", "rad", "1"), ("m/s", "rad/s", "1"), ("N", "N m", "1")
+#: Units of an effort that say nothing of its size: a motor's current, counts, a share.
+SIZELESS = ("A", "mA", "count", "1")
 _JOINT = {
     "joint_position": _POSITION,
     "joint_velocity": _RATE,
-    "joint_effort": _EFFORT,
-    "action": _POSITION + _RATE + _EFFORT,
+    "joint_effort": (*_FORCE, "A", "count"),
+    "action": _POSITION + _RATE + _FORCE,
 }
 _FIXED_UNITS = {
     "object_pose": (("m",),) * 3 + (("1",),) * 4,

@@ -224,7 +224,7 @@ def _zip_buffer(path: Path) -> Buffer:
         top = zipfile.Path(path)
         places = [top, *(p for p in top.iterdir() if p.is_dir())]
         versions = [(place, version) for place in places if (version := _version(place)) is not None]
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
+    except _ZIP_ERRORS as error:
         raise DataError(
             "there is no Diffusion Policy buffer",
             expected="a zarr group, or a zip file of one",

@@ -181,20 +181,20 @@ def _groups(
             found="an empty cell",
             where=Where(path=str(path), index=empty_rows[0]),
         )
-    fractional_rows = np.flatnonzero(labels.dtype.kind == "f" and labels != np.rint(labels))
-    if fractional_rows.size:
+    is_float = labels.dtype.kind == "f"
+    odd_rows = np.flatnonzero(~np.isfinite(labels) | (labels != np.rint(labels))) if is_float else np.zeros(0, int)
+    if odd_rows.size:
         raise DataError(
             f"column {mapping.episode} does not name an episode",
             expected="whole numbers or texts",
-            found=f"{labels[fractional_rows[0]]}",
-            where=Where(path=str(path), index=int(fractional_rows[0])),
+            found=f"{labels[odd_rows[0]]}",
+            where=Where(path=str(path), index=int(odd_rows[0])),
             fix="give the column that numbers the episodes, or leave `episode` out for one episode",
         )
     unique_labels, first_rows, inverse = np.unique(labels, return_index=True, return_inverse=True)
     by_label = np.split(np.argsort(inverse, kind="stable"), np.cumsum(np.bincount(inverse))[:-1])
     for k in np.argsort(first_rows):
         value = unique_labels[k]
-        is_float = labels.dtype.kind == "f"
         yield str(int(value) if is_float else value), by_label[k]
 
 
@@ -266,6 +266,7 @@ def _meta(table: _Table, identity: str, rule: ContactRule | None, invalid: dict[
         fingertip_names=names["fingertip_names"],
         contact_rule=rule,
         invalid_counts=invalid,
+        unscaled=names["unscaled"],
     )
 
 

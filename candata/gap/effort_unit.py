@@ -17,6 +17,9 @@ Array = NDArray[np.float64]
 #: Share of the variance of a recorded effort that a line through the simulator's torque and speed must foretell for the
 #: effort to count. Chosen: what foretells less tells nothing of the unit.
 FORETOLD = 0.25
+#: How many times the simulated torque an effort in N m may be, or the other way round, before its unit is not believed.
+#: Chosen: a servo's gain is searched from 0.1 to 8, and mN m are off by 1,000.
+MOST_TIMES = 20.0
 #: Most episodes in which the unit of an effort is read. Chosen: three numbers a joint are known from far fewer.
 LAW_EPISODES = 20
 
@@ -26,7 +29,8 @@ def with_effort_unit(
 ) -> tuple[Recordings, Recordings | None]:
     """Return recordings, and their reference, with an effort of unknown unit as torque [N m; N of slides].
 
-    The recorded effort e is taken as e = a tau + b w + c, tau the torque and w the speed of the nominal replay: a
+    An effort in N m is taken as it is, unless it is more than `MOST_TIMES` off the simulated torque. Of another one the
+    recorded effort e is taken as e = a tau + b w + c, tau the torque and w the speed of the nominal replay: a
     current has b = 0, a duty holds the back-EMF (V = R tau / K + K w). It is fitted to the reference where there is
     one, so that a change of size tells; else to the recordings, and then its size tells nothing. A joint whose effort
     does not follow the simulator's is not compared.
@@ -37,40 +41,51 @@ def with_effort_unit(
     recs : Recordings
     reference : Recordings, optional
     """
-    if "joint_effort" not in recs.readings or not recs.unscaled_effort:
+    if "joint_effort" not in recs.readings:
         return recs, reference
     source = recs if reference is None else reference
-    if "joint_effort" not in source.readings:
-        return without_channel(recs, "joint_effort"), reference
-    part = source.take(np.arange(len(source))[:LAW_EPISODES])
-    begin = starts(replayer.scene, part)
-    played = replay_all(replayer, part, begin, [()])[0]
-    rate_hz = replayer.scene.file.rate_hz
-    laws = [
-        effort_law(part.readings["joint_effort"][..., j], played["joint_effort"][..., j], speed)
-        for j, speed in enumerate(np.moveaxis(joint_velocity(played["joint_position"], rate_hz), -1, 0))
-    ]
-    law = np.array([weights if share >= FORETOLD else np.full(3, np.nan) for weights, share in laws])
+    if "joint_effort" not in source.readings or source.unscaled_effort != recs.unscaled_effort:
+        note = "joint_effort is not compared: the recordings and the reference hold it in different units, or not both"
+        return _without_effort(replace(recs, notes=(*recs.notes, note))), reference
+    law, times = _laws(replayer, source)
+    wrong = [t for t in times if not 1 / MOST_TIMES <= t <= MOST_TIMES]
+    if not recs.unscaled_effort and not wrong:
+        return recs, reference
+    why = f"is {wrong[0]:.2g} times the simulated torque: its unit is not believed" if wrong else ""
     lost = [name for name, row in zip(replayer.scene.file.joints, law, strict=True) if np.isnan(row).any()]
-    notes = (*recs.notes, _told(lost, len(law), reference is not None))
-    changed = [_as_torque(r, law, rate_hz) for r in (recs, *((reference,) if reference is not None else ()))]
-    changed = [without_channel(r, "joint_effort") if len(lost) == len(law) else r for r in changed]
-    first = replace(changed[0], notes=notes, unscaled_effort=reference is None)
-    return first, replace(changed[1], unscaled_effort=False) if reference is not None else None
+    note = _told("has no unit" if recs.unscaled_effort else why, lost, len(law), reference is not None)
+    rate_hz, is_lost = replayer.scene.file.rate_hz, len(lost) == len(law)
+    new, old = (
+        r if r is None else _without_effort(r) if is_lost else _as_torque(r, law, rate_hz) for r in (recs, reference)
+    )
+    assert new is not None
+    return replace(new, notes=(*new.notes, note), unscaled_effort=reference is None), old
 
 
-def _told(lost: list[str], count: int, has_reference: bool) -> str:
+def _laws(replayer: Replayer, source: Recordings) -> tuple[Array, list[float]]:
+    """Return each joint's law `(J, 3)`, NaN where effort does not follow torque, and how many times a torque efforts are."""
+    part = source.take(np.arange(len(source))[:LAW_EPISODES])
+    played = replay_all(replayer, part, starts(replayer.scene, part), [()])[0]
+    speed = joint_velocity(played["joint_position"], replayer.scene.file.rate_hz)
+    effort, torque = part.readings["joint_effort"], played["joint_effort"]
+    laws = [effort_law(effort[..., j], torque[..., j], speed[..., j]) for j in range(effort.shape[2])]
+    followed = [weights for weights, share in laws if share >= FORETOLD]
+    law = np.array([weights if share >= FORETOLD else np.full(3, np.nan) for weights, share in laws])
+    return law, [abs(float(weights[0])) for weights in followed]
+
+
+def _told(why: str, lost: list[str], count: int, has_reference: bool) -> str:
     """Return the note on an effort of unknown unit."""
     if len(lost) == count:
-        return "joint_effort has no unit and does not follow the simulator's torques: it is not compared"
+        return f"joint_effort {why}, and does not follow the simulator's torques: it is not compared"
     left_out = f"; that of {', '.join(lost)} does not follow the simulator's and is not compared" if lost else ""
     how = "its size is told by the reference" if has_reference else "its shape over time is compared, its size is not"
-    return f"joint_effort has no unit: {how}{left_out}"
+    return f"joint_effort {why}: {how}{left_out}"
 
 
-def without_channel(recs: Recordings, channel: str) -> Recordings:
-    """Return recordings without a channel."""
-    return replace(recs, readings={n: v for n, v in recs.readings.items() if n != channel})
+def _without_effort(recs: Recordings) -> Recordings:
+    """Return recordings without their effort."""
+    return replace(recs, readings={n: v for n, v in recs.readings.items() if n != "joint_effort"})
 
 
 def _as_torque(recs: Recordings, law: Array, rate_hz: float) -> Recordings:

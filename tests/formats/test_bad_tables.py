@@ -204,10 +204,11 @@ def test_an_episode_that_is_no_name(columns, write, label, text):
     assert refusal(path, DataError).startswith(f"column episode {text}")
 
 
-def test_an_episode_named_by_a_broken_number_is_told_with_its_row(columns, write):
-    columns["episode"] = np.array([1.0, 1, 1, 2, 2.5, 2])
+@pytest.mark.parametrize("broken", [2.5, np.inf])
+def test_an_episode_named_by_a_broken_number_is_told_with_its_row(columns, write, broken):
+    columns["episode"] = np.array([1.0, 1, 1, 2, broken, 2])
     assert refusal(write(columns), DataError) == (
-        "column episode does not name an episode\n  expected: whole numbers or texts\n  found: 2.5\n"
+        f"column episode does not name an episode\n  expected: whole numbers or texts\n  found: {broken}\n"
         "  where: run.parquet, index 4\n"
         "  do: give the column that numbers the episodes, or leave `episode` out for one episode"
     )

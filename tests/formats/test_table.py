@@ -39,6 +39,17 @@ def test_names_come_from_the_columns(columns, write):
     assert meta.fingertip_names == ("f0", "f1")
 
 
+@pytest.mark.parametrize(
+    ("units", "unscaled"),
+    [({}, True), ({"joint_effort": "count"}, True), ({"joint_effort": "mA"}, True), ({"joint_effort": "mN m"}, False)],
+)
+def test_an_effort_without_a_unit_of_torque_is_unscaled(columns, write, units, unscaled):
+    """A current or a duty says nothing of its size; nothing is taken for N m unless the map says so."""
+    channels = CHANNELS | {"joint_effort": ["q_thumb_bend", "q_index1"]}
+    episode = one(write(columns, channels=channels, units=units))
+    assert episode.meta.unscaled == (("joint_effort",) if unscaled else ())
+
+
 @pytest.mark.parametrize("names", [None, ["bend", "index"]])
 def test_one_column_of_the_supply_serves_all_actuators(columns, write, names):
     columns = columns | {"v": np.linspace(12, 11, 6)}

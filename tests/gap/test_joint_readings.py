@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from candata.gap.effort import effort_law
+from candata.gap.effort_unit import with_effort_unit
 from candata.gap.recordings import recordings
+from candata.gap.replay import Replayer
 from candata.gap.velocity import aligned_velocity, joint_velocity
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
@@ -98,6 +100,23 @@ def test_without_a_reference_the_size_of_such_an_effort_tells_nothing(pendulum, 
     report = judge(pendulum, swings(pendulum, HEAVIER, unit=COUNTS_PER_NM), only=("link_mass", "servo_gain")).report
     assert "joint_effort has no unit: its shape over time is compared, its size is not" in report.data.notes
     assert "joint_effort_N_m" not in report.measures
+
+
+def test_a_unit_that_is_far_off_is_not_believed(pendulum):
+    """Counts that are said to be N m: no cause may be named by their size."""
+    episodes = swings(pendulum, unit=COUNTS_PER_NM)
+    claimed = [Episode(e.meta.model_copy(update={"unscaled": ()}), dict(e.arrays)) for e in episodes]
+    found, _ = with_effort_unit(Replayer(pendulum), recordings(pendulum, claimed))
+    assert found.unscaled_effort
+    assert any("its unit is not believed: its shape over time is compared" in note for note in found.notes)
+
+
+def test_efforts_in_different_units_are_not_compared(pendulum):
+    counts, torques = (recordings(pendulum, swings(pendulum, unit=unit)) for unit in (COUNTS_PER_NM, 1.0))
+    for recs, reference in ((counts, torques), (torques, counts)):
+        found, _ = with_effort_unit(Replayer(pendulum), recs, reference)
+        assert list(found.readings) == ["joint_position"]
+        assert any("in different units" in note for note in found.notes)
 
 
 def test_an_effort_that_follows_nothing_is_not_compared(pendulum, judge):
