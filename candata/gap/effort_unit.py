@@ -63,7 +63,7 @@ def with_effort_unit(
 
 
 def _laws(replayer: Replayer, source: Recordings) -> tuple[Array, list[float]]:
-    """Return each joint's law `(J, 3)`, NaN where effort does not follow torque, and how many times a torque efforts are."""
+    """Return each joint's law `(J, 3)`, NaN where effort does not follow torque, and how many times a torque it is."""
     part = source.take(np.arange(len(source))[:LAW_EPISODES])
     played = replay_all(replayer, part, starts(replayer.scene, part), [()])[0]
     speed = joint_velocity(played["joint_position"], replayer.scene.file.rate_hz)
