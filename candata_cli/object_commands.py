@@ -12,6 +12,7 @@ from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.fetch import FetchedObjects, PublicDataset
     from candata.scenes.contract import SceneObject
 
 _EXAMPLE = """\b
@@ -70,3 +71,36 @@ def _print(scene_object: SceneObject, folder: Path) -> None:
     console.out(f"{folder}: {file.about}; convex pieces {len(file.pieces)}, inertia of {inertia}")
     rows = [(f"{r.probability:.1%}", f"{degrees(r.tilt_rad):.1f}", f"{r.height_m * 1e3:.1f}") for r in file.rests]
     console.out_table(("rests in", "tilt [deg]", "height [mm]"), rows)
+
+
+def write_objects(out: Path, append: bool, source: PublicDataset, public_objects: FetchedObjects) -> None:
+    """Write fetched objects as folders of one folder, with the licence; it appears whole or not at all.
+
+    Raises
+    ------
+    UsageError
+        When they are to be added to something.
+    DataError
+        When a file is not the published one.
+    """
+    from candata.datasets.drafts import draft_beside, place
+    from candata.errors import UsageError
+    from candata.scenes.object_folder import ObjectSource, make_object
+
+    if append:
+        raise UsageError(f"{source.name} is a set of objects, no dataset", fix="leave out --append")
+    with (
+        console.stoppable(lambda: console.written_clause(out)),
+        draft_beside(out) as draft,
+        console.progress("objects", public_objects.count) as advance,
+    ):
+        objects = draft / "objects"
+        for public_object in public_objects.objects:
+            name, folder, mass_kg = public_object.name, public_object.folder, public_object.mass_kg
+            mesh_source = ObjectSource(folder, name, mass_kg, origin=source.origin, licence=source.licence)
+            for warning in make_object(mesh_source, objects / name).warnings:
+                console.note(f"warning: {warning}")
+            advance(1)
+        (objects / "LICENSE.txt").write_text(public_objects.notice, encoding="utf-8")
+        place(objects, out)
+    console.out(f"{out}: {public_objects.count} objects")

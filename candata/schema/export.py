@@ -16,7 +16,7 @@ from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
 from candata.schema.exchange import ExportFile, FeatureMap
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
-from candata.schema.object import ObjectFile
+from candata.schema.object import ObjectFile, ObjectList
 from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
 from candata.schema.report import Report
@@ -35,6 +35,7 @@ _READ_RECORDS: dict[str, type[Record]] = {
     "labels": LabelsFile,
     "map": TableMap,
     "object": ObjectFile,
+    "objects": ObjectList,
     "scene": SceneFile,
     "topics": TopicMap,
 }

@@ -107,3 +107,10 @@ class ObjectFile(Record):
     def upright(self) -> RestingPose:
         """The resting pose with the least tilt."""
         return min(self.rests, key=lambda rest: rest.tilt_rad)
+
+
+class ObjectList(Record):
+    """`objects.yaml`: objects that take turns in a set; names of folders in `folder`, which is named from the file."""
+
+    folder: str = "."
+    objects: tuple[Annotated[str, AfterValidator(_one_word)], ...] = Field(min_length=1)
