@@ -50,7 +50,7 @@ def add(
     """
     check_output(out, "new")
     from candata.datasets.drafts import draft_beside, place
-    from candata.scenes.object_folder import ObjectSource, make_object
+    from candata.scenes.object_making import ObjectSource, make_object
 
     mesh_source = ObjectSource(source, out.resolve().name if name is None else name, mass, scale)
     with draft_beside(out) as draft:
@@ -85,7 +85,7 @@ def write_objects(out: Path, append: bool, source: PublicDataset, public_objects
     """
     from candata.datasets.drafts import draft_beside, place
     from candata.errors import UsageError
-    from candata.scenes.object_folder import ObjectSource, make_object
+    from candata.scenes.object_making import ObjectSource, make_object
 
     if append:
         raise UsageError(f"{source.name} is a set of objects, no dataset", fix="leave out --append")

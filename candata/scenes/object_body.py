@@ -66,8 +66,13 @@ def _add_shape(
     if shape.file is None:
         geom.size = (*shape.size_m, 0.0, 0.0)[:3]
         return geom
-    path = shape.file if scene_object.folder is None else str(scene_object.folder / shape.file)
-    spec.add_mesh(name=name, file=path)
+    if scene_object.folder is None:
+        spec.add_mesh(name=name, file=shape.file)
+    else:
+        # The model keeps the name of the file, not where the folder lies: its digest says what was simulated.
+        file = f"{name}_{shape.file}".replace("/", "_")
+        spec.assets = spec.assets | {file: (scene_object.folder / shape.file).read_bytes()}
+        spec.add_mesh(name=name, file=file)
     geom.meshname = name
     return geom
 

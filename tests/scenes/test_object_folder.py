@@ -13,7 +13,8 @@ from candata.errors import DataError, UsageError
 from candata.rotation import rotate
 from candata.scenes import load_scene
 from candata.scenes.clouds import surface_cloud
-from candata.scenes.object_folder import ObjectSource, make_object, named_object, read_object
+from candata.scenes.object_folder import named_object, read_object
+from candata.scenes.object_making import ObjectSource, make_object
 
 #: Sides of a box [m] and its mass [kg].
 SIDES, MASS = np.array([0.03, 0.05, 0.08]), 0.2
