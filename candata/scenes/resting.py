@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import pdist, squareform
 
-from candata.rotation import conjugate, exp, normalise, rotate
+from candata.rotation import conjugate, difference, exp, normalise, rotate
 from candata.schema.object import RestingPose
 
 Array = NDArray[np.float64]
@@ -21,12 +21,14 @@ GAP_M = 1e-3
 #: Up-directions at most this far apart are of one resting pose [rad]. Chosen: neighbouring faces of a die with 20 faces
 #: are 0.73 apart; 150 drops of a lying can leave no larger gap around it (150 random angles: 0.21 expected).
 LINK_RAD = np.deg2rad(20)
-#: A drop rests when no degree of freedom is faster than this [m/s, rad/s] at two looks in a row.
-STILL, LOOK_S, LONGEST_S = 0.01, 0.1, 10.0
+#: A drop rests when it moves and turns no faster than this [m/s, rad/s] from one look to the next, so many times in a
+#: row: on an edge, a slow fall grows twentyfold meanwhile. Light things tremble in their contacts, and stay in place.
+STILL, LOOK_S, LOOKS, LONGEST_S = 0.01, 0.1, 3, 10.0
 #: Sine of the tilt below which the axis of a turn upside down is noise.
 LEVEL = 1e-3
-#: Torsional and rolling friction of the drops [m]: without them balls roll for ever.
-TORSIONAL_M, ROLLING_M = 0.005, 0.002
+#: Time in which viscous drag slows the object to 1/e [s]: without it balls roll for ever. Rolling friction would stop
+#: them too, but holds an object on an edge.
+DRAG_S = 0.5
 #: Attitudes that are tried beside the random ones: the frame's axes up and down. What stands on a small base is seldom
 #: found by chance.
 _SIDES = (
@@ -49,7 +51,7 @@ def resting_poses(model: mujoco.MjModel, drops: int = DROPS, seed: int = SEED) -
     drops, seed : int
         Drops from random attitudes, and the seed of these.
     """
-    model = without_rolling(model)
+    model = with_drag(model)
     random = normalise(np.random.default_rng(seed).standard_normal((drops, 4)))
     ends = [_drop(model, attitude) for attitude in (*random, *np.array(_SIDES, float))]
     is_random = np.array([i < drops for i, end in enumerate(ends) if end is not None])
@@ -61,12 +63,15 @@ def resting_poses(model: mujoco.MjModel, drops: int = DROPS, seed: int = SEED) -
     return tuple(sorted(rests, key=lambda rest: (-rest.probability, rest.tilt_rad)))
 
 
-def without_rolling(model: mujoco.MjModel) -> mujoco.MjModel:
-    """Return a copy of the model with friction against rolling and spinning, which brings round things to rest."""
-    damped_model = copy(model)
-    damped_model.geom_condim[:] = 6
-    damped_model.geom_friction[:, 1:] = TORSIONAL_M, ROLLING_M
-    return damped_model
+def with_drag(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of the model of one free body with viscous drag, which brings round things to rest.
+
+    It changes no pose of equilibrium.
+    """
+    dragged_model = copy(model)
+    dragged_model.dof_damping[:3] = model.body_mass[1] / DRAG_S
+    dragged_model.dof_damping[3:6] = model.body_inertia[1].max() / DRAG_S
+    return dragged_model
 
 
 def _drop(model: mujoco.MjModel, attitude: Array) -> Array | None:
@@ -79,12 +84,15 @@ def _drop(model: mujoco.MjModel, attitude: Array) -> Array | None:
     touching = np.flatnonzero(model.geom_contype[1:]) + 1
     data.qpos[2] -= min(mujoco.mj_geomDistance(model, data, 0, g, 2 * reach, None) for g in touching) - GAP_M
     steps = max(1, round(LOOK_S / model.opt.timestep))
-    still_looks = 0
+    still_looks, earlier = 0, np.array(data.qpos)
     for _ in range(round(LONGEST_S / LOOK_S)):
         mujoco.mj_step(model, data, nstep=steps)
-        still_looks = still_looks + 1 if np.abs(data.qvel).max() < STILL else 0
-        if still_looks == 2:
-            return np.array(data.qpos)
+        pose = np.array(data.qpos)
+        moved, turned = pose[:3] - earlier[:3], difference(pose[3:], earlier[3:])
+        is_still = max(np.abs(moved).max(), np.abs(turned).max()) < STILL * LOOK_S
+        still_looks, earlier = still_looks + 1 if is_still else 0, pose
+        if still_looks == LOOKS:
+            return pose
     return None
 
 

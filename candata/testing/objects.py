@@ -12,7 +12,7 @@ from candata.rotation import conjugate, rotate
 from candata.scenes.contract import OBJECTS, SceneObject
 from candata.scenes.model_file import compile_model
 from candata.scenes.object_body import plane_scene
-from candata.scenes.resting import without_rolling
+from candata.scenes.resting import with_drag
 from candata.testing._claims import registered_name, require, require_words
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -66,7 +66,7 @@ class ObjectConformance:
 
     def test_it_stays_in_each_of_its_poses(self) -> None:
         """Put there on a plane, it neither falls over nor jumps nor sinks."""
-        model = without_rolling(self._model())
+        model = with_drag(self._model())
         for rest in self.object.file.rests:
             data = mujoco.MjData(model)
             data.qpos[:] = (0, 0, rest.height_m, *rest.quaternion)

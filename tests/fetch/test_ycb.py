@@ -46,7 +46,7 @@ def test_every_prepared_object_is_the_pinned_one_but_for_scans_of_loose_pieces(s
     assert not ycb.LOOSE & set(names)
 
 
-def test_objects_have_the_mass_centre_and_inertia_of_the_table(prepared, tmp_path):
+def test_objects_have_the_mass_centre_and_inertia_of_the_table_and_rest_on_their_faces(prepared, tmp_path):
     done = run("fetch", "ycb", "--from", prepared, "--out", tmp_path / "ycb")
     assert (done.code, done.out) == (0, f"{tmp_path}/ycb: 2 objects\n")
     assert "Creative Commons Attribution 4.0" in (tmp_path / "ycb" / "LICENSE.txt").read_text()
@@ -64,6 +64,10 @@ def test_objects_have_the_mass_centre_and_inertia_of_the_table(prepared, tmp_pat
     np.testing.assert_allclose(np.sort(scene.model.body_inertia[body]), moments, rtol=1e-3)
     # It stands as scanned, on its base.
     assert read_object(folder).file.upright.tilt_rad < np.deg2rad(3)
+    # A die is fair: 200 drops give each face a sixth, to 0.026. It never rests on an edge.
+    shares = [rest.probability for rest in read_object(tmp_path / "ycb" / "dice").file.rests]
+    np.testing.assert_allclose(shares, 1 / 6, atol=0.08)
+    assert len(shares) == 6
 
 
 def test_an_object_that_was_changed_is_refused_and_nothing_is_left(prepared, tmp_path):
