@@ -9,7 +9,8 @@ import pytest
 import trimesh
 
 from candata.datasets import get_cloud, open_dataset
-from candata.errors import SceneError, UsageError
+from candata.errors import DataError, SceneError, UsageError
+from candata.gap import diagnose
 from candata.repair import export_mjcf
 from candata.scenes import load_scene
 from candata.scenes.object_making import ObjectSource, make_object
@@ -98,3 +99,10 @@ def test_a_list_of_objects_names_folders_in_one_folder(tmp_path):
 def test_a_scene_with_another_object_is_not_exported_as_if_it_had_its_own(tmp_path):
     with pytest.raises(SceneError, match="holds an object that its model does not"):
         export_mjcf(load_scene("cube_toss+can"), (), tmp_path / "out")
+
+
+def test_several_objects_are_not_replayed_with_one(tmp_path, block):
+    generate(tmp_path / "set", **{**TOSS, "episodes": 10}, objects=("can", str(block)), workers=1)
+    dataset = open_dataset(tmp_path / "set")
+    with pytest.raises(DataError, match="the episodes are of several objects"):
+        diagnose(dataset, load_scene("cube_toss"))
