@@ -1,6 +1,17 @@
 """Effects: one file each; the folder is the registry."""
 
-from candata.effects._contract import Advice, Bounds, DryFriction, Effect, Forces, Hook, Parameter, Servos, Trait
+from candata.effects._contract import (
+    Advice,
+    Bounds,
+    DriveStrength,
+    DryFriction,
+    Effect,
+    Forces,
+    Hook,
+    Parameter,
+    Servos,
+    Trait,
+)
 from candata.effects._file import read_effects, scene_of
 from candata.effects._lookup import (
     EFFECTS,
@@ -22,6 +33,7 @@ __all__ = [
     "EFFECTS",
     "Advice",
     "Bounds",
+    "DriveStrength",
     "DryFriction",
     "Effect",
     "Forces",

@@ -1,4 +1,4 @@
-"""What an effect is: named, bounded parameters and up to six pure hooks."""
+"""What an effect is: named, bounded parameters and up to seven pure hooks."""
 
 from __future__ import annotations
 
@@ -164,6 +164,21 @@ class DryFriction(NamedTuple):
     effort: Array
 
 
+class DriveStrength(NamedTuple):
+    """How strong the position servos of n simulations are over one control step, and what was recorded of their supply.
+
+    Attributes
+    ----------
+    strength : (n, A) float64
+        Factor on position gain and torque limit, 1 as the model has them: what a hook replaces.
+    supply : (n, A) float64
+        Recorded supply over its usual value; 1 where none was recorded.
+    """
+
+    strength: Array
+    supply: Array
+
+
 @dataclass(frozen=True)
 class Hook:
     """A pure filter `(state, x) -> (state, x)`, vectorised over n simulations, once a control step.
@@ -177,7 +192,8 @@ class Hook:
     apply : callable
         `(state, x) -> (state, x)`. For commands x is `(n, S, A)`, S physics steps of one control step; for
         readings a dict of channel to `(n, ...)`; for forces x is a `Forces` and for friction a `DryFriction`, of which
-        `added` may be replaced; for servos a `Servos`, of which `command` may be.
+        `added` may be replaced; for drives a `DriveStrength`, of which `strength` may be; for servos a `Servos`, of
+        which `command` may be.
     """
 
     start: Callable[[Scene, Array, Elements], Any]
@@ -223,10 +239,13 @@ class Effect:
         writes it; candata does not simulate it. Raises SceneError where MJCF cannot hold it.
     set_const : bool
         Whether `mj_setConst` must follow the edit (masses, inertias, armature).
-    command, force, friction, servo, reading : Hook, optional
-        Filters of the commands, of added forces, of limits of dry friction, of what the servos take, of the readings.
+    command, force, friction, drive, servo, reading : Hook, optional
+        Filters of the commands, of added forces, of limits of dry friction, of the strength of the servos, of what the
+        servos take, of the readings.
     moves : tuple of str
         Channels that can change where there is a reading hook; empty without one.
+    follows : tuple of str
+        Recorded channels without which it changes nothing: a candidate only where they were recorded, and never drawn.
     elements : callable
         `scene -> names` of what it can act on alone (joints, fingertips, geoms); none where it has no elements.
     unread : callable, optional
@@ -258,9 +277,11 @@ class Effect:
     command: Hook | None = None
     force: Hook | None = None
     friction: Hook | None = None
+    drive: Hook | None = None
     servo: Hook | None = None
     reading: Hook | None = None
     moves: tuple[str, ...] = ()
+    follows: tuple[str, ...] = ()
     elements: Callable[[Scene], tuple[str, ...]] = lambda scene: ()
     unread: Callable[[Scene, Array, str | None, Readings], Readings] | None = None
     on_time: Callable[[Scene, Array, str | None, Readings], Readings] | None = None

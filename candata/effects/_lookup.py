@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,10 +17,16 @@ from candata.schema.effect import EffectSetting, Value
 EFFECTS = Registry("effects", "candata.effects", "EFFECT", Effect, "about")
 
 
-def effect_names() -> tuple[str, ...]:
-    """Return the names of all effects that are searched and drawn: all but those only fitted, or noise of a sensor."""
-    kinds = EFFECTS.load_all().items()
-    return tuple(name for name, kind in kinds if not kind.fitted and "reading_noise" not in kind.traits)
+def effect_names(recorded: Collection[str] = ()) -> tuple[str, ...]:
+    """Return the names of all effects that are searched and drawn: all but those only fitted, or noise of a sensor.
+
+    Those that follow recorded channels only where all of these are among `recorded`.
+    """
+    return tuple(
+        name
+        for name, kind in EFFECTS.load_all().items()
+        if not kind.fitted and "reading_noise" not in kind.traits and set(kind.follows) <= set(recorded)
+    )
 
 
 def effects_with(trait: Trait) -> tuple[str, ...]:

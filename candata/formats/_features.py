@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +83,25 @@ def picks(mapping: FeatureMap, features: Iterable[Feature], path: Path) -> tuple
     by_name = {feature.name: feature for feature in features}
     channel_picks = tuple(_pick(mapping, name, by_name, path) for name in mapping.channels)
     _check_counts(channel_picks, path)
-    return channel_picks
+    return _with_common_supply(channel_picks)
+
+
+def _with_common_supply(channel_picks: Sequence[Pick]) -> tuple[Pick, ...]:
+    """Return the picks with a single column of the supply taken for every actuator: they share it."""
+    actuators = sum(pick.shape[0] for pick in channel_picks if pick.channel == "action")
+    return tuple(
+        replace(
+            pick,
+            parts=pick.parts * actuators,
+            shape=(actuators,),
+            factors=pick.factors * actuators,
+            columns=pick.columns * actuators,
+            elements=(),
+        )
+        if pick.channel == "supply_voltage" and pick.shape == (1,) and actuators
+        else pick
+        for pick in channel_picks
+    )
 
 
 def mapped_features(mapping: FeatureMap, names: Iterable[str]) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from candata.units import to_si
 #: Channels whose elements a field of the map names.
 _NAMED_CHANNELS = {
     "joint_names": ("joint_position", "joint_velocity", "joint_effort"),
-    "actuator_names": ("action", "supply_voltage", "torque_on"),
+    "actuator_names": ("action", "torque_on"),
     "fingertip_names": ("fingertip_force", "fingertip_contact"),
 }
 Entries = str | Sequence[str | tuple[str, ...]]

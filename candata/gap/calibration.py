@@ -70,7 +70,7 @@ def _fitted(problem: Problem, found: Attribution, replays: float) -> JointFit | 
     An effect on the pace of time is a property of the recording's clock, and no repair of a simulator.
     """
     named = found.chosen.members if found.chosen else ()
-    everywhere = candidates(problem.replayer.scene, list(problem.recs.readings))
+    everywhere = candidates(problem.replayer.scene, problem.recs.channels)
     gains = {f.labels[0]: f.gain for f in found.first.fits}
     still = {*found.first.dead, *(c.label for c, _ in named)} | problem.ruled_out
     names = {c.name for c, _ in named}
@@ -86,7 +86,7 @@ def reference_fit(problem: Problem) -> EffectSet:
     """
     if is_toss(problem.replayer.scene) or not leaves_gap(problem, (), SURE_GAP):
         return ()
-    everywhere = candidates(problem.replayer.scene, list(problem.recs.readings))
+    everywhere = candidates(problem.replayer.scene, problem.recs.channels)
     kinds = [c for c in everywhere if not c.choices and effect(c.name).pace is None and c.name not in problem.ruled_out]
     fitted = joint_fit(problem, _by_first_step(problem, kinds), (), MOST_REPLAYS)
     return problem.setting(fitted.fit.members) if fitted else ()

@@ -129,9 +129,9 @@ def _bounds(parameter: Parameter, scene: Scene, neutral: float) -> Bounds:
 
 
 def candidates(scene: Scene, channels: Sequence[str]) -> list[Candidate]:
-    """Return every effect of the folder that can act in the scene and shows in the recorded channels."""
+    """Return every effect of the folder that can act in the scene and shows in, or follows, the recorded channels."""
     found = []
-    for name in effect_names():
+    for name in effect_names(channels):
         kind = effect(name)
         if not kind.possible(scene) or (kind.moves and not set(kind.moves) & set(channels)):
             continue

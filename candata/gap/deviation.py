@@ -11,6 +11,8 @@ from candata.rotation import exp, multiply
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+#: Channels of a residual, in the order of its columns.
+COLUMNS = ("joint_position", "joint_velocity", "joint_effort", "object_pose", "fingertip_force")
 
 
 @dataclass(frozen=True)
@@ -90,10 +92,10 @@ def unshaped(sd: Array, time_s: Array, piece: Index | None = None) -> SlowDeviat
 def shifted_readings(readings: dict[str, Array], shifts: Array) -> dict[str, Array]:
     """Return readings with shifts `(E, T, D)` added, by the columns of a residual; other channels pass through.
 
-    Joints and forces are added to, poses are moved and then turned about the world's axes.
+    Poses are moved and then turned about the world's axes, all else is added to.
     """
     out, first = dict(readings), 0
-    for channel in (c for c in ("joint_position", "object_pose", "fingertip_force") if c in readings):
+    for channel in (c for c in COLUMNS if c in readings):
         values = readings[channel]
         width = 6 if channel == "object_pose" else int(np.prod(values.shape[2:]))
         shift = shifts[:, : values.shape[1], first : first + width]

@@ -20,6 +20,7 @@ from candata.gap.budget import Budget, BudgetSpent
 from candata.gap.calibration import reference_fit, with_calibration
 from candata.gap.conclusion import Diagnosis, Findings, concluded, too_little
 from candata.gap.edit import FEW_REPLICAS, replayed
+from candata.gap.effort_unit import with_effort_unit
 from candata.gap.floor import spread
 from candata.gap.folds import folds
 from candata.gap.lengths import with_lengths
@@ -233,7 +234,7 @@ def posed(
     progress("reading")
     sofar.recs = read(scene, dataset)
     reference = None if against is None else read(scene, against)
-    sofar.recs = checked(replayer, sofar.recs, reference)
+    sofar.recs, reference = with_effort_unit(replayer, checked(replayer, sofar.recs, reference), reference)
     if against is not None and reference is not None:
         progress("comparing with the reference")
         sofar.recs = changed_since(replayer, sofar.recs, reference, title(against), seed)
@@ -244,7 +245,7 @@ def posed(
     searched, untouched = np.sort(order[:most]), np.sort(order[most:])
     if len(everything) < FEWEST or not everything.moving:
         return Posed(everything, untouched, None)
-    left_out = frozenset(effect_names()) - frozenset(searchable(scene, everything, only))
+    left_out = frozenset(effect_names(everything.channels)) - frozenset(searchable(scene, everything, only))
     problem = _problem(replayer, everything.take(searched), rng, cache, progress, share, forecast)
     problem = replace(problem, ruled_out=problem.ruled_out | left_out, sofar=sofar)
     sofar.problem = problem

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset
 from candata.errors import DataError, UsageError, Where
+from candata.gap.effort_unit import with_effort_unit
 from candata.gap.floor import REPLICAS, floor
 from candata.gap.noise import sensor_noise
 from candata.gap.recordings import Recordings, read
@@ -164,11 +165,12 @@ def edit_test(
         raise UsageError("no effects to test", expected="effects.yaml with at least one effect")
     build_worlds(scene, [effects])
     progress("reading the edited world")
-    recs = readable(dataset, scene)
+    replayer = Replayer(scene, jobs)
+    recs, _ = with_effort_unit(replayer, readable(dataset, scene))
     rng = np.random.default_rng(seed)
     progress("replaying the edited world")
     replicas = FEW_REPLICAS if len(recs) > MANY else REPLICAS
-    found = replayed(Replayer(scene, jobs), recs, tuple(effects), rng, replicas)
+    found = replayed(replayer, recs, tuple(effects), rng, replicas)
     return _judged(found, f"{dataset.name}@{dataset.digest[:12]}", scene.name, reference, rng)
 
 

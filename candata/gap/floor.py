@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from candata.gap.deviation import shifted_readings
+from candata.gap.deviation import COLUMNS, shifted_readings
 from candata.gap.held import held
 from candata.gap.recordings import Recordings
-from candata.gap.replay import EffectSet, Replayer, replay, true_start
+from candata.gap.replay import EffectSet, Replayer, read_alike, replay, true_start
 from candata.gap.residuals import Layout, residual
 from candata.gap.starts import FIT_ROWS, STILL_ROWS, Starts, is_toss, starts
 from candata.rotation import exp, multiply
@@ -72,13 +72,16 @@ def null_recordings(
         true.qvel0,
         [world] * len(true.rows),
         memory=true.memory0,
+        supply=None if recs.supply is None else np.concatenate([recs.supply] * worlds),
         instant_force=recs.instant_force,
+        read_effort="joint_effort" in recs.readings,
         threads=replayer.threads,
     )
     replayer.count(len(true.rows) * recs.commands.shape[1] * replayer.scene.substeps)
     copies = replicas // worlds
     index = np.tile(np.arange(len(recs)), worlds * copies)
-    readings = {n: np.concatenate([v] * copies) for n, v in played.readings.items() if n in recs.readings}
+    simulated = read_alike(replayer.scene, recs, played.readings)
+    readings = {n: np.concatenate([v] * copies) for n, v in simulated.items() if n in recs.readings}
     taken = recs.take(index)
     for part in recs.slow:
         deviations = part.copies(worlds * copies).drawn(replayer.scene.file.rate_hz, rng)
@@ -180,18 +183,16 @@ def spread(noise: Noise, plan: Layout, null: Array) -> Floor:
 
 def smallest(plan: Layout, noise: Noise) -> Array:
     """Return `(D,)` the smallest spread a block mean can have under the noise."""
-    joints = [e for c, e, _ in plan.columns if c == "joint_position"]
     # Rounding of a reading that is still does not average out: step / sqrt(12) is the deviation of a uniform error.
     by_joint = np.hypot(noise.joint_position, np.sqrt(plan.rows / 12) * np.asarray(noise.joint_step))
-    by_name = dict(zip(joints, np.broadcast_to(by_joint, len(joints)), strict=True))
     pose = {"position": noise.object_pose[0], "rotation": noise.object_pose[1]}
     force = max(noise.fingertip_force, noise.force_step / 3.5)
-    sizes = {
-        "joint_position": by_name.__getitem__,
-        "object_pose": lambda element: pose[element.split()[0]],
-        "fingertip_force": lambda element: force,
-    }
-    return np.array([sizes[channel](element) for channel, element, _ in plan.columns]) / np.sqrt(plan.rows)
+    joints = {"joint_position": by_joint, "joint_velocity": noise.joint_velocity, "joint_effort": noise.joint_effort}
+    columns = {channel: [e for c, e, _ in plan.columns if c == channel] for channel in COLUMNS}
+    sizes = {channel: np.broadcast_to(size, len(columns[channel])) for channel, size in joints.items()}
+    sizes["object_pose"] = np.array([pose[e.split()[0]] for e in columns["object_pose"]])
+    sizes["fingertip_force"] = np.full(len(columns["fingertip_force"]), force)
+    return np.concatenate([sizes[channel] for channel in COLUMNS]) / np.sqrt(plan.rows)
 
 
 def _sigma(plan: Layout, null: Array, least: Array) -> Array:

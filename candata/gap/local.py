@@ -143,8 +143,14 @@ def _channel(c: Candidate) -> str:
 
 def _own_columns(problem: Problem, channel: str, elements: tuple[str, ...]) -> NDArray[np.bool_]:
     """Return `(K,)` which block means are readings of some elements in a channel."""
-    mine = np.array([name == channel and _owner(name, label) in elements for name, label, _ in problem.plan.columns])
+    family = _family(channel)
+    mine = np.array([_family(c) == family and _owner(c, label) in elements for c, label, _ in problem.plan.columns])
     return np.tile(mine, problem.plan.phase.shape[1])
+
+
+def _family(channel: str) -> str:
+    """Return what a channel is read from: all that joints read is one family."""
+    return "joint" if channel.startswith("joint_") else channel
 
 
 def _owner(channel: str, label: str) -> str:

@@ -98,7 +98,7 @@ def acts_on(found: Sequence[Symptom], slides: Sequence[str]) -> str | None:
     if not found:
         return None
     first = found[0]
-    if first.channel == "joint_position":
+    if first.channel.startswith("joint_"):
         return "wrist" if first.element in slides else "joint"
     return {"fingertip_force": "fingertip", "object_pose": "object"}[first.channel]
 

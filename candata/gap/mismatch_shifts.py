@@ -76,6 +76,7 @@ class SampleReplay:
             [effects] * len(recs),
             instant_force=recs.instant_force,
             memory=begin.memory0,
+            supply=recs.supply,
             threads=self.replayer.threads,
         )
         self.replayer.count(len(recs) * recs.commands.shape[1] * scene.substeps)

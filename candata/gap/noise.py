@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from candata.gap.held import only_new
-from candata.gap.recordings import Recordings
+from candata.gap.recordings import Recordings, block_rows
+from candata.gap.repeated_motions import repeated
 from candata.gap.rounding import Readings, before_rounding, dithered, force_step, joint_step
+from candata.gap.velocity import joint_velocity
 from candata.rotation import difference
 from candata.schema.scene import Noise
 
@@ -41,9 +43,6 @@ WINDOW, DEGREE = 8, 2
 QUIET, LOW = 0.1, 0.25
 #: Pairs of repeated episodes from which noise is measured. Chosen: one could be an accident.
 PAIRS = 2
-#: How far commands of repeated episodes may be apart on average, as a share of their range, and lengths of one another.
-#: Chosen: a logger's clock is no better.
-ALIKE = 0.01
 #: How near declared noise what is measured must come to confirm it. (In 40 recordings of 20 episodes whose noise is as
 #: declared, three motions of them repeated, it was measured as 0.85 to 1.13 of that.)
 AS_DECLARED = 0.15
@@ -99,6 +98,48 @@ def sensor_noise(
     slides : (J,) bool, optional
         Which joints slide, as their noise is another quantity; none by default.
     """
+    found = _of_quantities(declared, recs, replayed, slides)
+    rates = _rate_noise(declared or Noise(), recs, replayed)
+    return found._replace(noise=found.noise.model_copy(update=rates)) if rates else found
+
+
+def _rate_noise(declared: Noise, recs: Recordings, replayed: Readings) -> dict[str, tuple[float, ...]]:
+    """Return the noise of each joint's velocity and effort, where recorded: the larger of declared and seen.
+
+    Both are that of a row of white noise with the blocks' true noise, which in firmware is filtered and rounded. A
+    velocity is known as well as it agrees with the encoder's own rate; an effort as well as its blocks are even, in the
+    recording or in what it differs by from its replay.
+    """
+    sizes: dict[str, Array] = {}
+    rows = block_rows(recs.rate_hz)
+    if "joint_velocity" in recs.readings:
+        rate = joint_velocity(recs.readings["joint_position"], recs.rate_hz)
+        error = _blocks(recs.readings["joint_velocity"] - rate, rows)
+        known = np.isfinite(error)
+        squares = np.where(known, error, 0.0) ** 2
+        sizes["joint_velocity"] = np.sqrt(rows * squares.sum((0, 1)) / np.maximum(known.sum((0, 1)), 1))
+    if "joint_effort" in recs.readings:
+        effort = recs.readings["joint_effort"]
+        apart = [_blocks(part, rows) for part in (effort, effort - replayed["joint_effort"])]
+        white = [[_white(_cut(part[..., j : j + 1])) for part in apart] for j in range(effort.shape[2])]
+        sizes["joint_effort"] = np.sqrt(rows * np.min(white, axis=1))
+    least = {"joint_velocity": declared.joint_velocity, "joint_effort": declared.joint_effort}
+    return {
+        name: tuple(_rough(recs.noise_factor * np.maximum(size, np.asarray(least[name]))).tolist())
+        for name, size in sizes.items()
+    }
+
+
+def _blocks(values: Array, rows: int) -> Array:
+    """Return values `(E, T, J)` as means of blocks `(E, B, J)`; NaN where a row is missing."""
+    count = values.shape[1] // rows
+    return np.asarray(values[:, : count * rows].reshape(len(values), count, rows, -1).mean(2))
+
+
+def _of_quantities(
+    declared: Noise | None, recs: Recordings, replayed: Readings, slides: NDArray[np.bool_] | None
+) -> SensorNoise:
+    """Return the noise of what `QUANTITIES` names, as `sensor_noise` does."""
     slides = _turning(recs) if slides is None else slides
     if declared is not None and recs.noise_factor != 1:
         declared = _scaled(declared, recs.noise_factor)
@@ -186,68 +227,6 @@ def _loss_error(recs: Recordings, slides: NDArray[np.bool_], count: Array) -> fl
     error = INEFFICIENCY / np.sqrt(2 * (WINDOW - DEGREE - 1) * np.maximum(count, 1))
     share = width / max(width.sum(), 1)
     return float(LOSS_PER_NOISE * np.sqrt(((share * error) ** 2).sum()))
-
-
-def repeated(recs: Recordings) -> list[tuple[int, int]]:
-    """Return pairs of episodes in which the same commands were played; a third repeat is paired with the second."""
-    spread = np.ptp(recs.commands, axis=(0, 1)) if recs.commands.size else np.zeros(0)
-    moving = spread > 0
-    pairs: list[tuple[int, int]] = []
-    last: list[int] = []
-    for i in range(len(recs) if moving.any() else 0):
-        same = next((k for k, j in enumerate(last) if _is_repeat(recs, i, j, spread, moving)), None)
-        if same is None:
-            last.append(i)
-        else:
-            pairs.append((last[same], i))
-            last[same] = i
-    return pairs
-
-
-def repeat_groups(recs: Recordings) -> list[list[int]]:
-    """Return the episodes of each motion that was played more than once."""
-    groups: list[list[int]] = []
-    for first, second in repeated(recs):
-        group = next((g for g in groups if first in g), None)
-        if group is None:
-            groups.append([first, second])
-        else:
-            group.append(second)
-    return groups
-
-
-def motion_numbers(recs: Recordings) -> NDArray[np.int64]:
-    """Return `(E,)` the number of the motion that each episode plays: repeats of one share theirs."""
-    numbers = np.arange(len(recs))
-    for group in repeat_groups(recs):
-        numbers[group] = group[0]
-    return np.unique(numbers, return_inverse=True)[1]
-
-
-def same_motions(recs: Recordings, reference: Recordings) -> list[list[int]]:
-    """Return for each of the recordings the episodes of a reference in which the same commands were played."""
-    spread = np.ptp(np.concatenate([r.commands.reshape(-1, r.commands.shape[2]) for r in (recs, reference)]), axis=0)
-    moving = spread > 0
-    if not moving.any():
-        return [[] for _ in range(len(recs))]
-    return [
-        [j for j in range(len(reference)) if _is_same_motion(recs, i, reference, j, spread, moving)]
-        for i in range(len(recs))
-    ]
-
-
-def _is_repeat(recs: Recordings, i: int, j: int, spread: Array, moving: NDArray[np.bool_]) -> bool:
-    """Tell whether two episodes are as long and were commanded the same."""
-    return _is_same_motion(recs, i, recs, j, spread, moving)
-
-
-def _is_same_motion(
-    recs: Recordings, i: int, others: Recordings, j: int, spread: Array, moving: NDArray[np.bool_]
-) -> bool:
-    """Tell whether an episode is as long as one of others, and was commanded the same."""
-    short, long = sorted((int(recs.lengths[i]), int(others.lengths[j])))
-    apart = np.abs(recs.commands[i, :short] - others.commands[j, :short])[:, moving].mean(0)
-    return long - short <= ALIKE * long and bool((apart <= ALIKE * spread[moving]).all())
 
 
 def variances(recs: Recordings, other: Readings | None = None, slides: NDArray[np.bool_] | None = None) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from candata.effects import effect
 from candata.errors import DataError
 from candata.gap.attribute import Attribution
 from candata.gap.next_motion import RIVALS, Choice, rivals_of, separating_motion, usual_motions
@@ -54,7 +55,9 @@ def separating(problem: Problem, found: Attribution) -> Proposal:
 
 
 def _choice(problem: Problem, found: Attribution) -> Choice | None:
-    """Return the motion that separates what is tied; None where there is none."""
+    """Return the motion that separates what is tied; None where there is none, or a cause follows the recording."""
+    if any(effect(c.name).follows for t in found.tied for c, _ in t.members):
+        return None
     scene = problem.replayer.scene
     rivals = rivals_of(problem, [problem.setting(t.members) for t in found.tied])
     length = float(np.median(problem.recs.lengths)) / scene.file.rate_hz

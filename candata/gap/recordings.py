@@ -15,12 +15,16 @@ from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
 from candata.gap.spikes import without_lost, without_spikes
+from candata.gap.supply import CHANNEL, followed_supply
+from candata.gap.velocity import with_aligned_velocity
 from candata.scenes import Scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Channels that are compared, in the order of the residual's columns.
-COMPARED = ("joint_position", "object_pose", "fingertip_force")
+#: Channels that are compared, and those that are where every episode holds them.
+COMPARED, ALONGSIDE = ("joint_position", "object_pose", "fingertip_force"), ("joint_velocity", "joint_effort")
+#: Length of the blocks over which residuals are averaged [s].
+BLOCK_S = 0.05
 #: Recorded rate may differ this much from the scene's: clocks drift by parts per million, not by per cent.
 RATE_TOLERANCE = 0.02
 #: Share of the usual length, and of a channel's rows, below which an episode is no use.
@@ -47,8 +51,9 @@ class Recordings:
     commands : (E, T, A) float64
         Held over [time_k, time_k+1).
     readings : dict of str to ndarray
-        Recorded `joint_position (E, T, J)`, `object_pose (E, T, 7)`, `fingertip_force (E, T, F, 3)`; NaN where not
-        valid. Channels that an episode set lacks are not there.
+        Recorded `joint_position (E, T, J)`, `object_pose (E, T, 7)`, `fingertip_force (E, T, F, 3)`,
+        `joint_velocity` and `joint_effort (E, T, J)`; NaN where not valid. Channels that an episode set lacks are not
+        there.
     lengths : (E,) int64
         Rows of each episode.
     instant_force : bool
@@ -66,6 +71,12 @@ class Recordings:
         What the simulator left open in a reference, by the columns of a residual; None without a reference.
     noise_factor : float
         By how much the noise of `compared` is larger than that of one recording: the misfit holds noise too.
+    rate_hz : float
+        Rows a second; 0 where no velocity or effort needs it.
+    unscaled_effort : bool
+        Whether the size of `joint_effort` tells nothing, as its unit is not known.
+    supply : (E, T, A) float64 or None
+        Recorded supply of the actuators over its median; None where no reading of it was recorded.
     """
 
     ids: tuple[str, ...]
@@ -80,6 +91,9 @@ class Recordings:
     slow: tuple[SlowDeviation, ...] = ()
     misfit: Array | None = None
     noise_factor: float = 1.0
+    rate_hz: float = 0.0
+    unscaled_effort: bool = False
+    supply: Array | None = None
 
     def __len__(self) -> int:
         """Return the number of episodes E."""
@@ -89,6 +103,11 @@ class Recordings:
     def compared(self) -> dict[str, Array]:
         """Readings that are compared with a replay: those recorded, less the misfit of a reference."""
         return self.readings if self.misfit is None else shifted_readings(self.readings, -self.misfit)
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """What was recorded for effects to show in or to follow."""
+        return (*self.readings, *([] if self.supply is None else [CHANNEL]))
 
     @property
     def independent(self) -> NDArray[np.int64]:
@@ -111,7 +130,13 @@ class Recordings:
             sources={n: rows[index] for n, rows in self.sources.items()},
             slow=tuple(part.take(index) for part in self.slow),
             misfit=None if self.misfit is None else self.misfit[index],
+            supply=None if self.supply is None else self.supply[index],
         )
+
+
+def block_rows(rate_hz: float) -> int:
+    """Return the rows of a block."""
+    return max(1, round(BLOCK_S * rate_hz))
 
 
 def read(scene: Scene, dataset: Dataset) -> Recordings:
@@ -162,15 +187,17 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         )
         for c in shared
     }
-    slow, slower = sources(readings, scene.file.rate_hz)
+    slow, slower = sources({c: v for c, v in readings.items() if c in COMPARED}, scene.file.rate_hz)
     spiky: tuple[str, ...] = ()
     if "object_pose" in readings:
         readings["object_pose"], lost = without_lost(readings["object_pose"])
         readings["object_pose"], spiky = without_spikes(readings["object_pose"])
         spiky = (*lost, *spiky)
+    readings, late = with_aligned_velocity(readings, scene.file.rate_hz, scene.file.joints)
     commands = np.stack(
         [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
+    supply, supply_notes = followed_supply(scene, found, length)
     return Recordings(
         tuple(e.meta.id for e in found),
         tuple(e.meta.task or "" for e in found),
@@ -178,8 +205,11 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         readings,
         np.array([len(e) for e in found]),
         found[0].meta.force == "instant",
-        (*off_notes, *notes, *slower, *spiky),
+        (*off_notes, *notes, *slower, *late, *spiky, *supply_notes),
         sources=slow,
+        rate_hz=scene.file.rate_hz,
+        unscaled_effort=any("joint_effort" in e.meta.unscaled for e in found),
+        supply=supply,
     )
 
 
@@ -234,12 +264,22 @@ def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[s
         if len(have) == len(sound):
             shared += [c] * bool(have)
         elif have:
-            notes.append(f"{c} is not compared: {len(sound) - len(have)} of {len(sound)} episodes lack it")
+            notes.append(_not_compared(c, len(sound) - len(have), len(sound)))
+    if "joint_position" in shared:
+        for c in ALONGSIDE:
+            lacking = sum(not _seen(e, c) for e in sound)
+            shared += [c] * (not lacking)
+            notes += [_not_compared(c, lacking, len(sound))] * (0 < lacking < len(sound))
     if broken:
         named = "; ".join(f"{name}: {why}" for name, why in broken[:10])
         more = f"; and {len(broken) - 10} more" if len(broken) > 10 else ""
         notes.append(f"{len(broken)} of {len(episodes)} episodes left out ({named}{more})")
     return sound, shared, tuple(notes)
+
+
+def _not_compared(channel: str, lacking: int, count: int) -> str:
+    """Return the note on a channel that some episodes lack."""
+    return f"{channel} is not compared: {lacking} of {count} episodes lack it"
 
 
 def fault_of(scene: Scene, episode: Episode, usual: float) -> DataError | None:
@@ -311,7 +351,7 @@ def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
             fix="give map.yaml (or the episode) and scene.yaml the true rate of the recording",
         )
     pairs = {
-        "joint_position": (meta.joint_names, file.joints),
+        **{c: (meta.joint_names, file.joints) for c in ("joint_position", *ALONGSIDE)},
         "action": (meta.actuator_names, file.actuator_names),
         "fingertip_force": (meta.fingertip_names, file.fingertips),
     }

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from candata.errors import DataError, Where
 from candata.gap.deviation import SlowDeviation, unshaped
 from candata.gap.floor import null_residuals
-from candata.gap.noise import motion_numbers, same_motions, sensor_noise
+from candata.gap.noise import sensor_noise
 from candata.gap.recordings import Recordings
+from candata.gap.repeated_motions import motion_numbers, same_motions
 from candata.gap.repeats import duration_s, has_repeats, mean_of_runs, measured_deviation
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.residuals import Layout, layout, residual, row_residual
@@ -201,9 +202,10 @@ class MisfitModel(NamedTuple):
 
     Attributes
     ----------
-    weights : (J, K) float64
-        Of the features of each joint, in units of `scale`; zero where the function foretells too little.
-    scale : (J, K) float64
+    weights : (C, K) float64
+        Of the features of the joint whose position, velocity or effort a column holds, in units of `scale`; zero where
+        the function foretells too little. Such columns come first.
+    scale : (C, K) float64
         Root mean square of the features.
     variance : (D,) float64
         Mean square of what is left on motions that had no part in the fit, in the unit of each column squared.
@@ -221,31 +223,37 @@ class MisfitModel(NamedTuple):
     def foretold(self, replayer: Replayer, played: _Replayed) -> Array:
         """Return `(E, T, D)` the misfit foretold for recordings; zero for all but joints."""
         out = np.zeros(played.rows.shape)
-        for j in range(len(self.weights)):
-            out[..., j] = np.nan_to_num(_features(replayer, played, j) / self.scale[j]) @ self.weights[j]
+        for c, joint in enumerate(_joints(replayer, played)):
+            out[..., c] = np.nan_to_num(_features(replayer, played, joint) / self.scale[c]) @ self.weights[c]
         return out
+
+
+def _joints(replayer: Replayer, played: _Replayed) -> list[int]:
+    """Return the joint of each column that holds a joint's position, velocity or effort."""
+    names = replayer.scene.file.joints
+    return [names.index(element) for channel, element, _ in played.plan.columns if channel.startswith("joint_")]
 
 
 def _fitted(replayer: Replayer, old: _Replayed) -> MisfitModel:
     """Return the model of the reference's misfit, each penalty judged on motions left out."""
-    joints = old.recs.readings["joint_position"].shape[2] if "joint_position" in old.recs.readings else 0
+    joints = _joints(replayer, old)
     variance = np.nan_to_num(mean_of_runs(old.raw.reshape(-1, old.raw.shape[2]) ** 2))
     motion, every = motion_numbers(old.recs), slice(None, None, old.plan.rows)
     size = _features(replayer, old, 0).shape[2] if joints else 0
-    weights, scale = np.zeros((joints, size)), np.ones((joints, size))
-    for j in range(joints):
-        x, y = _features(replayer, old, j)[:, every], old.rows[:, every, j]
+    weights, scale = np.zeros((len(joints), size)), np.ones((len(joints), size))
+    for c, joint in enumerate(joints):
+        x, y = _features(replayer, old, joint)[:, every], old.rows[:, every, c]
         known = np.isfinite(x).all(2) & np.isfinite(y)
         number = np.broadcast_to(motion[:, None], y.shape)[known]
         x, y = x[known], y[known]
         if len(np.unique(number)) < 2:
             continue
-        scale[j] = np.maximum(np.sqrt((x**2).mean(0)), 1e-12)
-        z = x / scale[j]
+        scale[c] = np.maximum(np.sqrt((x**2).mean(0)), 1e-12)
+        z = x / scale[c]
         errors = [_left_out_error(z, y, number, penalty) for penalty in PENALTIES]
         best = int(np.argmin(errors))
-        if errors[best] < (1 - FORETOLD) * variance[j]:
-            weights[j], variance[j] = _ridge(z, y, PENALTIES[best]), errors[best]
+        if errors[best] < (1 - FORETOLD) * variance[c]:
+            weights[c], variance[c] = _ridge(z, y, PENALTIES[best]), errors[best]
     return MisfitModel(weights, scale, variance)
 
 

@@ -166,7 +166,7 @@ def splits(scene: Scene, regime: Regimes, channel: str, element: str | None) -> 
     touched: Flags = np.asarray(regime.tips.any(2))
     load = ("loaded", "free")
     out: dict[str, tuple[Flags, Flags]] = {}
-    if channel == "joint_position" and element in scene.file.joints:
+    if channel.startswith("joint_") and element in scene.file.joints:
         j = scene.file.joints.index(element)
         if regime.carried[j].any():
             touched = np.asarray(regime.tips[..., regime.carried[j]].any(2))

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.gap.deviation import SlowDeviation, unshaped
-from candata.gap.noise import ALIKE, PAIRS, NoiseKind, repeat_groups
+from candata.gap.noise import PAIRS, NoiseKind
 from candata.gap.recordings import Recordings
+from candata.gap.repeated_motions import ALIKE, repeat_groups
 from candata.gap.residuals import Layout
 from candata.scenes import Scene
 from candata.schema.scene import Repeatability
@@ -119,7 +120,7 @@ def _declared(
         "object_pose": lambda element: declared.object_pose[element.startswith("rotation")],
         "fingertip_force": lambda element: declared.fingertip_force,
     }
-    least = np.array([sizes[channel](element) for channel, element, _ in plan.columns], float)
+    least = np.array([sizes[c](element) if c in sizes else 0.0 for c, element, _ in plan.columns], float)
     known = sum((part.variance for part in measured), np.zeros((len(plan.phase), rows, len(least))))
     sd = np.sqrt(np.maximum(least**2 - known, 0.0))
     return (unshaped(sd, np.full(len(least), declared.time_s)),) if sd.any() else ()

@@ -12,6 +12,7 @@ from candata.effects import effect, flatten, turn
 from candata.gap.noise import SMALLEST
 from candata.gap.recordings import Recordings
 from candata.gap.starts import Starts, is_toss, starts
+from candata.gap.velocity import joint_velocity
 from candata.rotation import normalise
 from candata.scenes import Scene
 from candata.schema.effect import EffectSetting
@@ -93,15 +94,24 @@ def _batch(
         observer=observer,
         memory=np.concatenate([s.memory for s in states]),
         earlier_commands=_tile(commands_before(recs.commands, begin.rows), copies),
+        supply=None if recs.supply is None else _tile(_shift(recs.supply, begin.rows, hold=True), copies),
         instant_force=recs.instant_force,
         keep_state=keep_state,
+        read_effort="joint_effort" in recs.readings,
         threads=replayer.threads,
     )
     replayer.count(commands.shape[0] * commands.shape[1] * scene.substeps)
-    found = dict(played.readings) | {"touch": played.touch.astype(float)}
+    found = read_alike(scene, recs, played.readings) | {"touch": played.touch.astype(float)}
     if keep_state:
         found["qpos"] = played.qpos
     return [{n: _unshift(v[i * count : (i + 1) * count], begin.rows) for n, v in found.items()} for i in range(copies)]
+
+
+def read_alike(scene: Scene, recs: Recordings, readings: dict[str, Array]) -> dict[str, Array]:
+    """Return simulated readings with the velocity that servos derive from their encoders, where it was recorded."""
+    if "joint_velocity" not in recs.readings:
+        return dict(readings)
+    return readings | {"joint_velocity": joint_velocity(readings["joint_position"], scene.file.rate_hz)}
 
 
 def _followed(scene: Scene, recs: Recordings, begin: Starts, variants: Sequence[EffectSet]) -> dict[str, Array]:

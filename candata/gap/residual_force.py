@@ -116,6 +116,7 @@ def residual_force(replayer: Replayer, recs: Recordings, begin: Starts, world: E
         [world] * count,
         memory=state.memory,
         earlier_commands=commands_before(recs.commands, begin.rows),
+        supply=None if recs.supply is None else _shift(recs.supply, begin.rows, hold=True),
         observer=Observer(shifted, free_gain=0.02),
         push=push,
         instant_force=recs.instant_force,

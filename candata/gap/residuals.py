@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError
+from candata.gap.effort import foretold_effort
 from candata.gap.held import held
-from candata.gap.recordings import Recordings
+from candata.gap.recordings import BLOCK_S, Recordings, block_rows
 from candata.gap.starts import Starts, is_toss, reach, support_height
 from candata.rotation import difference
 from candata.scenes import Scene
@@ -17,8 +18,10 @@ from candata.schema.contact import fingertip_contact
 from candata.schema.phases import contact_phases
 
 Array = NDArray[np.float64]
-#: Length of the blocks over which residuals are averaged [s].
-BLOCK_S = 0.05
+#: Units of what joints read, of hinges and of slides.
+JOINT_UNITS = {"joint_position": ("rad", "m"), "joint_velocity": ("rad/s", "m/s"), "joint_effort": ("N m", "N")}
+#: Channels that say what was in the step before a row: the first row holds none.
+OF_THE_STEP = ("joint_effort", "fingertip_force")
 HAND_PHASES = ("free", "onset", "sustained", "release")
 TOSS_PHASES = ("flight", "impact", "rest")
 #: A tossed object counts as resting below this speed [m/s] until the end.
@@ -61,17 +64,16 @@ def layout(scene: Scene, recs: Recordings, begin: Starts, nominal: dict[str, Arr
         Readings of the nominal replay: its contact decides where recorded contact flags cannot be trusted.
     """
     columns: list[tuple[str, str, str]] = []
-    if "joint_position" in recs.readings:
-        kinds = scene.model.jnt_type[scene.joint_ids]
-        columns += [
-            ("joint_position", j, "m" if k == 2 else "rad") for j, k in zip(scene.file.joints, kinds, strict=True)
-        ]
+    for channel, units in JOINT_UNITS.items():
+        if channel in recs.readings:
+            sides = scene.sliding.astype(int)
+            columns += [(channel, j, units[s]) for j, s in zip(scene.file.joints, sides, strict=True)]
     if "object_pose" in recs.readings:
         columns += [("object_pose", f"position {a}", "m") for a in _AXES]
         columns += [("object_pose", f"rotation {a}", "rad") for a in _AXES]
     if "fingertip_force" in recs.readings:
         columns += [("fingertip_force", f"{f} {a}", "N") for f in scene.file.fingertips for a in _AXES]
-    rows = max(1, round(BLOCK_S * scene.file.rate_hz))
+    rows = block_rows(scene.file.rate_hz)
     if recs.lengths.max() < rows:
         raise DataError(
             "episodes are too short to compare",
@@ -118,8 +120,9 @@ def _toss_labels(scene: Scene, recs: Recordings) -> NDArray[np.str_]:
 def row_residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> Array:
     """Return recorded minus replayed, `(E, T, D)` row by row; NaN where either is missing.
 
-    Joints in rad or m, positions in m, rotations as world-frame rotation vectors in rad (Sola 2018, eq. 105), forces
-    in N in the fingertip's frame. Both sides of a sensor slower than the log are taken where its reading was new.
+    Joints in rad or m, their velocities in rad/s or m/s and efforts in N m or N, positions in m, rotations as
+    world-frame rotation vectors in rad (Sola 2018, eq. 105), forces in N in the fingertip's frame. Both sides of a
+    sensor slower than the log are taken where its reading was new.
     """
     parts: list[Array] = []
     compared = recs.compared
@@ -127,12 +130,14 @@ def row_residual(recs: Recordings, plan: Layout, readings: dict[str, Array]) -> 
         recorded, replayed = compared[channel], readings[channel]
         if channel == "object_pose":
             some = [recorded[..., :3] - replayed[..., :3], difference(recorded[..., 3:], replayed[..., 3:])]
+        elif channel == "joint_effort" and recs.unscaled_effort:
+            some = [recorded - foretold_effort(recorded, replayed, readings["joint_position"])]
         else:
             some = [(recorded - replayed).reshape(*recorded.shape[:2], -1)]
         slow = recs.sources.get(channel)
         parts += some if slow is None else [np.where(np.isfinite(part), held(part, slow), np.nan) for part in some]
     joined = np.concatenate(parts, axis=-1)
-    joined[:, 0, [c == "fingertip_force" for c, _, _ in plan.columns]] = np.nan
+    joined[:, 0, [c in OF_THE_STEP for c, _, _ in plan.columns]] = np.nan
     return joined
 
 

@@ -29,7 +29,7 @@ from candata.effects import effect
 from candata.gap import kept
 from candata.gap.floor import null_residuals
 from candata.gap.recordings import Recordings
-from candata.gap.replay import BATCH, EffectSet, Replayer, replay_all, true_start
+from candata.gap.replay import BATCH, EffectSet, Replayer, read_alike, replay_all, true_start
 from candata.gap.residuals import Layout, residual
 from candata.gap.starts import Starts, starts
 from candata.scenes import Scene
@@ -274,11 +274,14 @@ def _recorded(replayer: Replayer, recs: Recordings, begin: Starts, plan: Layout,
         begin.qvel0,
         [world] * len(recs),
         memory=begin.memory0,
+        supply=recs.supply,
         instant_force=recs.instant_force,
+        read_effort="joint_effort" in recs.readings,
         threads=replayer.threads,
     )
     replayer.count(recs.commands.shape[0] * recs.commands.shape[1] * replayer.scene.substeps)
-    made = replace(recs, readings={n: v for n, v in played.readings.items() if n in recs.readings}, misfit=None)
+    readings = read_alike(replayer.scene, recs, played.readings)
+    made = replace(recs, readings={n: v for n, v in readings.items() if n in recs.readings}, misfit=None)
     readings = replay_all(replayer, made, starts(replayer.scene, made, begin.moving), [()])[0]
     return residual(made, plan, readings).astype(np.float32)
 
@@ -288,7 +291,8 @@ def _key(replayer: Replayer, recs: Recordings, begin: Starts) -> str:
     text = hashlib.sha256(f"{replayer.scene.digest}|{mujoco.__version__}|{_code()}|{recs.instant_force}".encode())
     text.update("|".join(recs.readings).encode())
     text.update("|".join(recs.sources).encode())
-    for values in (recs.commands, recs.lengths, begin.rows, *recs.sources.values()):
+    supply = () if recs.supply is None else (recs.supply,)
+    for values in (recs.commands, recs.lengths, begin.rows, *supply, *recs.sources.values()):
         text.update(f"{values.shape}".encode() + np.ascontiguousarray(values).tobytes())
     return text.hexdigest()[:32]
 

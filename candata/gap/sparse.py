@@ -94,7 +94,7 @@ def _everything(problem: Problem, start: Fit) -> Members:
     0.8 floors left to 2.7, so that no step of all numbers together helped.)
     """
     taken = {c.name for c, _ in start.members} | problem.ruled_out
-    every = candidates(problem.replayer.scene, list(problem.recs.readings))
+    every = candidates(problem.replayer.scene, problem.recs.channels)
     found = [(c, c.neutral.copy()) for c in every if c.name not in taken and not c.choices]
     part, _ = brief(problem)
     zs = part.residuals([part.setting((*start.members, *one)) for one in [(), *((m,) for m in found)]])

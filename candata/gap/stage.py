@@ -174,7 +174,7 @@ def unheld(problem: Problem, held: Members) -> list[Candidate]:
     rails = {c.label for c, _ in held if c.label in {v.label for v in on_slides(candidate(c.name, scene), scene)}}
     taken = {c.name for c, _ in held if c.label not in rails} | problem.ruled_out
     again = [v for c, _ in held for v in on_slides(c, scene) if v.label not in known]
-    return [*(c for c in candidates(scene, list(problem.recs.readings)) if c.name not in taken), *again]
+    return [*(c for c in candidates(scene, problem.recs.channels) if c.name not in taken), *again]
 
 
 def narrowed(problem: Problem, here: Compact, stage: Stage) -> Stage:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from candata.effects import effect, effect_names
 from candata.errors import UnknownNameError, UsageError
 from candata.gap.recordings import Recordings
+from candata.gap.supply import CHANNEL
 from candata.scenes import Scene
 
 
@@ -49,10 +50,12 @@ def library(scene: Scene, recs: Recordings, only: tuple[str, ...] = ()) -> tuple
         When an effect that was asked for cannot act in the scene, or cannot show in what was recorded.
     """
     hidden = {name: channel for channel, names in untested(scene, recs).items() for name in names}
-    possible = [n for n in effect_names() if effect(n).possible(scene)]
+    every = effect_names((CHANNEL,))
+    hidden |= {name: f"{CHANNEL} that varies" for name in set(every) - set(effect_names(recs.channels))}
+    possible = [n for n in every if effect(n).possible(scene)]
     for name in only:
-        if name not in effect_names():
-            raise UnknownNameError("effect", name, effect_names())
+        if name not in every:
+            raise UnknownNameError("effect", name, every)
         if name not in possible:
             raise UsageError(
                 f"effect {name} cannot act in scene {scene.name}",
@@ -64,7 +67,7 @@ def library(scene: Scene, recs: Recordings, only: tuple[str, ...] = ()) -> tuple
             raise UsageError(
                 f"effect {name} cannot show in these recordings",
                 expected=f"channel {hidden[name]}",
-                found=", ".join(recs.readings),
+                found=", ".join(recs.channels),
                 fix="leave it out, or record the channel",
             )
     return tuple(n for n in only or possible if n not in hidden)

@@ -24,7 +24,7 @@ def wanted(problem: Problem, depth: Depth) -> list[tuple[Problem, EffectSet]]:
     scene = problem.replayer.scene
     if is_toss(scene):
         return []
-    possible = [c for c in candidates(scene, list(problem.recs.readings)) if c.name not in problem.ruled_out]
+    possible = [c for c in candidates(scene, problem.recs.channels) if c.name not in problem.ruled_out]
     few, _ = brief(problem)
     rounds = [(few, possible)]
     if depth != "first":

@@ -13,6 +13,7 @@ _READING = "readings: pass them through this in the code that reads the simulato
 _FORCE = "forces: add them to qfrc_applied before each control step"
 _SERVO = "servos: compute their command from the joint positions before each physics step"
 _FRICTION = "friction: set dof_frictionloss through this before each control step"
+_DRIVE = "drives: scale gainprm, biasprm and forcerange of the servos through this before each control step"
 _PACE = "clock: stamp the recording with its true rate, or step this much more or less time between two rows"
 _AS_CANDATA = "run the effects.yaml beside this with candata"
 
@@ -55,7 +56,7 @@ def omitted_effect(s: EffectSetting, reason: str | None = None) -> OmittedEffect
     """
     kind = effect(s.name)
     hooks = [("command", _COMMAND), ("reading", _READING), ("force", _FORCE)]
-    hooks += [("friction", _FRICTION), ("servo", _SERVO), ("pace", _PACE)]
+    hooks += [("friction", _FRICTION), ("drive", _DRIVE), ("servo", _SERVO), ("pace", _PACE)]
     places = [text for name, text in hooks if getattr(kind, name) is not None]
     if kind.native is not None and reason is None:
         return None

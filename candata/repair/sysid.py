@@ -104,7 +104,7 @@ def export_sysid(scene: Scene, effects: Sequence[EffectSetting], dataset: Datase
 def _in_model(s: EffectSetting) -> bool:
     """Tell whether an effect is in the model alone: nothing of it in commands, readings, forces or the clock."""
     kind = effect(s.name)
-    outside = (kind.command, kind.reading, kind.force, kind.friction, kind.servo, kind.pace)
+    outside = (kind.command, kind.reading, kind.force, kind.friction, kind.drive, kind.servo, kind.pace)
     return kind.edit is not None and not any(outside)
 
 

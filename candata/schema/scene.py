@@ -26,8 +26,8 @@ class Noise(Record):
     """Declared sensor noise, one standard deviation: the declared floor.
 
     `object_pose` is (position m, rotation rad), `joint_position` rad or m, one number or one a joint,
-    `fingertip_force` N. `force_step` [N] and `joint_step` [rad or m, as `joint_position`] are the steps to which
-    readings are rounded.
+    `joint_velocity` [rad/s or m/s] and `joint_effort` [N m or N] alike, `fingertip_force` N. `force_step` [N] and
+    `joint_step` [rad or m, as `joint_position`] are the steps to which readings are rounded.
     """
 
     object_pose: tuple[NonNegative, NonNegative] = (0.0, 0.0)
@@ -35,6 +35,8 @@ class Noise(Record):
     fingertip_force: NonNegative = 0.0
     force_step: NonNegative = 0.0
     joint_step: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda step: step == 0.0)
+    joint_velocity: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda sd: sd == 0.0)
+    joint_effort: NonNegative | tuple[NonNegative, ...] = Field(default=0.0, exclude_if=lambda sd: sd == 0.0)
 
 
 class Repeatability(Record):

@@ -217,7 +217,8 @@ def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Gene
     Parameters
     ----------
     arrays : dict of str to ndarray
-        `object_pose (..., 7)`, `joint_position (..., J)`, `fingertip_force (..., F, 3)`; others pass through.
+        `object_pose (..., 7)`, `joint_position`, `joint_velocity` and `joint_effort (..., J)`,
+        `fingertip_force (..., F, 3)`; others pass through.
     noise : Noise or None
         One standard deviation of each; None returns the arrays as they are.
     rng : numpy.random.Generator
@@ -236,6 +237,9 @@ def add_noise(arrays: dict[str, Array], noise: Noise | None, rng: np.random.Gene
         out["joint_position"] = rounded(
             joints + np.asarray(noise.joint_position) * rng.standard_normal(joints.shape), noise.joint_step
         )
+    for channel, size in (("joint_velocity", noise.joint_velocity), ("joint_effort", noise.joint_effort)):
+        if channel in out:
+            out[channel] = out[channel] + np.asarray(size) * rng.standard_normal(out[channel].shape)
     if "fingertip_force" in out:
         force = out["fingertip_force"]
         force = force + noise.fingertip_force * rng.standard_normal(force.shape)

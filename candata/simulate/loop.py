@@ -10,13 +10,13 @@ import numpy as np
 from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
-from candata.effects import DryFriction, Forces, Servos
+from candata.effects import DriveStrength, DryFriction, Forces, Servos
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
 from candata.simulate.observer import Follower, Observer, Prescribed
-from candata.simulate.servo_laws import ServoLaws, servo_laws, without_command_limits
+from candata.simulate.servo_laws import DriveScales, ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
 from candata.simulate.world import Filter, Worlds, build_worlds
 
@@ -40,7 +40,8 @@ class Trajectory:
     ----------
     readings : dict of str to ndarray
         `object_pose (n, T, 7)`, `joint_position (n, T, J)`, `fingertip_force (n, T, F, 3)` [N], as the sensors of
-        the world report them. Row 0 of the force is zero: it belongs to the step before.
+        the world report them; `joint_effort (n, T, J)` [N m; N of slides], what the actuators put on the joints, if
+        asked for. Row 0 of forces and efforts is zero: they belong to the step before.
     touch : (n, T) bool
         Whether anything but the support touched the object in the step before the row.
     tip_force : (n, T, F) float64 [N]
@@ -87,11 +88,13 @@ def rollout(
     push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
+    read_effort: bool = False,
     settle: int = 0,
     threads: int = 1,
     alter: Alter | None = None,
     memory: Array | None = None,
     earlier_commands: Array | None = None,
+    supply: Array | None = None,
 ) -> Trajectory:
     """Return the readings of n simulations that play recorded commands.
 
@@ -113,6 +116,8 @@ def rollout(
         Report the force of the last physics step instead of the mean over the control step.
     keep_state : bool
         Also keep qpos and qvel of each row.
+    read_effort : bool
+        Also read `joint_effort`.
     settle : int
         Rows before the recording begins: a clock that drifts does so from there.
     threads : int
@@ -123,19 +128,21 @@ def rollout(
         What actuators and plugins remember at row 0, see `MEMORY`; by default what the model begins with.
     earlier_commands : (n, L, A) float64, optional
         Commands of the rows before row 0, which effects that delay commands remember; the first command by default.
+    supply : (n, T, A) float64, optional
+        Recorded supply of the actuators over its usual value, held over each control step; 1 by default.
 
     Raises
     ------
     UsageError
         When an effect cannot act in the scene.
     """
-    run = _Run(
-        scene, build_worlds(scene, effects), np.asarray(qpos, float), np.asarray(qvel, float), threads, alter, push
-    )
+    worlds, states = build_worlds(scene, effects), (np.asarray(qpos, float), np.asarray(qvel, float))
+    run = _Run(scene, worlds, *states, threads, alter, push, read_effort)
     if memory is not None and memory.size:
         run.remember(memory)
     if earlier_commands is not None:
         run.hear(earlier_commands)
+    run.supply = supply
     with without_log():  # warnings are counted
         return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
 
@@ -152,8 +159,10 @@ class _Run:
         threads: int,
         alter: Alter | None,
         push: Push | None,
+        read_effort: bool,
     ) -> None:
         self.scene, self.push, self.n = scene, push, len(qpos)
+        self.read_effort = read_effort
         self.batch = mujoco_batch.Batch(scene.model, self.n, threads)
         self.laws = servo_laws(scene, worlds.models) if worlds.servo else None
         if worlds.servo:
@@ -166,12 +175,14 @@ class _Run:
         self.applied = self.batch.bind("qfrc_applied")
         self.worlds = worlds = alter(self.batch, worlds) if alter else worlds
         # Outputs are copied after every call: only where something reads them.
-        needs_effort = worlds.force or worlds.friction or push
+        needs_effort = worlds.force or worlds.friction or push or read_effort
         self.effort = self.batch.bind("qfrc_actuator") if needs_effort else np.zeros(0)
+        self.supply: Array | None = None
+        self.drive_scales = DriveScales(scene, worlds.models) if worlds.drive else None
         self.own_friction = np.array([model.dof_frictionloss for model in worlds.models])
         steps = steps_of(scene, worlds)
         self.groups = [(int(count), np.flatnonzero(steps == count)) for count in np.unique(steps)]
-        kinds = ("command", "force", "friction", "servo", "reading")
+        kinds = ("command", "force", "friction", "drive", "servo", "reading")
         self.states = {kind: [f.state for f in getattr(worlds, kind)] for kind in kinds}
         parts = [self.batch.bind(name) for name in MEMORY] if memory_size(scene.model) else []
         self.memory = [part.reshape(self.n, -1) for part in parts]
@@ -230,6 +241,7 @@ class _Run:
                 held_commands[drifting_ids] = retimed_commands[:, k]
                 self._apply_forces(k, force[-1], touch)
                 self._apply_friction()
+                self._apply_strength(k)
                 sensor_data, touch = self._step(held_commands)
                 failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
         state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
@@ -247,6 +259,8 @@ class _Run:
             out["object_pose"] = self.qpos[:, self.object : self.object + 7].copy()
         if len(scene.joint_qpos):
             out["joint_position"] = self.qpos[:, scene.joint_qpos]
+            if self.read_effort:
+                out["joint_effort"] = self.effort[:, scene.joint_dof]
         return out
 
     def _nothing(self) -> list[Array]:
@@ -301,6 +315,14 @@ class _Run:
         limits = self.own_friction + self._filter("friction", x).added
         for model, row in zip(self.worlds.models, limits, strict=True):
             model.dof_frictionloss[:] = row
+
+    def _apply_strength(self, row: int) -> None:
+        """Set how strong the drives are over the next step, in the models, which are private then."""
+        if self.drive_scales is None:
+            return
+        usual = np.ones((self.n, len(self.scene.actuator_ids)))
+        x = DriveStrength(usual, usual if self.supply is None else self.supply[:, row])
+        self.drive_scales.set(self._filter("drive", x).strength)
 
     def _step(self, commands: Array) -> tuple[list[Array], NDArray[np.bool_]]:
         """Advance one row under commands `(n, S, A)`; return what the sensors of the worlds read at each physics step

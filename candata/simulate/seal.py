@@ -87,11 +87,11 @@ def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
     UnknownNameError
         When there is no such effect.
     UsageError
-        When it cannot act in the scene, or the salt is no hex of 32 bytes.
+        When it cannot act in the scene, follows what is recorded, or the salt is no hex of 32 bytes.
     """
     rng = np.random.default_rng(secret_number(seed, salt, "effect"))
     possible_effects = [drawn_name for drawn_name in effect_names() if effect(drawn_name).possible(scene)]
-    if effect_name != ANY_EFFECT and not effect(effect_name).possible(scene):
+    if effect_name != ANY_EFFECT and (effect(effect_name).follows or not effect(effect_name).possible(scene)):
         raise UsageError(
             f"effect {effect_name} cannot act in scene {scene.name}",
             expected=f"one of {', '.join(possible_effects)}",

@@ -1,4 +1,4 @@
-"""The position laws of servos: what they take at each physics step where effects change how they answer an error."""
+"""Position laws of servos: what they take where effects change how they answer an error, and their strength."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.scenes import Scene
-from candata.scenes.motors import affine_law
+from candata.scenes.motors import KP, VOLTAGE, affine_law, is_position_motor
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,40 @@ def servo_laws(scene: Scene, models: Sequence[mujoco.MjModel]) -> ServoLaws:
         slope=slope / scale,
         offset=offset / scale,
     )
+
+
+class DriveScales:
+    """Position gains and torque limits of the scene's position servos, which change from step to step.
+
+    The voltage of a servo without a current loop is a share of its supply: its torque at a position error and its stall
+    torque are proportional to the supply, back-EMF is not. Source: torque (K/R)(V g e - K w), |V g e| <= V d_max.
+
+    Parameters
+    ----------
+    scene : Scene
+    models : sequence of n MjModel
+        Private to each simulation; what they hold now is strength 1.
+    """
+
+    def __init__(self, scene: Scene, models: Sequence[mujoco.MjModel]) -> None:
+        self._ids, self._usual = scene.actuator_ids, []
+        for model in models:
+            gain, bias = affine_law(model, self._ids)
+            follows = ((gain > 0) & (bias[:, 1] < 0))[:, None]
+            is_motor = is_position_motor(model, self._ids)[:, None]
+            places = np.arange(mujoco.mjNGAIN)
+            scaled = (
+                (model.actuator_gainprm, follows & np.where(is_motor, np.isin(places, (KP, VOLTAGE)), places == 0)),
+                (model.actuator_biasprm, follows & ~is_motor & (np.arange(mujoco.mjNBIAS) < 2)),
+                (model.actuator_forcerange, np.repeat(follows, 2, axis=1)),
+            )
+            self._usual.append([(field, is_scaled, field[self._ids].copy()) for field, is_scaled in scaled])
+
+    def set(self, strength: Array) -> None:
+        """Scale the servos of each model by `strength (n, A)`."""
+        for fields, factor in zip(self._usual, strength, strict=True):
+            for field, is_scaled, usual in fields:
+                field[self._ids] = np.where(is_scaled, factor[:, None] * usual, usual)
 
 
 def without_command_limits(models: Sequence[mujoco.MjModel]) -> list[mujoco.MjModel]:

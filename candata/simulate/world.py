@@ -35,10 +35,11 @@ class Worlds:
     Attributes
     ----------
     models : list of MjModel
-        One a simulation; simulations without model edits share the scene's, unless friction changes from step to step.
+        One a simulation; simulations without model edits share the scene's, unless friction or the strength of drives
+        changes from step to step.
     pace : (n,) float64
         True time that passes during one recorded row, in nominal control steps.
-    command, force, friction, servo, reading : tuple of Filter
+    command, force, friction, drive, servo, reading : tuple of Filter
         Hooks of the effects present, in the order in which they act.
     """
 
@@ -47,6 +48,7 @@ class Worlds:
     command: tuple[Filter, ...]
     force: tuple[Filter, ...]
     friction: tuple[Filter, ...]
+    drive: tuple[Filter, ...]
     servo: tuple[Filter, ...]
     reading: tuple[Filter, ...]
 
@@ -61,7 +63,9 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
     """
     cache: dict[str, mujoco.MjModel] = {}
     models = [_model(scene, tuple(settings), cache) for settings in effects]
-    kinds: dict[str, list[Filter]] = {"command": [], "force": [], "friction": [], "servo": [], "reading": []}
+    kinds: dict[str, list[Filter]] = {
+        kind: [] for kind in ("command", "force", "friction", "drive", "servo", "reading")
+    }
     given = [scene.given_effects] * len(effects)
     for name in sorted({s.name for settings in (scene.given_effects, *effects) for s in settings}, key=turn):
         for hook_name, filters in kinds.items():
@@ -71,7 +75,7 @@ def build_worlds(scene: Scene, effects: Sequence[EffectList]) -> Worlds:
                 filters += _filters(scene, scene, name, hook, effects)
     kinds["command"] += _shifted_commands(scene, models)
     pace = np.array([_pace(scene, settings) for settings in effects])
-    if kinds["friction"]:
+    if kinds["friction"] or kinds["drive"]:
         models = [copy.copy(model) for model in models]
     return Worlds(models, pace, **{kind: tuple(filters) for kind, filters in kinds.items()})
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from candata.scenes import load_scene
 from candata.simulate import rollout
+from candata.testing.effects import sagging_supply
 
 XML = """
 <mujoco>
@@ -74,4 +75,5 @@ def play_grip(scene, worlds, **options):
     n = len(worlds)
     qpos = np.repeat(np.asarray(scene.model.qpos0)[None], n, axis=0)
     qvel = np.zeros((n, scene.model.nv))
-    return rollout(scene, np.repeat(grip(), n, axis=0), qpos, qvel, worlds, **options)
+    commands = np.repeat(grip(), n, axis=0)
+    return rollout(scene, commands, qpos, qvel, worlds, supply=sagging_supply(commands), **options)

@@ -6,6 +6,7 @@ import numpy as np
 
 from candata.scenes import load_scene
 from candata.simulate import at_rest, rollout
+from candata.testing.effects import sagging_supply
 
 XML = """
 <mujoco>
@@ -51,4 +52,5 @@ def play_neck(scene, worlds, seconds: float = 1.0):
     time_s = np.arange(round(seconds * 100))[:, None] / 100
     commands = np.clip(time_s / 0.2, 0, 1) * np.array([0.6, 0.8]) * np.sin(2 * np.pi * time_s * np.array([1.0, 1.7]))
     n = len(worlds)
-    return rollout(scene, np.repeat(commands[None], n, axis=0), *at_rest(scene, n), worlds).readings
+    commands = np.repeat(commands[None], n, axis=0)
+    return rollout(scene, commands, *at_rest(scene, n), worlds, supply=sagging_supply(commands)).readings

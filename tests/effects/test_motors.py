@@ -16,6 +16,7 @@ from candata.schema.effect import EffectSetting
 from candata.simulate import at_rest, rollout
 from candata.simulate.world import build_worlds
 from tests.effects.pendulum import SERVO, excitation, write_pendulum
+from tests.effects.sagging import SUPPLY_V, play_on_weak_supply
 
 LIMIT_NM, KP, KV = 0.3, 2.0, 0.06
 
@@ -243,3 +244,31 @@ def test_worlds_of_changing_friction_do_not_share_it(pendulum):
     for row, effects in enumerate([(gears,), ()]):
         assert np.array_equal(both.readings["joint_position"][row, :, 0], follow(pendulum, commands, *effects))
     assert pendulum.model.dof_frictionloss[0] == 0
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_servo_follows_its_recorded_supply_as_plain_mujoco_does(tmp_path, integrator):
+    """Gain and stall torque are those of each row; half of the share is half of the sag."""
+    scene, commands = write_pendulum(tmp_path, integrator=integrator), excitation(7)
+    sagging, volts = play_on_weak_supply(scene, commands)
+    assert volts.min() < 0.8 * SUPPLY_V
+    worlds = [(setting("supply_sag", share=share),) for share in (0.0, 0.5, 1.0)]
+    supply = np.repeat((volts / SUPPLY_V)[None, :, None], 3, axis=0)
+    played = rollout(scene, np.repeat(commands[None], 3, 0), *at_rest(scene, 3), worlds, supply=supply)
+    none, half, whole = played.readings["joint_position"][..., 0]
+    np.testing.assert_allclose(whole, sagging, atol=1e-12)
+    assert np.array_equal(none, follow(scene, commands))
+    assert np.abs(sagging - none).max() > 0.05
+    assert 0 < np.abs(half - none).mean() < np.abs(whole - none).mean()
+
+
+def test_the_voltage_of_a_motor_follows_its_supply_and_its_back_emf_does_not(pendulum):
+    """A steady supply of 0.8 is a weaker `drive_voltage` and a softer servo, with the same slope."""
+    commands, half = excitation(8), setting("drive_voltage", voltage_scale=0.5)
+    supply = np.full((1, len(commands), 1), 0.8)
+    weak = rollout(
+        pendulum, commands[None], *at_rest(pendulum, 1), [(half, setting("supply_sag", share=1.0))], supply=supply
+    ).readings["joint_position"][0, :, 0]
+    same = follow(pendulum, commands, setting("drive_voltage", voltage_scale=0.4), setting("servo_gain", kp_scale=0.8))
+    np.testing.assert_allclose(weak, same, atol=1e-12)
+    assert np.abs(weak - follow(pendulum, commands, half)).max() > 0.01

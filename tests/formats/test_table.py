@@ -13,6 +13,7 @@ from candata.errors import DataError
 from candata.formats.table import FORMAT, digest, map_digest, read
 from candata.schema.contact import fingertip_contact
 from candata.schema.scene import TableMap
+from tests.formats.conftest import CHANNELS
 
 FORCES = [f"f{i}_{axis}" for i in (0, 1) for axis in "xyz"]
 
@@ -36,6 +37,13 @@ def test_names_come_from_the_columns(columns, write):
     meta = one(write(columns)).meta
     assert meta.joint_names == meta.actuator_names == ("thumb_bend", "index1")
     assert meta.fingertip_names == ("f0", "f1")
+
+
+@pytest.mark.parametrize("names", [None, ["bend", "index"]])
+def test_one_column_of_the_supply_serves_all_actuators(columns, write, names):
+    columns = columns | {"v": np.linspace(12, 11, 6)}
+    path = write(columns, channels=CHANNELS | {"supply_voltage": ["v"]}, actuator_names=names)
+    np.testing.assert_array_equal(one(path)["supply_voltage"], np.float32(columns["v"][:3, None].repeat(2, axis=1)))
 
 
 def test_the_map_s_words_are_kept(columns, write):

@@ -222,3 +222,10 @@ def test_where_no_motion_stays_within_the_limits_the_recorded_task_is_named(prob
     assert motions == ()
     assert words.name in ("slow", "fast")
     assert (words.file, words.reason) == (None, None)
+
+
+def test_no_motion_is_proposed_for_what_follows_a_recording(problem, arm, monkeypatch):
+    """What it would follow in another motion nobody knows."""
+    monkeypatch.setattr(proposal, "separating_motion", lambda *_: pytest.fail("a motion was simulated"))
+    words, motions = proposal.separating(problem, tie(arm, "joint_damping", "supply_sag"))
+    assert (words.name in ("slow", "fast"), words.file, motions) == (True, None, ())

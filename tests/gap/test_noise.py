@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from candata.gap.noise import SMALLEST, repeated, sensor_noise
+from candata.gap.noise import SMALLEST, sensor_noise
 from candata.gap.recordings import recordings
+from candata.gap.repeated_motions import repeated
 from candata.gap.replay import Replayer, replay_all
 from candata.gap.rounding import before_rounding, force_step
 from candata.gap.starts import starts

@@ -155,6 +155,16 @@ def test_a_slower_sensor_has_other_signatures(still, tmp_path):
     assert len({part.folder.parent for part in parts}) == 3
 
 
+def test_another_supply_has_other_signatures(still, tmp_path):
+    folders = set()
+    for share in (None, 1.0, 0.9):
+        supply = None if share is None else np.full_like(still.recs.commands, share)
+        recs = replace(still.recs, supply=supply)
+        part = library(still.replayer, recs, still.begin, still.plan, still.raw, tmp_path, share=True)
+        folders.add(part.folder.parent)
+    assert len(folders) == 3
+
+
 def test_nulls_are_the_same_with_and_without_the_cache(still, tmp_path):
     noise = still.replayer.scene.file.noise
     fresh = shelf(still, None).nulls(noise)

@@ -171,6 +171,8 @@ def test_wrong_names_are_refused(hand):
         draw(hand, "servo_gains", 1, SALT)
     with pytest.raises(UsageError, match="effect armature cannot act in scene cube_toss"):
         draw(load_scene("cube_toss"), "armature", 1, SALT)
+    with pytest.raises(UsageError, match="effect supply_sag cannot act in scene xhand_tabletop"):
+        draw(hand, "supply_sag", 1, SALT)  # nothing recorded is followed in a simulation
     with pytest.raises(UsageError, match="not a salt"):
         draw(hand, "any", 1, "abcd")
 

@@ -23,6 +23,7 @@ from candata.gap.blind.crew import Crew
 from candata.gap.blind.running import finished, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.recordings import piece
+from candata.gap.supply import CHANNEL
 from candata.scenes import load_scene
 from candata.schema.bench import BenchFile, BenchRow, Miss
 from candata.schema.episode import Episode
@@ -81,8 +82,8 @@ def read_labelled(folder: Path, dataset: str | None = None) -> LabelledSet:
     file = LabelledSetFile.parse(read_yaml(path), path)
     for label, cause in file.causes.items():
         for name in cause.effects:
-            if name not in effect_names():
-                raise UnknownNameError(f"effect of the label {label}", name, effect_names())
+            if name not in effect_names((CHANNEL,)):
+                raise UnknownNameError(f"effect of the label {label}", name, effect_names((CHANNEL,)))
     recordings = _recordings(folder, file, dataset)
     columns = [*file.causes, *([file.same] if file.same else [])]
     rows = (

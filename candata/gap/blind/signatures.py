@@ -72,7 +72,7 @@ def least_squares(here: Compact, slope: Compact) -> Array:
 def signatures(bed: Bed) -> tuple[Compact, list[Signature]]:
     """Return the nominal residuals `(E, K)` and the signature of every effect that can act and shows."""
     scene = bed.scene
-    found = candidates(scene, list(bed.recs.readings))
+    found = candidates(scene, bed.recs.channels)
     points = [(c, u) for c in found for u in probes(c, scene)]
     nominal, *zs = bed.residuals([(), *((c.setting(u, scene),) for c, u in points)])
     out = []
