@@ -25,7 +25,7 @@ from candata.scenes.model_file import compile_model
 from candata.scenes.object_body import plane_scene
 from candata.scenes.object_making import ObjectSource, make_object
 
-#: Targets: CPU time of an object [s]; differences of the mass centre [mm], rounded to 0.01 mm in the table, and of moments.
+#: Targets: CPU time of an object [s], difference of the mass centre [mm] and of the moments from the table.
 MOST_CPU_S, MOST_MM, MOST_SHARE = 5.0, 0.02, 1e-3
 SHARED = Path(os.environ.get("CANDATA_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
