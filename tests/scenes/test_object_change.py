@@ -45,10 +45,10 @@ def test_it_rests_with_its_mass_where_the_old_one_stood(base, brick):
     # A second later it has only sunk into the soft contact, by less than a millimetre.
     np.testing.assert_allclose(ended[at : at + 7], qpos[0, at : at + 7], atol=1e-3)
     places = []
-    for one in (plain, scene):
-        data = mujoco.MjData(one.model)
-        mujoco.mj_forward(one.model, data)
-        places.append(data.xipos[one.object_id, :2].copy())
+    for world in (plain, scene):
+        data = mujoco.MjData(world.model)
+        mujoco.mj_forward(world.model, data)
+        places.append(data.xipos[world.object_id, :2].copy())
     np.testing.assert_allclose(*places, atol=1e-4)
     # It stands on its small end: half its height over the table.
     assert data.xipos[scene.object_id, 2] == pytest.approx(SIDES[2] / 2, abs=1e-3)

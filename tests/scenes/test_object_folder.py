@@ -143,6 +143,15 @@ def test_pieces_of_a_folder_are_what_touches(tmp_path):
     assert scene.object_geoms.size == len(made.scene_object.file.pieces)
 
 
+def test_pieces_in_another_frame_are_refused(tmp_path):
+    folder = tmp_path / "scan"
+    folder.mkdir()
+    box().export(folder / "visual.obj")
+    box((0, 0, SIDES[2] / 2)).export(folder / "convex_0.stl")
+    with pytest.raises(DataError, match=r"do not fit its mesh\n.*\n.*off by 40 mm"):
+        make_object(ObjectSource(folder, "thing", MASS), tmp_path / "thing")
+
+
 def test_a_ball_has_one_resting_pose(tmp_path):
     made = make(tmp_path, trimesh.creation.icosphere(subdivisions=3, radius=0.03), drops=200)
     assert made.scene_object.file.rests[0].probability > 0.9
