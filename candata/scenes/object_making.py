@@ -26,8 +26,8 @@ VISUAL, PIECE = "visual.obj", "convex_{}.stl"
 _PIECE = re.compile(r"convex_(\d+)")
 #: Control rate of the scene that is written with an object [Hz]: five physics steps of 2 ms.
 RATE_HZ = 100
-#: Distance between the boxes of a mesh and of its pieces, as a share of its largest side. Chosen: it is at most 0.024 of
-#: YCB objects, and a half where one frame is in the middle and the other at the base.
+#: Distance between the boxes of a mesh and of its pieces, as a share of its largest side. Chosen: YCB objects have at
+#: most 0.024; it is a half where one frame is in the middle and the other at the base.
 MOST_OFF = 0.2
 #: Stands for the resting poses while they are sought.
 _AS_MODELLED = RestingPose(quaternion=(1.0, 0.0, 0.0, 0.0), height_m=0.0, probability=0.0, tilt_rad=0.0)
