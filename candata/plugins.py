@@ -32,6 +32,7 @@ REGISTRIES = {
     "devices": "candata.record.devices:DEVICES",
     "policies": "candata.policies:POLICIES",
     "scenes": "candata.scenes.contract:SCENES",
+    "objects": "candata.scenes.contract:OBJECTS",
     "checks": "candata.checks:RULES",
 }
 #: Module of an optional extra, to the extra: a plug-in that needs it says what to install.

@@ -22,6 +22,7 @@ EXIT_STOPPED = 130
 #: Seconds between lines of progress where stderr is no terminal.
 EVERY_S = 30.0
 GAP = "Check the diagnosis itself, and what it found."
+SCENE = "Look at scenes, and write repaired ones: a model and its roles."
 RAY = "Work on a Ray cluster instead: local (this machine, --jobs cores), auto, HOST:PORT or ray://HOST:PORT."
 
 

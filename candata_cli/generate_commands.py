@@ -13,6 +13,33 @@ from candata_cli.outputs import check_output
 if TYPE_CHECKING:
     from candata.schema.effect import EffectsFile
 
+Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
+Episodes = Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+SceneName = Annotated[
+    str | None,
+    typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects."),
+]
+Seed = Annotated[int, typer.Option("--seed", metavar="K", help="Seed of all that is random.")]
+Objects = Annotated[
+    str | None,
+    typer.Option("--objects", metavar="A,B|FILE", help="Objects that take turns: names, folders, or an objects.yaml."),
+]
+Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")]
+Policies = Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")]
+PolicyFile = Annotated[
+    Path | None,
+    typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
+]
+Duration = Annotated[
+    float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
+]
+WithNoise = Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")]
+Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")]
+Withhold = Annotated[
+    str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
+]
+Seal = Annotated[Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")]
+
 
 def register(app: typer.Typer) -> None:
     """Add the command to the application."""
@@ -23,32 +50,19 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable()
 def generate_sim(
-    out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")],
-    episodes: Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")],
-    scene: Annotated[
-        str | None,
-        typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects."),
-    ] = None,
-    seed: Annotated[int, typer.Option("--seed", metavar="K", help="Seed of all that is random.")] = 1,
-    effects: Annotated[
-        Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")
-    ] = None,
-    policies: Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")] = None,
-    policy_file: Annotated[
-        Path | None,
-        typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
-    ] = None,
-    duration_s: Annotated[
-        float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
-    ] = 3.2,
-    noise: Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")] = True,
-    jobs: Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")] = None,
-    withhold: Annotated[
-        str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
-    ] = None,
-    seal: Annotated[
-        Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")
-    ] = None,
+    out: Out,
+    episodes: Episodes,
+    scene: SceneName = None,
+    seed: Seed = 1,
+    objects: Objects = None,
+    effects: Effects = None,
+    policies: Policies = None,
+    policy_file: PolicyFile = None,
+    duration_s: Duration = 3.2,
+    noise: WithNoise = True,
+    jobs: Jobs = None,
+    withhold: Withhold = None,
+    seal: Seal = None,
     salt: Annotated[str | None, typer.Option("--salt", hidden=True)] = None,
 ) -> None:
     """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
@@ -72,6 +86,7 @@ def generate_sim(
             _scene(scene, effects_file, effects),
             episodes,
             seed,
+            objects=_objects(objects),
             effects=effects_file.effects if effects_file else (),
             policies=tuple(policies.split(",")) if policies else (),
             policy_file=policy_file,
@@ -98,6 +113,15 @@ def _kept_text(out: Path) -> str:
     version = newest_version(out)
     pending_count = sum(len(part.episodes) for part in pending_parts(out))
     return f"{pending_count + (len(members_of(out, version)) if version else 0)} episodes are kept in {out}"
+
+
+def _objects(text: str | None) -> tuple[str, ...]:
+    """Return the objects that are asked for, as names or folders; a file lists them."""
+    from candata.scenes.object_folder import listed_objects
+
+    if text is None:
+        return ()
+    return listed_objects(Path(text)) if text.endswith((".yaml", ".yml")) else console.words(text)
 
 
 def _scene(scene: str | None, effects_file: EffectsFile | None, path: Path | None) -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from candata_cli import console
+from candata_cli.object_commands import write_objects
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
@@ -275,9 +276,9 @@ def fetch(
     cache: Annotated[Path | None, typer.Option("--cache", metavar="FOLDER", help="Where downloads are kept.")] = None,
     append: Append = False,
 ) -> None:
-    """Fetch a public data set into a dataset, its hashes and licence checked."""
+    """Fetch a public data set into a dataset, or public objects into a folder; hashes and licence are checked."""
     from candata import __version__
-    from candata.fetch import SOURCES
+    from candata.fetch import SOURCES, FetchedObjects
     from candata.schema.manifest import Lineage
     from candata.user_folders import user_cache
 
@@ -288,6 +289,9 @@ def fetch(
     console.note(f"{source.summary}; {source.origin}; licence {source.licence}")
     with console.stoppable(f"files that were fetched whole are kept in {downloads}", goes_on=True):
         public_data = source.from_folder(folder) if folder is not None else source.download(downloads, console.note)
+    if isinstance(public_data, FetchedObjects):
+        write_objects(out, append, source, public_data)
+        return
     lineage = Lineage(
         operation=f"fetch {name}",
         config_digest=public_data.digest,

@@ -18,7 +18,9 @@ Examples:
 """
 Kind = Annotated[
     str | None,
-    typer.Argument(metavar="KIND", help="effects, models, formats, devices, policies, scenes or checks [all]."),
+    typer.Argument(
+        metavar="KIND", help="effects, models, formats, devices, policies, scenes, objects or checks [all]."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -29,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
 
 def list_plugins(kind: Kind = None, json: Json = False) -> None:
-    """List effects, models, formats, devices, policies, scenes and checks, and the package each comes from.
+    """List effects, models, formats, devices, policies, scenes, objects and checks, and the package each comes from.
 
     What another package brings and cannot be used is said on stderr, with exit code 3.
     """

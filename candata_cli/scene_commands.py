@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
@@ -31,13 +32,12 @@ Example:
 
 def register(app: typer.Typer) -> None:
     """Add the group `scene` to the application."""
-    group = typer.Typer(help="Look at scenes, and write repaired ones: a model and its roles.", no_args_is_help=True)
+    group = console.group(app, "scene", console.SCENE)
     group.command("list", epilog="Example: candata scene list")(list_)
     group.command("show", epilog="Example: candata scene show cube_toss")(show)
     group.command("init", epilog=_INIT_EXAMPLE)(init)
     group.command("servo", epilog=_SERVO_EXAMPLE)(servo)
     group.command("export", epilog=_EXPORT)(export)
-    app.add_typer(group, name="scene")
 
 
 def list_(json: Json = False) -> None:

@@ -134,4 +134,4 @@ FORMATS.load("table"), policy("push"), load_scene("cube_toss")
 def test_every_kind_has_a_registry_and_an_unknown_kind_lists_them(site):
     done = site.run("list", "effect")
     assert done.returncode == 2
-    assert "checks, devices, effects, formats, models, policies, scenes" in done.stderr
+    assert "checks, devices, effects, formats, models, objects, policies, scenes" in done.stderr

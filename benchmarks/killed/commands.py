@@ -20,6 +20,7 @@ SOURCES = (
     "whole.mcap",
     "table.csv",
     "map.yaml",
+    "block.obj",
     "model.xml",
     "effects.yaml",
     "net.yaml",
@@ -46,6 +47,8 @@ MODEL = """<mujoco>
   <actuator><position name="drive" joint="hinge" kp="1"/></actuator>
 </mujoco>
 """
+#: A corner of a block: a mesh of four triangles.
+BLOCK = "v 0 0 0\nv .06 0 0\nv 0 .04 0\nv 0 0 .03\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 EFFECTS = """scene: gripper_tabletop
 effects:
   - {name: object_mass, parameters: {mass_scale: 1.5}}
@@ -100,6 +103,11 @@ def commands() -> list[Command]:
         Command("inspect", ("inspect", "grip", "--html", "page.html"), lambda: files(".", "page.html"), 0.5),
         Command("scene init", ("scene", "init", "model.xml"), lambda: files(".", "scene.yaml")),
         Command("scene servo", ("scene", "servo", "--dataset", "driven", *new), lambda: files("new")),
+        Command(
+            "scene object add",
+            ("scene", "object", "add", "block.obj", "--mass", 0.1, *new),
+            lambda: files("new"),
+        ),
         Command("scene export", ("scene", "export", "--effects", "effects.yaml", *new), lambda: files("new")),
         Command("recover", ("recover", "torn.mcap", "--out", "new.mcap"), lambda: messages("new.mcap")),
         Command("diagnose", ("diagnose", *grip, *new, "--cache-dir", "kept"), lambda: report("new"), 0.25),
@@ -252,6 +260,7 @@ def prepare() -> list[int]:
         f"file: table.csv\nsource: sim\nepisode: episode\ntime_s: t\nrate_hz: 80\nchannels: {channels}\n"
     )
     Path("net.yaml").write_text("{width: 16, layers: 1}")
+    Path("block.obj").write_text(BLOCK)
     Path("model.xml").write_text(MODEL)
     Path("effects.yaml").write_text(EFFECTS)
     scene = load_scene("cube_toss")

@@ -30,8 +30,36 @@ class FetchedEpisodes:
 
 
 @dataclass(frozen=True)
+class FetchedObject:
+    """An object at hand: its name, the folder of its meshes (`visual.obj`, `convex_0.stl`, ...), its mass [kg]."""
+
+    name: str
+    folder: Path
+    mass_kg: float
+
+
+@dataclass(frozen=True)
+class FetchedObjects:
+    """Checked objects at hand.
+
+    Attributes
+    ----------
+    objects : iterator of FetchedObject
+        The objects, each checked when it is taken.
+    count : int
+        How many they are.
+    notice : str
+        The licence text that has to stay with every copy.
+    """
+
+    objects: Iterator[FetchedObject]
+    count: int
+    notice: str
+
+
+@dataclass(frozen=True)
 class PublicDataset:
-    """A public data set.
+    """A public set of episodes, or of objects.
 
     Attributes
     ----------
@@ -44,17 +72,17 @@ class PublicDataset:
     licence : str
         SPDX name of its licence.
     from_folder : callable
-        `(folder) -> Fetched`, from a prepared folder, hashes checked.
+        `(folder) -> FetchedEpisodes` or `FetchedObjects`, from a prepared folder, hashes checked.
     download : callable
-        `(cache folder, say) -> Fetched`, from its public place; `say` takes lines about the progress.
+        `(cache folder, say)` to the same, from its public place; `say` takes lines about the progress.
     """
 
     name: str
     summary: str
     origin: str
     licence: str
-    from_folder: Callable[[Path], FetchedEpisodes]
-    download: Callable[[Path, Callable[[str], None]], FetchedEpisodes]
+    from_folder: Callable[[Path], FetchedEpisodes | FetchedObjects]
+    download: Callable[[Path, Callable[[str], None]], FetchedEpisodes | FetchedObjects]
 
 
 SOURCES = Registry("sources", "candata.fetch", "SOURCE", PublicDataset, "summary")

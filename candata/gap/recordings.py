@@ -157,7 +157,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     Raises
     ------
     DataError
-        When no episode fits the scene: of the first, what does not fit.
+        When no episode fits the scene: of the first, what does not fit. When they were played with several objects.
     """
     driven, off_notes = _while_driven(list(episodes))
     found, shared, notes = _sound(scene, driven)
@@ -175,6 +175,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
             found=" and ".join(sorted(timings)),
             fix="import them with the same `force` in map.yaml",
         )
+    _refuse_several_objects(found)
     columns = [_columns(scene, e) for e in found]
     length = max(len(e) for e in found)
     readings = {
@@ -206,6 +207,19 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
         unscaled_effort=any("joint_effort" in e.meta.unscaled for e in found),
         supply=supply,
     )
+
+
+def _refuse_several_objects(episodes: Sequence[Episode]) -> None:
+    """Refuse episodes that say they were played in scenes with different objects: one scene replays them."""
+    objects = {e.meta.labels["scene_digest"]: e.meta.object for e in episodes if "scene_digest" in e.meta.labels}
+    if len(objects) > 1:
+        names = sorted(map(str, objects.values()))
+        raise DataError(
+            "the episodes are of several objects",
+            expected="one object, as the scene has",
+            found=", ".join(names),
+            fix=f"candata registry filter DATASET \"object = '{names[0]}'\" --out NEW, then --scene SCENE+OBJECT",
+        )
 
 
 def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ...]]:

@@ -11,8 +11,9 @@ from typing import Literal
 import mujoco
 import yaml
 
+from candata.errors import SceneError
 from candata.scenes import Scene
-from candata.scenes.assemble import assemble
+from candata.scenes.assemble import OBJECT_MARK, assemble
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.schema.scene import SceneFile
@@ -90,8 +91,15 @@ def _spec(scene: Scene) -> mujoco.MjSpec:
     Raises
     ------
     SceneError
-        When the scene's file is gone or cannot be read.
+        When the scene's file is gone or cannot be read, or the scene holds another object than its files do.
     """
+    if not is_file(scene) and OBJECT_MARK in scene.name:
+        raise SceneError(
+            f"scene {scene.name} holds an object that its model does not",
+            expected="a built-in scene, or a scene.yaml",
+            found=f"another object after {OBJECT_MARK}",
+            fix="make an MJCF that attaches the object's scene.xml, then candata scene init",
+        )
     if not is_file(scene):
         return SCENES.load(scene.name).build()
     return read_model(_source(scene))

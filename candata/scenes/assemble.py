@@ -17,6 +17,8 @@ from candata.scenes import motors, sensors, transmission
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
+from candata.scenes.object_change import replace_object
+from candata.scenes.object_folder import named_object
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.effect import EffectSetting
 from candata.schema.scene import SceneFile, Servo
@@ -24,6 +26,8 @@ from candata.schema.yaml_text import read_yaml
 
 #: Endings of files that are models.
 _MODELS = (".xml", ".urdf", ".mjcf", ".mjb", ".xacro")
+#: Stands between a scene and the object that takes the place of its own.
+OBJECT_MARK = "+"
 #: Physics step of a model that names none [s] (MuJoCo XML reference, option/timestep).
 USUAL_STEP_S = 0.002
 #: Physics steps a control step. Measured: this many of `cube_toss`, the lightest scene, take half a second.
@@ -218,24 +222,36 @@ def _carrier(model: mujoco.MjModel, tip: str) -> int:
 def load_scene(name: str | Path) -> Scene:
     """Return the scene of the library called `name`, or the one a `scene.yaml` describes.
 
+    `SCENE+OBJECT` is that scene with another object in the place of its own: a registered one, or that of a folder.
+
     Raises
     ------
     SceneError
-        When the model does not compile or lacks a name that the scene uses.
+        When the model does not compile or lacks a name that the scene uses, or cannot hold the object.
     UsageError
         When the file is missing or not valid.
     DataError
         When it, the model or a file that the model names is a Git LFS pointer.
     """
+    base, plus, object_name = str(name).rpartition(OBJECT_MARK)
+    if not plus or Path(name).exists():
+        return assemble(str(name), *_source(name))
+    file, spec, policies = _source(base)
+    replace_object(base, file, spec, named_object(object_name))
+    return assemble(str(name), file, spec, policies)
+
+
+def _source(name: str | Path) -> tuple[SceneFile, mujoco.MjSpec, tuple[str, ...]]:
+    """Return the roles of a scene, its model, and the policies that suit it."""
     path = Path(name)
     if path.suffix in (".yaml", ".yml"):
-        return _from_file(path)
+        return (*_from_file(path), ())
     if str(name) not in SCENES:
         if path.suffix.lower() in _MODELS or path.exists():
             raise _no_scene(path)
         raise UnknownNameError("scene", str(name), SCENES.names(), Where(path="give a .yaml path for your own"))
     builtin = SCENES.load(str(name))
-    return assemble(str(name), builtin.file, builtin.build(), builtin.policies)
+    return builtin.file, builtin.build(), builtin.policies
 
 
 def _no_scene(path: Path) -> UsageError:
@@ -254,8 +270,8 @@ def _no_scene(path: Path) -> UsageError:
     )
 
 
-def _from_file(path: Path) -> Scene:
-    """Return the scene of a `scene.yaml`."""
+def _from_file(path: Path) -> tuple[SceneFile, mujoco.MjSpec]:
+    """Return the roles and the model of a `scene.yaml`."""
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     file = SceneFile.parse(read_yaml(path), path)
@@ -266,7 +282,7 @@ def _from_file(path: Path) -> Scene:
         kind = kind_of(source)
         kind_found = f"is {kind}, no file" if kind else "does not exist"
         raise SceneError(f"model {file.model} {kind_found}", expected=str(source), where=Where(path=str(path)))
-    return assemble(str(path), file, read_model(source))
+    return file, read_model(source)
 
 
 def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[str, ...] = ()) -> Scene:

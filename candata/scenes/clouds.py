@@ -25,12 +25,13 @@ class _Surface(NamedTuple):
 
 
 def surface_cloud(scene: Scene, points: int = POINTS, seed: int = SEED) -> NDArray[np.float32]:
-    """Return `(points, 3) float32 [m]` in the object's frame, uniform over the area of its geoms.
+    """Return `(points, 3) float32 [m]` in the object's frame, uniform over the area of its surface.
 
     Parameters
     ----------
     scene : Scene
-        Its colliding geoms are sampled; all of the object's where none collides.
+        The meshes of its object that collide with nothing are sampled: they are what a camera sees, whereas convex
+        pieces fill hollows. Without such meshes its colliding geoms are; all of the object's where none collides.
     points, seed : int
         How many, and the seed of the sampling.
 
@@ -42,10 +43,8 @@ def surface_cloud(scene: Scene, points: int = POINTS, seed: int = SEED) -> NDArr
     if scene.object_id is None:
         raise SceneError(f"scene {scene.name} has no object", fix="name it: `object: BODY`")
     model, body = scene.model, scene.object_id
-    geoms = scene.object_geoms
-    if not len(geoms):
-        geoms = np.flatnonzero(np.isin(model.geom_bodyid, list(subtree(model, body))))
-    surfaces = {int(g): s for g in geoms if (s := _surface(model, int(g))) is not None}
+    all_geoms = np.flatnonzero(np.isin(model.geom_bodyid, list(subtree(model, body))))
+    surfaces = {int(g): s for g in _seen_geoms(scene, all_geoms) if (s := _surface(model, int(g))) is not None}
     if not surfaces:
         raise SceneError(f"object {scene.file.object} has no surface", expected="a geom that is a solid")
     data = mujoco.MjData(model)
@@ -58,6 +57,13 @@ def surface_cloud(scene: Scene, points: int = POINTS, seed: int = SEED) -> NDArr
         for n, (g, s) in zip(counts, surfaces.items(), strict=True)
     ]
     return rotate(conjugate(data.xquat[body]), np.concatenate(world) - data.xpos[body]).astype(np.float32)
+
+
+def _seen_geoms(scene: Scene, geoms: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return those of the object's geoms that make its surface: visual meshes, else what collides, else all."""
+    meshes = geoms[scene.model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]
+    visual_meshes = np.setdiff1d(meshes, scene.object_geoms)
+    return next((g for g in (visual_meshes, scene.object_geoms) if len(g)), geoms)
 
 
 def _surface(model: mujoco.MjModel, geom: int) -> _Surface | None:

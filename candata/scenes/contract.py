@@ -1,13 +1,15 @@
-"""The contracts of a hand and of a built-in scene."""
+"""The contracts of a hand, of an object and of a built-in scene."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import mujoco
 
 from candata.plugins import Registry
+from candata.schema.object import ObjectFile
 from candata.schema.scene import SceneFile
 
 
@@ -56,5 +58,32 @@ class BuiltinScene:
     about: str
 
 
+@dataclass(frozen=True)
+class SceneObject:
+    """An object that a scene may hold.
+
+    Attributes
+    ----------
+    file : ObjectFile
+        The same record as a user's `object.yaml`; the name in it is the registered one.
+    folder : Path, optional
+        Where the files of its meshes lie; None where it has none.
+    """
+
+    file: ObjectFile
+    folder: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """Name of the object, and of its body in a scene."""
+        return self.file.name
+
+    @property
+    def about(self) -> str:
+        """One line for people."""
+        return self.file.about
+
+
 HANDS = Registry("hands", "candata.scenes.hands", "HAND", Hand, "name")
+OBJECTS = Registry("objects", "candata.scenes.objects", "OBJECT", SceneObject, "about")
 SCENES = Registry("scenes", "candata.scenes.library", "SCENE", BuiltinScene, "about")

@@ -16,6 +16,7 @@ from candata.schema.effect import EffectsFile
 from candata.schema.episode import EpisodeMeta
 from candata.schema.exchange import ExportFile, FeatureMap
 from candata.schema.manifest import DatasetFile, PartFile, TagFile, VersionFile
+from candata.schema.object import ObjectFile, ObjectList
 from candata.schema.record import Record
 from candata.schema.registry import RegistryFile, RemoteVersion
 from candata.schema.report import Report
@@ -33,6 +34,8 @@ _READ_RECORDS: dict[str, type[Record]] = {
     "label": Label,
     "labels": LabelsFile,
     "map": TableMap,
+    "object": ObjectFile,
+    "objects": ObjectList,
     "scene": SceneFile,
     "topics": TopicMap,
 }

@@ -12,6 +12,7 @@ from candata.errors import DataError, Where
 from candata.policies import Motion, Plan, motion_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
+from candata.scenes.assemble import OBJECT_MARK
 from candata.schema.contact import fingertip_contact
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
@@ -47,6 +48,8 @@ class EpisodeJob:
         Seed of the sensor noise, where it is not `seed`.
     motion : Motion, optional
         What to play instead of a policy.
+    object : str, optional
+        Name of the object that is in the place of the scene's own; the episode then bears the digest of its scene too.
     """
 
     id: str
@@ -58,6 +61,7 @@ class EpisodeJob:
     point_cloud: str | None = None
     noise_seed: int | None = None
     motion: Motion | None = None
+    object: str | None = None
 
 
 def make_episodes(
@@ -187,12 +191,14 @@ def _episode(
 
 def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMeta:
     """Return who, what, when."""
+    # The object by its name: where its folder lies decides nothing.
+    base, mark, _ = scene.name.rpartition(OBJECT_MARK)
     return EpisodeMeta(
         id=job.id,
         source="sim",
         rate_hz=scene.file.rate_hz,
-        scene=scene.name,
-        object=scene.file.object,
+        scene=scene.name if job.object is None else f"{base}{mark}{job.object}",
+        object=job.object or scene.file.object,
         task=job.policy,
         seed=None if job.hidden else job.seed,
         effects=None if job.hidden else job.effects,
@@ -201,6 +207,7 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMet
         fingertip_names=scene.file.fingertips,
         contact_rule=rule,
         point_cloud=job.point_cloud,
+        labels={} if job.object is None else {"scene_digest": scene.digest},
     )
 
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from candata import __version__
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
@@ -17,6 +19,7 @@ from candata.errors import UsageError, Where
 from candata.policies import read_motions
 from candata.scenes import Scene, load_scene
 from candata.scenes.clouds import surface_cloud
+from candata.scenes.object_folder import named_object
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.simulate import seal as seals
@@ -49,6 +52,7 @@ def generate(
     episodes: int,
     seed: int,
     *,
+    objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
@@ -72,6 +76,9 @@ def generate(
         Name of a scene, or path of a `scene.yaml`.
     episodes, seed : int
         How many, and the seed of all that is random in them.
+    objects : sequence of str
+        Objects that take turns in the place of the scene's own, each for one round of the motions: registered names, or
+        folders. An episode then names its object, and `labels` its scene's digest.
     effects : sequence of EffectSetting
         Effects of every episode.
     policies : sequence of str
@@ -102,6 +109,7 @@ def generate(
     _check_count(episodes, seed, workers)
     recipe = GenerationRecipe(
         scene=scene,
+        objects=tuple(objects),
         seed=seed,
         effects=tuple(effects),
         policies=tuple(policies) or possible_policies(model),
@@ -110,15 +118,42 @@ def generate(
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
-    check(recipe, model)
+    held_objects = _held_objects(recipe, model)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
-    history = lineage(recipe, model, _tools())
+    digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
+    history = lineage(recipe, model, _tools(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
     root = create_dataset(out, exist_ok=True)
-    if model.object_id is not None:
-        recipe = recipe.model_copy(update={"point_cloud": put_cloud(root, surface_cloud(model))})
+    recipe = recipe.model_copy(update={"point_clouds": tuple(put_cloud(root, held.cloud) for held in held_objects)})
     return _complete(root, recipe, episodes, history, workers, progress, note)
+
+
+@dataclass(frozen=True)
+class _HeldObject:
+    """An object of a set: its name, the digest of the scene that holds it, and points on its surface."""
+
+    name: str
+    scene_digest: str
+    cloud: NDArray[np.float32]
+
+
+def _held_objects(recipe: GenerationRecipe, model: Scene) -> tuple[_HeldObject, ...]:
+    """Return the objects of a set, once it is known that all can be simulated; none of a scene without an object."""
+    if not recipe.objects:
+        check(recipe, model)
+        name = model.file.object
+        return () if name is None else (_HeldObject(name, model.digest, surface_cloud(model)),)
+    names = [named_object(asked_name).name for asked_name in recipe.objects]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError("an object is named twice", expected="objects of different names", found=", ".join(repeated))
+    held_objects = []
+    for name, scene_name in zip(names, recipe.scenes, strict=True):
+        scene = load_scene(scene_name)
+        check(recipe, scene)
+        held_objects.append(_HeldObject(name, scene.digest, surface_cloud(scene)))
+    return tuple(held_objects)
 
 
 def _complete(
@@ -158,8 +193,9 @@ def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policie
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
     """Return the recipe with the drawn effect, its own random stream and its commitment."""
-    if recipe.effects:
-        raise UsageError("effects and a withheld effect at once", fix="leave one of them out")
+    for given, words in ((recipe.effects, "effects"), (recipe.objects, "several objects")):
+        if given:
+            raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")
     if out.resolve() in withheld.seal.resolve().parents:
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
     if (out / DATASET).exists() and not withheld.seal.exists():

@@ -13,6 +13,8 @@ from candata import __version__
 from candata.errors import DataError, UsageError, Where
 from candata.policies import Motion, policy, policy_names, read_motions
 from candata.scenes import Scene
+from candata.scenes.assemble import OBJECT_MARK
+from candata.scenes.object_folder import named_object
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.schema.record import Record
@@ -29,7 +31,9 @@ class GenerationRecipe(Record):
 
     `scene` is what `load_scene` takes; `seed` feeds the episodes' random streams; `sealed` is null for a set
     whose effects everybody may know, else the commitment of a withheld one. With a `policy_file` (its content named
-    by `policy_digest`) the motions of the file take turns, and `policies` are their names.
+    by `policy_digest`) the motions of the file take turns, and `policies` are their names. `objects` are what
+    `named_object` takes; they take turns in the place of the scene's own, each for one round of the policies.
+    `point_clouds` has one name for each of `scenes`; nothing where the scene has no object.
     """
 
     scene: str
@@ -40,8 +44,18 @@ class GenerationRecipe(Record):
     policy_digest: str | None = None
     duration_s: float
     noise: bool
-    point_cloud: str | None = None
+    objects: tuple[str, ...] = ()
+    point_clouds: tuple[str, ...] = ()
     sealed: str | None = None
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """What `load_scene` takes for the scene with each of the objects; the scene alone without any."""
+        return tuple(f"{self.scene}{OBJECT_MARK}{name}" for name in self.objects) or (self.scene,)
+
+    def scene_turn(self, index: int) -> int:
+        """Return which of `scenes` episode `index` plays in."""
+        return index // len(self.policies) % len(self.scenes)
 
 
 def check(recipe: GenerationRecipe, scene: Scene) -> None:
@@ -78,7 +92,7 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
 
 def job(recipe: GenerationRecipe, index: int, motions: Sequence[Motion] = ()) -> EpisodeJob:
     """Return the job of episode `index`; policies, or the motions of a file, take turns."""
-    turn = index % len(recipe.policies)
+    turn, scene_turn = index % len(recipe.policies), recipe.scene_turn(index)
     return EpisodeJob(
         id=episode_id(recipe, index),
         index=index,
@@ -86,7 +100,8 @@ def job(recipe: GenerationRecipe, index: int, motions: Sequence[Motion] = ()) ->
         seed=recipe.seed,
         effects=recipe.effects,
         hidden=recipe.sealed is not None,
-        point_cloud=recipe.point_cloud,
+        point_cloud=recipe.point_clouds[scene_turn] if recipe.point_clouds else None,
+        object=named_object(recipe.objects[scene_turn]).name if recipe.objects else None,
         motion=motions[turn] if motions else None,
     )
 
@@ -126,8 +141,11 @@ def chunks(episodes: int) -> list[range]:
     return [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
 
 
-def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str]) -> Lineage:
-    """Return how the set came to be; of a withheld set neither seed nor effects, only the commitment."""
+def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], object_digests: dict[str, str]) -> Lineage:
+    """Return how the set came to be; of a withheld set neither seed nor effects, only the commitment.
+
+    `object_digests` names the objects that take turns, with the digest of the scene that holds each.
+    """
     is_withheld = recipe.sealed is not None
     details = {
         "scene": scene.name,
@@ -136,6 +154,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str]) -> Li
         "duration_s": recipe.duration_s,
         "noise": recipe.noise,
     }
+    if object_digests:
+        details["objects"] = object_digests
     if recipe.policy_digest is not None:
         details["policy_file"] = recipe.policy_digest
     if not is_withheld:

@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Any, NoReturn, TypeVar
 
 from candata.scenes import Scene, load_scene
+from candata.schema.episode import Episode
 from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
 
 T = TypeVar("T")
@@ -57,15 +58,19 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
     from candata.simulate.episodes import make_episodes
 
     plan = GenerationRecipe.model_validate_json(recipe)
-    scene = _scene(plan.scene)
-    motions = motions_of(plan, scene)
-    episodes = make_episodes(
-        scene,
-        [job(plan, n, motions) for n in numbers],
-        duration_s=plan.duration_s,
-        noise=scene.file.noise if plan.noise else None,
-    )
-    return write_part(out, episodes, producer(config)).id
+    by_scene: dict[str, list[int]] = {}
+    for number in numbers:
+        by_scene.setdefault(plan.scenes[plan.scene_turn(number)], []).append(number)
+    episode_of: dict[int, Episode] = {}
+    for name, scene_numbers in by_scene.items():
+        scene = _scene(name)
+        motions = motions_of(plan, scene)
+        noise = scene.file.noise if plan.noise else None
+        batch = [job(plan, number, motions) for number in scene_numbers]
+        episode_of |= zip(
+            scene_numbers, make_episodes(scene, batch, duration_s=plan.duration_s, noise=noise), strict=True
+        )
+    return write_part(out, [episode_of[number] for number in numbers], producer(config)).id
 
 
 def producer(config: str) -> dict[str, str]:

@@ -23,6 +23,7 @@ _HOMES = {
     "EffectConformance": "candata.testing.effects",
     "FormatConformance": "candata.testing.formats",
     "ModelConformance": "candata.testing.models",
+    "ObjectConformance": "candata.testing.objects",
     "PolicyConformance": "candata.testing.policies",
     "SceneConformance": "candata.testing.scenes",
 }
@@ -33,6 +34,7 @@ __all__ = [
     "EffectConformance",
     "FormatConformance",
     "ModelConformance",
+    "ObjectConformance",
     "PolicyConformance",
     "SceneConformance",
 ]

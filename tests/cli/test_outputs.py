@@ -37,6 +37,7 @@ NEW = (
     ("registry", "relabel", NOWHERE, "--set", "task=a", "--out"),
     ("record-real", "--port", NOWHERE, "--out"),
     ("scene", "export", "--effects", NOWHERE, "--out"),
+    ("scene", "object", "add", NOWHERE, "--mass", 1, "--out"),
 )
 DATASETS = ((*GENERATE, "--out"), ("registry", "pull", NOWHERE, NOWHERE, "--out"))
 FILES = (

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.mutated.readers import FORMATS, READERS, STORES, TEXTS
+from tests.mutated.readers import FORMATS, MESHES, READERS, STORES, TEXTS
 from tests.mutated.running import MOST_BYTES, READ, REFUSED, run_readers, tally
 
-GROUPS = {"formats": tuple(FORMATS), "stores": tuple(STORES), "texts": tuple(TEXTS)}
+GROUPS = {"formats": tuple(FORMATS), "stores": tuple(STORES), "texts": tuple(TEXTS), "meshes": tuple(MESHES)}
 #: Inputs of the long test, of all readers together.
 INPUTS = 10_000
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +131,48 @@ def _arm(text: str) -> Any:
     with tempfile.TemporaryDirectory() as made:
         _scene(Path(made), 1)
         return load_scene(Path(made) / "scene.yaml")
+
+
+def _mesh(ending: str) -> Callable[[Path, int], None]:
+    """Return what writes a mesh of `rows` boxes in a row as a file of a kind."""
+
+    def write(folder: Path, rows: int) -> None:
+        import trimesh
+
+        beams = [trimesh.creation.box((0.02, 0.03, 0.05)).apply_translation((0.03 * k, 0, 0)) for k in range(rows)]
+        trimesh.util.concatenate(beams).export(folder / f"mesh.{ending}")
+
+    return write
+
+
+def _read_mesh(ending: str) -> Callable[[Path], object]:
+    """Return what makes an object of a mesh, after two drops from random attitudes."""
+
+    def read(folder: Path) -> object:
+        import tempfile
+
+        from candata.scenes.object_making import ObjectSource, make_object
+
+        with tempfile.TemporaryDirectory() as made:
+            source = ObjectSource(folder / f"mesh.{ending}", "thing", 0.1)
+            return make_object(source, Path(made) / "thing", drops=2).scene_object.file
+
+    return read
+
+
+def _object(folder: Path, rows: int) -> None:
+    """Write an object of a box."""
+    rest = {"quaternion": [1, 0, 0, 0], "height_m": 0.025, "probability": 0.5, "tilt_rad": 0.0}
+    shape = {"type": "box", "size_m": [0.01, 0.015, 0.025]}
+    fields = {"name": "brick", "about": "a brick", "mass_kg": 0.1 * rows, "visual": shape, "inertia": "exact"}
+    write_map(folder / "object.yaml", **fields, pieces=[shape] * rows, rests=[rest])
+
+
+def _read_object(folder: Path) -> object:
+    """Return the digest of a scene with an object."""
+    from candata.scenes import load_scene
+
+    return load_scene(f"cube_toss+{folder}").digest
 
 
 def _read_effects(folder: Path) -> object:
@@ -301,6 +343,7 @@ STORES: Mapping[str, Reader] = {
     "seal": Reader(_sealed, _read_sealed),
 }
 TEXTS: Mapping[str, Reader] = {
+    "object_yaml": Reader(_object, _read_object),
     "scene_yaml": Reader(_scene, _read_scene, "scene.yaml"),
     "effects_yaml": Reader(_scene, _read_effects, "effects.yaml"),
     "map_yaml": Reader(table("parquet"), imported("table", "map.yaml"), "map.yaml"),
@@ -310,4 +353,7 @@ TEXTS: Mapping[str, Reader] = {
     "bag_metadata": Reader(bag_folder, imported("mcap", "bag", "topics.yaml"), "bag/*.yaml"),
     "beside_yaml": Reader(_poses_beside, _read_beside, "map.yaml"),
 }
-READERS: Mapping[str, Reader] = {**FORMATS, **STORES, **TEXTS}
+MESHES: Mapping[str, Reader] = {
+    f"mesh_{ending}": Reader(_mesh(ending), _read_mesh(ending)) for ending in ("obj", "ply", "stl")
+}
+READERS: Mapping[str, Reader] = {**FORMATS, **STORES, **TEXTS, **MESHES}

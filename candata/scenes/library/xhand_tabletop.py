@@ -6,6 +6,9 @@ import mujoco
 import numpy as np
 
 from candata.scenes.contract import HANDS, BuiltinScene
+from candata.scenes.objects.can import HALF_HEIGHT_M as CAN_HALF_HEIGHT_M
+from candata.scenes.objects.can import MASS_KG as CAN_MASS_KG
+from candata.scenes.objects.can import RADIUS_M as CAN_RADIUS_M
 from candata.schema.scene import Noise, SceneFile
 
 RATE_HZ = 80.0
@@ -16,7 +19,6 @@ WRIST = ("wrist_x", "wrist_y", "wrist_z")
 FINGERS = ("thumb", "index", "mid", "ring", "pinky")
 #: Wrist rails: stiffness [N/m] and damping [N s/m], about critical for the 1.7 kg that they carry.
 WRIST_KP, WRIST_KV, WRIST_LIMIT_N = 3000.0, 140.0, 120.0
-CAN_RADIUS_M, CAN_HALF_HEIGHT_M, CAN_MASS_KG = 0.030, 0.060, 0.25
 CAN_START_M = (0.138, 0.058)
 HAND_HEIGHT_M = 0.085
 #: Collision bit of what stands on the table (MuJoCo manual, "contype"); the hand never reaches the table itself.

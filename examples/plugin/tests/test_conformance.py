@@ -1,5 +1,6 @@
 """What every plug-in must keep: two lines each."""
 
+from candata_example.coaster import OBJECT
 from candata_example.frozen_pose import RULE
 from candata_example.json_lines import FORMAT
 from candata_example.linear import MODEL
@@ -14,6 +15,7 @@ from candata.testing import (
     EffectConformance,
     FormatConformance,
     ModelConformance,
+    ObjectConformance,
     PolicyConformance,
     SceneConformance,
 )
@@ -41,6 +43,10 @@ class TestWave(PolicyConformance):
 
 class TestTwoFingerTabletop(SceneConformance):
     scene = SCENE
+
+
+class TestCoaster(ObjectConformance):
+    object = OBJECT
 
 
 class TestFrozenPose(CheckConformance):
