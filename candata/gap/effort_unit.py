@@ -54,12 +54,12 @@ def with_effort_unit(
     why = f"is {wrong[0]:.2g} times the simulated torque: its unit is not believed" if wrong else ""
     lost = [name for name, row in zip(replayer.scene.file.joints, law, strict=True) if np.isnan(row).any()]
     note = _told("has no unit" if recs.unscaled_effort else why, lost, len(law), reference is not None)
-    rate_hz, is_lost = replayer.scene.file.rate_hz, len(lost) == len(law)
-    new, old = (
-        r if r is None else _without_effort(r) if is_lost else _as_torque(r, law, rate_hz) for r in (recs, reference)
-    )
-    assert new is not None
-    return replace(new, notes=(*new.notes, note), unscaled_effort=reference is None), old
+
+    def converted(some: Recordings) -> Recordings:
+        return _without_effort(some) if len(lost) == len(law) else _as_torque(some, law, replayer.scene.file.rate_hz)
+
+    new = replace(converted(recs), notes=(*recs.notes, note), unscaled_effort=reference is None)
+    return new, None if reference is None else converted(reference)
 
 
 def _laws(replayer: Replayer, source: Recordings) -> tuple[Array, list[float]]:

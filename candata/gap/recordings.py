@@ -14,6 +14,7 @@ from candata.datasets import Dataset
 from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
+from candata.gap.recorded_columns import ALONGSIDE, held_commands, masked, recorded_columns
 from candata.gap.spikes import without_jumps
 from candata.gap.supply import CHANNEL, followed_supply
 from candata.gap.velocity import with_aligned_velocity
@@ -21,12 +22,10 @@ from candata.scenes import Scene
 from candata.schema.episode import Episode
 
 Array = NDArray[np.float64]
-#: Channels that are compared, and those that are where every episode holds them.
-COMPARED, ALONGSIDE = ("joint_position", "object_pose", "fingertip_force"), ("joint_velocity", "joint_effort")
+#: Channels that are compared, besides those of joints that are where every episode holds them.
+COMPARED = ("joint_position", "object_pose", "fingertip_force")
 #: Length of the blocks over which residuals are averaged [s].
 BLOCK_S = 0.05
-#: Recorded rate may differ this much from the scene's: clocks drift by parts per million, not by per cent.
-RATE_TOLERANCE = 0.02
 #: Share of the usual length, and of a channel's rows, below which an episode is no use.
 SHORT = 0.1
 #: A stamp may lie this many rows, or this share of the episode, from where the rate puts it: jitter, a drifting clock.
@@ -176,12 +175,12 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
             fix="import them with the same `force` in map.yaml",
         )
     _refuse_several_objects(found)
-    columns = [_columns(scene, e) for e in found]
+    columns = [recorded_columns(scene, e) for e in found]
     length = max(len(e) for e in found)
     readings = {
         c: np.stack(
             [
-                _padded(_masked(e, c)[:, cols[c]] if c != "object_pose" else _masked(e, c), length, np.nan)
+                _padded(masked(e, c)[:, cols[c]] if c != "object_pose" else masked(e, c), length, np.nan)
                 for e, cols in zip(found, columns, strict=True)
             ]
         )
@@ -191,7 +190,7 @@ def recordings(scene: Scene, episodes: Iterable[Episode]) -> Recordings:
     readings, spiky = without_jumps(readings, scene.file.joints)
     readings, late = with_aligned_velocity(readings, scene.file.rate_hz, scene.file.joints)
     commands = np.stack(
-        [_padded(_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
+        [_padded(held_commands(scene, e, cols), length, None) for e, cols in zip(found, columns, strict=True)]
     )
     supply, supply_notes = followed_supply(scene, found, length)
     return Recordings(
@@ -288,7 +287,7 @@ def fault_of(scene: Scene, episode: Episode, usual: float) -> DataError | None:
             where=Where(episode=episode.meta.id),
         )
     try:
-        _commands(scene, episode, _columns(scene, episode))
+        held_commands(scene, episode, recorded_columns(scene, episode))
     except DataError as fault:
         return fault
     return _off_beat(episode)
@@ -333,74 +332,6 @@ def _wanted(scene: Scene, channel: str) -> bool:
         "object_pose": scene.object_id is not None,
         "fingertip_force": len(scene.force_sensors) > 0,
     }[channel]
-
-
-def _columns(scene: Scene, episode: Episode) -> dict[str, NDArray[np.int64]]:
-    """Return, for each channel, the recorded columns in the scene's order."""
-    meta, file = episode.meta, scene.file
-    if abs(meta.rate_hz / file.rate_hz - 1) > RATE_TOLERANCE:
-        raise RateError(
-            "the episode's rate is not the scene's",
-            expected=f"{file.rate_hz:g} Hz",
-            found=f"{meta.rate_hz:g} Hz, {meta.rate_hz / file.rate_hz:.4g} times that",
-            where=Where(episode=meta.id),
-            fix="give map.yaml (or the episode) and scene.yaml the true rate of the recording",
-        )
-    pairs = {
-        **{c: (meta.joint_names, file.joints) for c in ("joint_position", *ALONGSIDE)},
-        "action": (meta.actuator_names, file.actuator_names),
-        "fingertip_force": (meta.fingertip_names, file.fingertips),
-    }
-    return {c: _order(episode, c, have, want) for c, (have, want) in pairs.items() if c in episode}
-
-
-def _order(episode: Episode, channel: str, have: Sequence[str], want: Sequence[str]) -> NDArray[np.int64]:
-    """Return the columns of `want` in what the episode has: by name, else by position when the count agrees."""
-    width = episode[channel].shape[1]
-    if set(want) <= set(have):
-        return np.array([list(have).index(name) for name in want], int)
-    if width != len(want):
-        raise DataError(
-            f"{channel} does not fit the scene",
-            expected=f"{len(want)} columns: {', '.join(want)}",
-            found=f"{width}: {', '.join(have) or 'without names'}",
-            where=Where(episode=episode.meta.id, channel=channel),
-            fix="list the same joints in scene.yaml and in the map, in the order of the columns",
-        )
-    return np.arange(width)
-
-
-def _masked(episode: Episode, channel: str) -> Array:
-    """Return a channel with NaN where it is not valid."""
-    values = np.array(episode[channel], float)
-    values[~episode.valid(channel)] = np.nan
-    return values
-
-
-def _commands(scene: Scene, episode: Episode, columns: dict[str, NDArray[np.int64]]) -> Array:
-    """Return `(T, A)` commands held over the step after each row; a gap holds the command before it."""
-    width = len(scene.actuator_ids)
-    if width == 0:
-        return np.zeros((len(episode), 0))
-    if "action" not in episode:
-        raise DataError(
-            "the scene has actuators but the episode has no commands",
-            expected="channel action",
-            found=", ".join(episode.arrays),
-            where=Where(episode=episode.meta.id),
-            fix="map the commands to `action`, or list no actuators in scene.yaml",
-        )
-    values = _masked(episode, "action")[:, columns["action"]]
-    for row in range(1, len(values)):
-        gap = ~np.isfinite(values[row])
-        values[row, gap] = values[row - 1, gap]
-    if not np.isfinite(values).all():
-        raise DataError(
-            "the first command is not valid", where=Where(episode=episode.meta.id, channel="action", index=0)
-        )
-    if episode.meta.action == "previous":
-        values = np.concatenate([values[1:], values[-1:]])
-    return values
 
 
 def _padded(values: Array, length: int, fill: float | None) -> Array:
