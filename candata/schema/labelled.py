@@ -18,7 +18,10 @@ class SizeLabel(Record):
 
 
 class LabelCause(Record):
-    """What a label changes in the library's words: any of `effects` is right; `size` where the label has a size."""
+    """What a label changes in the library's words: any of `effects` is right; `size` where the label has a size.
+
+    Without effects the label changes nothing that can be measured: settings that differ in it alone are nulls.
+    """
 
     effects: tuple[str, ...]
     size: SizeLabel | None = None

@@ -76,6 +76,12 @@ def test_all_pairs_and_halves_are_made(folder, tmp_path):
     assert sorted((*halves[0], *halves[1])) == sorted(labelled.episodes[gain])
 
 
+def test_a_label_that_changes_nothing_makes_nulls(folder):
+    (folder / "labels.yaml").write_text(LABELS.replace("same: group\n", "").replace("[armature, object_mass]", "[]"))
+    labels = {p.label for p in pairs_of(read_labelled(folder)) if {p.a, p.b} == {"gain-1_mass-1", "gain-1_mass-1.5"}}
+    assert labels == {None}
+
+
 def test_answers_are_held_to_the_labels(folder, tmp_path):
     labelled = read_labelled(folder)
 
