@@ -30,13 +30,14 @@ class LabelCause(Record):
 class LabelledSetFile(Record):
     """`labels.yaml`: a scene, a dataset, the table of settings, and what each of its labels changes.
 
-    `dataset` may be left out where the command names it.
+    `dataset` may be left out where the command names it. `effects` is a file of effects that the scene holds already.
     `settings` is a CSV file with a row for each episode: `episode`, and a column for each label. Without it the labels
     are those that the episodes keep. Episodes whose labels are the same are one setting. Settings with the same text in
     the column `same` cannot be told apart by any measurement. `cut_s` cuts long runs into episodes of that length [s].
     """
 
     scene: str
+    effects: str | None = None
     dataset: str | None = None
     settings: str | None = None
     causes: dict[str, LabelCause]

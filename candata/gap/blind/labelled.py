@@ -68,6 +68,11 @@ class LabelledSet(NamedTuple):
         path = self.folder / self.file.scene
         return str(path) if path.exists() else self.file.scene
 
+    @property
+    def effects(self) -> str | None:
+        """File of the effects that the scene holds already."""
+        return None if self.file.effects is None else str(self.folder / self.file.effects)
+
 
 def read_labelled(folder: Path, dataset: str | None = None) -> LabelledSet:
     """Return the labelled set of a folder, of its own recordings or of a dataset's folder or registered name.
@@ -246,7 +251,7 @@ def run_pairs(
     pairs = pairs_of(labelled)
     done = {(r.a, r.b): r for r in finished(out / PAIRS, PairResult)}
     advance(len(done))
-    tasks = [(str(out), labelled.scene, *p, seed) for p in pairs if (p.a, p.b) not in done]
+    tasks = [(str(out), labelled.scene, labelled.effects, *p, seed) for p in pairs if (p.a, p.b) not in done]
     for result in spread(out / PAIRS, diagnose_pair, tasks, crew, until):
         done[result.a, result.b] = result
         advance(1)
@@ -255,7 +260,8 @@ def run_pairs(
 
 def _keep_request(labelled: LabelledSet, out: Path, seed: int) -> None:
     """Write down what is asked for, unless the same is there: answers to another question would be scored with it."""
-    digests = {"dataset": labelled.dataset.digest, "scene": load_scene(labelled.scene).digest, "seed": seed}
+    scene = _scene(labelled.scene, labelled.effects)
+    digests = {"dataset": labelled.dataset.digest, "scene": scene.digest, "seed": seed}
     text = json.dumps({**digests, "labels": labelled.labels, "cut_s": labelled.file.cut_s}, indent=1) + "\n"
     path = out / REQUEST
     if path.exists() and path.read_text(encoding="utf-8") != text:
@@ -270,7 +276,7 @@ def _keep_request(labelled: LabelledSet, out: Path, seed: int) -> None:
 
 
 def diagnose_pair(
-    out: str, scene: str, a: str, b: str, label: str | None, ratio: float | None, seed: int
+    out: str, scene: str, effects: str | None, a: str, b: str, label: str | None, ratio: float | None, seed: int
 ) -> PairResult:
     """Return what the diagnosis of B against A says; runs in any process."""
     start, folder = time.process_time(), Path(out) / SETTINGS
@@ -278,7 +284,7 @@ def diagnose_pair(
     error = None
     try:
         data, reference = open_dataset(folder / b), open_dataset(folder / a)
-        world = _world(Path(out) / REFERENCES / f"{a}.json", load_scene(scene), reference, seed)
+        world = _world(Path(out) / REFERENCES / f"{a}.json", _scene(scene, effects), reference, seed)
         report = diagnose(data, world, seed=seed, against=reference, calibrate=False).report
     except CandataError as fault:
         error = str(fault)
@@ -286,12 +292,18 @@ def diagnose_pair(
     return PairResult(a=a, b=b, label=label, ratio=ratio, cpu_s=cpu_s, report=report, error=error)
 
 
+def _scene(scene: str, effects: str | None) -> Scene:
+    """Return a scene with the effects of a file as part of it."""
+    plain = load_scene(scene)
+    return plain if effects is None else with_effects(plain, read_effects(Path(effects)).effects)
+
+
 def _world(kept: Path, scene: Scene, reference: Dataset, seed: int) -> Scene:
     """Return the scene fitted to a reference: fitted once, for all pairs with that reference."""
     if not kept.exists():
         near = near_reference(reference, scene, seed=seed)
         write_text(kept, simulator(near, ()).model_dump_json(indent=1), "reference")
-    return with_effects(scene, read_effects(kept).effects)
+    return with_effects(scene.plain or scene, read_effects(kept).effects)
 
 
 def is_right(pair: PairResult, file: LabelledSetFile) -> bool:
