@@ -23,6 +23,8 @@ the episodes keep count):
   causes:
     gain: {effects: [servo_gain], size: {effect: servo_gain, parameter: kp_scale}}
     mass_kg: {effects: [link_mass]}
+It may also name a file of effects that the scene holds already (effects: effects.yaml). A label without effects
+(colour: {effects: []}) changes nothing that can be measured: settings that differ in it alone are nulls.
 """
 
 

@@ -1,4 +1,4 @@
-"""Commands on named datasets: add, list, info, tag, split, diff, filter, merge, relabel, log."""
+"""Commands on named datasets: add, list, info, tag, split, diff, filter, cut, merge, relabel, log."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ def register(app: typer.Typer) -> None:
     group.command("split", epilog=_SPLIT)(split)
     group.command("diff", epilog="Example: candata registry diff day1@1 day1")(diff)
     group.command("filter", epilog=_FILTER)(filter_episodes)
+    group.command("cut", epilog="Example: candata registry cut day1 --length-s 10 --out pieces")(cut_episodes)
     group.command("merge", epilog=_MERGE)(merge)
     group.command("relabel", epilog=_RELABEL)(relabel)
     group.command("log", epilog="Example: candata registry log day1")(log)
@@ -281,6 +282,27 @@ def filter_episodes(
     for name in ids:
         console.out(name)
     console.note(f"{len(ids)} of {len(data)} episodes")
+
+
+@console.stoppable()
+def cut_episodes(
+    dataset: Data,
+    out: Out,
+    length_s: Annotated[float, typer.Option("--length-s", min=0, help="Length of a piece [s].")],
+    json: Json = False,
+) -> None:
+    """Make a dataset of pieces of long episodes: a diagnosis then takes no longer than of short ones.
+
+    A piece is a motion of its own: its number ends its id and its task. The rest of an episode that is shorter than a
+    piece is left out.
+    """
+    from candata.datasets.cutting import cut
+
+    check_output(out, "new")
+    data = console.open_named(dataset)
+    with console.stoppable(lambda: console.written_clause(out)):
+        made = cut(data, length_s, out)
+    _print_made(out, made, json)
 
 
 @console.stoppable()

@@ -40,9 +40,9 @@ def _start(scene: Scene, x: Array, elements: Elements) -> _LagState:
 
 
 def _apply(state: _LagState, readings: Readings) -> tuple[_LagState, Readings]:
-    """Return the readings with lagging forces."""
+    """Return the readings with lagging forces; a lag begins at the first force that is known."""
     force = readings["fingertip_force"]
-    last_force = force if state.force is None else state.force
+    last_force = force if state.force is None else np.where(np.isfinite(state.force), state.force, force)
     lagged_force = np.where(state.share == 1, force, last_force + state.share * (force - last_force))
     return state._replace(force=lagged_force), {**readings, "fingertip_force": lagged_force}
 

@@ -155,8 +155,17 @@ def _since(diagnosis: Diagnosis, reference: str) -> Diagnosis:
     return replace(diagnosis, report=diagnosis.report.model_copy(update={"data": data}))
 
 
+def near_reference(reference: Dataset, scene: Scene, *, jobs: int = 1, seed: int = 0) -> Scene:
+    """Return the scene with the effects that bring it nearest to reference recordings.
+
+    `diagnose` does so itself; what it returned for one diagnosis serves others against the same reference. Parameters
+    are those of `diagnose`.
+    """
+    return _near(reference, Replayer(scene, jobs), seed)
+
+
 def _near(reference: Dataset, replayer: Replayer, seed: int) -> Scene:
-    """Return the scene with the effects that bring it nearest to reference recordings."""
+    """Return the scene of a replayer with the effects that bring it nearest to reference recordings."""
     try:
         problem = posed(reference, replayer, seed, None).problem
     except DataError:  # what contradicts the scene in both data sets is no news

@@ -100,7 +100,7 @@ def surpasses_nulls(problem: Problem, members: Members, index: int, gain: Array)
     copies, count = nulls.shape
     error = float(np.sqrt(nulls.var(axis=0, ddof=1).mean() / count * (1 + 1 / copies)))
     chance = BEYOND_CHANCE if leaves_gap(problem, rest, SURE_GAP) else BEYOND_CHANCE_WITHOUT_A_GAP
-    return bool(excess.mean() > max(BEYOND_NULLS * error, chance * standard_error(excess)))
+    return bool(excess.mean() > max(BEYOND_NULLS * error, chance * piece_error(excess, nulls)))
 
 
 def by_piece(values: Array, pieces: NDArray[np.int64]) -> Array:
@@ -111,10 +111,21 @@ def by_piece(values: Array, pieces: NDArray[np.int64]) -> Array:
     return np.stack([values[..., pieces == n].mean(-1) for n in numbers], axis=-1)
 
 
+def piece_error(values: Array, nulls: Array) -> float:
+    """Return the standard error of the mean over pieces of evidence `(P,)`.
+
+    A single piece tells no spread: then it is that of null recordings `(R, P)` of it.
+    """
+    return standard_error(values) if len(values) > 1 else float(nulls[:, 0].std(ddof=1))
+
+
 def leaves_gap(problem: Problem, members: Members, errors: float = 0.0) -> bool:
     """Tell whether the mismatch of a set lies beyond what null recordings show, by so many standard errors."""
-    loss = by_piece(problem.score.loss(problem.residuals([problem.setting(members)])[0]), problem.recs.independent)
-    return bool(loss.mean() - errors * standard_error(loss) > null_level(problem.score, problem.rng))
+    pieces, score = problem.recs.independent, problem.score
+    loss = by_piece(score.loss(problem.residuals([problem.setting(members)])[0]), pieces)
+    nulls = by_piece(score.null_loss, pieces)
+    level = null_level(replace(score, null_loss=nulls), problem.rng)
+    return bool(loss.mean() - errors * piece_error(loss, nulls) > level)
 
 
 def null_gains(problem: Problem, incumbent: Members, grown: Members, copies: int = COPIES) -> Array:

@@ -18,7 +18,10 @@ class SizeLabel(Record):
 
 
 class LabelCause(Record):
-    """What a label changes in the library's words: any of `effects` is right; `size` where the label has a size."""
+    """What a label changes in the library's words: any of `effects` is right; `size` where the label has a size.
+
+    Without effects the label changes nothing that can be measured: settings that differ in it alone are nulls.
+    """
 
     effects: tuple[str, ...]
     size: SizeLabel | None = None
@@ -27,13 +30,14 @@ class LabelCause(Record):
 class LabelledSetFile(Record):
     """`labels.yaml`: a scene, a dataset, the table of settings, and what each of its labels changes.
 
-    `dataset` may be left out where the command names it.
+    `dataset` may be left out where the command names it. `effects` is a file of effects that the scene holds already.
     `settings` is a CSV file with a row for each episode: `episode`, and a column for each label. Without it the labels
     are those that the episodes keep. Episodes whose labels are the same are one setting. Settings with the same text in
     the column `same` cannot be told apart by any measurement. `cut_s` cuts long runs into episodes of that length [s].
     """
 
     scene: str
+    effects: str | None = None
     dataset: str | None = None
     settings: str | None = None
     causes: dict[str, LabelCause]

@@ -34,6 +34,7 @@ NEW = (
     ("fetch", "cube-tosses", "--from", NOWHERE, "--out"),
     ("registry", "merge", NOWHERE, NOWHERE, "--out"),
     ("registry", "filter", NOWHERE, "rows > 1", "--out"),
+    ("registry", "cut", NOWHERE, "--length-s", 1, "--out"),
     ("registry", "relabel", NOWHERE, "--set", "task=a", "--out"),
     ("record-real", "--port", NOWHERE, "--out"),
     ("scene", "export", "--effects", NOWHERE, "--out"),

@@ -152,6 +152,7 @@ def test_merge_relabel_and_log(day1, episode):
     lines = out("registry", "log", "named").splitlines()
     assert lines[1].startswith("└─ relabel; set {'task': 'pick', 'object': None}; where id = 'a'; episodes 1; candata")
     assert sum("filter; where" in line for line in lines) == 2
+    assert out("registry", "cut", "both", "--length-s", "0.1", "--out", "pieces").startswith("pieces: ")
     tree = json.loads(out("registry", "log", "named", "--json"))
     assert tree["steps"][0]["parents"][0]["dataset"].startswith("both@")
     assert isinstance(run("registry", "relabel", "both", "--set", "task", "--out", "x").exception, UsageError)

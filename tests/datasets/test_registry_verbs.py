@@ -9,6 +9,7 @@ import pytest
 
 from candata.checks import check
 from candata.datasets import content_hash, history, open_dataset, put_cloud
+from candata.datasets.cutting import cut
 from candata.datasets.diff import diff
 from candata.datasets.filtering import COLUMNS, filter_dataset, matching_ids
 from candata.datasets.merging import merge, merge_into
@@ -259,6 +260,23 @@ def test_relabelling_what_leaves_some_out(mixed, tmp_path):
     filter_dataset(mixed, "id <> 'a' and id <> 'd'", tmp_path / "some")
     relabel(open_dataset(tmp_path / "some"), {"task": "x"}, "id = 'b'", tmp_path / "out")
     assert [(e.meta.id, e.meta.task) for e in open_dataset(tmp_path / "out")] == [("b", "x"), ("c", None), ("e", None)]
+
+
+def test_long_episodes_are_cut_into_motions_of_their_own(mixed, tmp_path):
+    long = mixed.episode("e")
+    length_s = 15 / long.meta.rate_hz
+    version = cut(mixed, length_s, tmp_path / "out")
+    pieces = list(open_dataset(tmp_path / "out").episodes(["e-0", "e-1"]))
+    assert [len(p) for p in pieces] == [15, 15]  # 10 of 40 rows are too few for a piece
+    assert [p.meta.task for p in pieces] == ["-0", "-1"]
+    assert all(p["time_ns"][0] == 0 for p in pieces)
+    for name in set(long.arrays) - {"time_ns"}:
+        np.testing.assert_array_equal(np.concatenate([p[name] for p in pieces]), long[name][:30])
+    assert version.lineage[-1].details == {"length_s": length_s}
+    with pytest.raises(DataError, match="shorter than a piece"):
+        cut(mixed, 60.0, tmp_path / "x")
+    with pytest.raises(UsageError, match="no length"):
+        cut(mixed, 0.0, tmp_path / "x")
 
 
 def test_diff_of_versions_and_of_datasets(mixed):

@@ -107,6 +107,15 @@ def test_a_lag_answers_a_step_as_first_order(hand):
     assert np.array_equal(plain, np.arange(30) > 0)
 
 
+def test_a_lag_begins_at_the_first_force_that_is_known(hand):
+    """A replay that starts later than its recording has no forces before: they were lost for all later rows too."""
+    forces = np.ones((1, 20, 5, 3))
+    forces[:, :8] = np.nan
+    forces[:, 8:10] = 0.0
+    read = sense(hand, {"fingertip_force": forces}, (setting("tactile_lag", timeconst_s=6e-4),))["fingertip_force"]
+    np.testing.assert_allclose(read, forces, atol=1e-6)  # 6e-4 s is a twentieth of a row: nothing is left of the lag
+
+
 def test_a_dead_band_swallows_small_components_and_no_others(hand):
     hook = build_worlds(hand, [(setting("tactile_dead_band", band_N=0.3),)]).reading[0]
     force = np.tile([0.29, -0.29, 2.0], (1, 5, 1))

@@ -51,27 +51,52 @@ def test_a_duty_word_above_half_its_range_is_negative():
     assert episode.meta.unscaled == ("joint_effort",)
 
 
-def test_a_pause_of_the_logger_is_no_reading_but_the_command_is_held():
-    stamps = np.r_[np.arange(10) * 0.0125, 1.5 + np.arange(10) * 0.0125]
-    rows = len(stamps)
-    trial = {
-        "speed": np.full(rows, 250.0),
+def contact_columns(stamps_s, angle, stage, speed=250.0):
+    """A trial of the finger in the columns of its table."""
+    rows = len(stamps_s)
+    return {
+        "speed": np.full(rows, speed),
         "force_limit_g": np.full(rows, 500.0),
         "Trial_Index": np.full(rows, 3.0),
         "Mode": np.array(["speed"] * rows, object),
-        "Stage": np.array(["open"] * 10 + ["contact"] * 10, object),
-        "Middle_Angle": np.full(rows, 1000.0),
+        "Stage": np.asarray(stage, object),
+        "Middle_Angle": np.asarray(angle, float),
         "Middle_Force_g": np.full(rows, 100.0),
         "Middle_Force_N": np.full(rows, 100.0),
         "Force_Trigger_g": np.full(rows, 300.0),
-        "Trial_Elapsed_s": stamps,
+        "Trial_Elapsed_s": np.asarray(stamps_s, float),
     }
-    (episode,) = rh56.episodes(trial)
-    pause = (episode.time_s > 0.12) & (episode.time_s < 1.49)
-    assert not episode.valid("joint_position")[pause].any()
+
+
+def closing(waited_s, paused_s=0.0):
+    """A finger that opens, is marked as closing, waits, and closes at 0.8 strokes a second; the log may pause."""
+    stamps = np.r_[np.arange(40), 120 + np.arange(200)] / rh56.RATE_HZ
+    since = stamps - 120 / rh56.RATE_HZ
+    angle = np.where(stamps < 0.3, 650, 1000 - 800 * np.clip(since - waited_s, 0, 0.4))
+    logged = (since < 0) | (since >= paused_s)
+    stage = np.where(since < 0, "open", "contact")
+    return contact_columns(stamps[logged], angle[logged], stage[logged])
+
+
+@pytest.mark.parametrize(("waited_s", "paused_s"), [(0.05, 0.0), (0.6, 0.0), (0.3, 0.5)])
+def test_the_finger_is_sent_where_it_starts_to_move(waited_s, paused_s):
+    """The log tells when a stage was marked, not when the hand took the target; it may pause meanwhile."""
+    (episode,) = rh56.episodes(closing(waited_s, paused_s))
+    sent = int(np.argmax(episode["action"][:, 0] < 1))
+    assert sent == rh56.REST_ROWS
+    stroke, seen = episode["joint_position"][:, 0], episode.valid("joint_position")
+    expected = 1 - 0.8 * np.clip((np.arange(len(episode)) - sent) / rh56.RATE_HZ, 0, 0.4)
+    # A row is 0.01 of the stroke at this pace.
+    np.testing.assert_allclose(stroke[seen], expected[seen], atol=0.011)
+
+
+def test_trials_of_one_speed_last_equally_long_and_rows_beyond_the_log_are_not_valid():
+    lengths = {len(e) for waited_s in (0.05, 0.6) for e in rh56.episodes(closing(waited_s))}
+    assert len(lengths) == 1
+    (episode,) = rh56.episodes(closing(1.0))
+    assert not episode.valid("joint_position")[-1]
+    assert episode.meta.invalid_counts["joint_position"] == (~episode.valid("joint_position")).sum()
     assert episode.valid("action").all()
-    assert (episode["action"][pause] == 1).all()
-    assert episode["action"][-1, 0] == 0
     # 100 gram-force against the pad, in newtons: not the source's column in N, which holds grams.
     assert episode["fingertip_force"][0, 0, 2] == pytest.approx(-100 * 9.80665e-3)
     assert dict(episode.meta.labels) == {
@@ -121,6 +146,10 @@ def test_the_prepared_arm(shared):
 def test_the_prepared_contacts(shared):
     episodes = list(rh56.TABLE.from_folder(shared / "realdata" / "rh56_contacts").episodes)
     assert len(episodes) == len({e.meta.id for e in episodes}) == 800
+    assert {len(e) for e in episodes if e.meta.labels["speed"] == 25} == {488}
+    slow = [e for e in episodes if e.meta.labels["speed"] == 25]
+    strokes = np.stack([np.where(e.valid("joint_position"), e["joint_position"][:, 0], np.nan) for e in slow])
+    assert np.nanstd(strokes[:, :360], axis=0).max() < 0.004  # until they touch, trials of one speed are repeats
     fast = [e for e in episodes if e.meta.labels["speed"] == 1000]
     peaks_g = [np.nanmax(-e["fingertip_force"][..., 2]) / 9.80665e-3 for e in fast]
     # At full speed the limit changes nothing (the set's own notes: 1659 to 1724 g and more at every limit).

@@ -6,11 +6,15 @@ import pytest
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError, UnknownNameError, UsageError
+from candata.gap.blind import labelled as labelled_module
+from candata.gap.blind.crew import alone
 from candata.gap.blind.labelled import SETTINGS, pairs_of, read_labelled, run_pairs, score_pairs
+from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
 from candata.schema.labelled import PairResult
 from candata.schema.manifest import Lineage
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
+from candata.simulate import with_effects
 from tests.gap.conftest import ARM, ROLES
 
 LABELS = """dataset: runs
@@ -76,6 +80,12 @@ def test_all_pairs_and_halves_are_made(folder, tmp_path):
     assert sorted((*halves[0], *halves[1])) == sorted(labelled.episodes[gain])
 
 
+def test_a_label_that_changes_nothing_makes_nulls(folder):
+    (folder / "labels.yaml").write_text(LABELS.replace("same: group\n", "").replace("[armature, object_mass]", "[]"))
+    labels = {p.label for p in pairs_of(read_labelled(folder)) if {p.a, p.b} == {"gain-1_mass-1", "gain-1_mass-1.5"}}
+    assert labels == {None}
+
+
 def test_answers_are_held_to_the_labels(folder, tmp_path):
     labelled = read_labelled(folder)
 
@@ -115,6 +125,38 @@ def test_another_question_in_the_same_folder_is_refused(folder, tmp_path):
     run_pairs(read_labelled(folder), tmp_path / "out", crew)
     with pytest.raises(UsageError, match="asked for something else"):
         run_pairs(read_labelled(folder), tmp_path / "out", crew, seed=1)
+
+
+def test_effects_that_the_scene_holds_are_part_of_the_question(folder, tmp_path):
+    (folder / "labels.yaml").write_text(LABELS + "effects: effects.yaml\n")
+    crew = crew_of(lambda *_: answer("no_gap"))
+    known = "effects: [{name: speed_limit, parameters: {speed_rad_s: 2.0}}]\n"
+    (folder / "effects.yaml").write_text(known)
+    run_pairs(read_labelled(folder), tmp_path / "out", crew)
+    (folder / "effects.yaml").write_text(known.replace("2.0", "1.0"))
+    with pytest.raises(UsageError, match="asked for something else"):
+        run_pairs(read_labelled(folder), tmp_path / "out", crew)
+
+
+def test_the_scene_is_fitted_once_to_each_reference_and_holds_what_is_known(folder, tmp_path, monkeypatch):
+    (folder / "labels.yaml").write_text(LABELS + "effects: effects.yaml\n")
+    (folder / "effects.yaml").write_text("effects: [{name: speed_limit, parameters: {speed_rad_s: 2.0}}]\n")
+    fitted, worlds = [], []
+
+    def near(reference, scene, *, seed):
+        fitted.append(reference.name)
+        return with_effects(scene, (EffectSetting(name="armature", parameters={"armature_kgm2": 0.01}),))
+
+    def diagnosed(data, world, **options):
+        worlds.append([setting.name for setting in world.given_effects])
+        raise DataError("not diagnosed here")
+
+    monkeypatch.setattr(labelled_module, "near_reference", near)
+    monkeypatch.setattr(labelled_module, "diagnose", diagnosed)
+    results = run_pairs(read_labelled(folder), tmp_path / "out", alone)
+    assert len(results) == len(worlds) == 7
+    assert sorted(fitted) == sorted({r.a for r in results})
+    assert all(names == ["speed_limit", "armature"] for names in worlds)
 
 
 def test_settings_of_which_nothing_was_repeated_have_no_halves(folder):

@@ -44,6 +44,15 @@ def test_what_changed_is_named_with_its_size(arm, judge, arm_episodes, before):
     assert {"servo_gain", "actuation_delay"} <= {e.name for e in report.given_effects}
 
 
+@pytest.mark.parametrize(("gain", "named"), [(1.0, []), (0.65, ["servo_gain"])])
+def test_a_single_motion_that_is_repeated_tells_what_changed(arm, judge, arm_episodes, as_dataset, gain, named):
+    """Its runs share the reference's error and are one piece of evidence: how far it errs, null recordings tell."""
+    first, second = (runs(arm_episodes, 8, gain=g, varies=0.02, seed=s)[::4] for g, s in ((1.0, 5), (gain, 9)))
+    report = judge(arm, second, against=as_dataset(first)).report
+    assert [e.name for e in report.effects] == named
+    assert (report.verdict == "no_gap") == (not named)
+
+
 def test_motions_that_the_reference_lacks_are_compared_after_a_model_of_its_misfit(arm, arm_episodes, before):
     """The model takes part of the misfit off, and what it does not foretell joins the floor."""
     other = recordings(arm, arm_episodes((*_machine(),), count=4, seed=7))

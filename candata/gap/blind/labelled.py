@@ -14,26 +14,30 @@ from typing import NamedTuple
 import numpy as np
 
 from candata.datasets import Dataset, append, create_dataset, open_dataset
+from candata.datasets.cutting import pieces
 from candata.datasets.drafts import draft_beside, place
 from candata.datasets.registry import resolve
 from candata.datasets.writing import write_text
-from candata.effects import effect_names
+from candata.effects import effect_names, read_effects
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
 from candata.gap.blind.crew import Crew
 from candata.gap.blind.running import finished, spread
-from candata.gap.diagnosis import diagnose
-from candata.gap.recordings import piece
+from candata.gap.conclusion import simulator
+from candata.gap.diagnosis import diagnose, near_reference
 from candata.gap.supply import CHANNEL
-from candata.scenes import load_scene
+from candata.scenes import Scene, load_scene
 from candata.schema.bench import BenchFile, BenchRow, Miss
 from candata.schema.episode import Episode
 from candata.schema.labelled import LabelledSetFile, PairResult
 from candata.schema.manifest import Lineage
 from candata.schema.report import NamedEffect, Report
 from candata.schema.yaml_text import read_yaml
+from candata.simulate import with_effects
 
 #: File in the folder of a labelled set, and what a run keeps.
 LABELS, PAIRS, SETTINGS, REQUEST = "labels.yaml", "pairs.jsonl", "settings", "request.json"
+#: Folder of what a run keeps of each reference: the effects that bring the scene nearest to it.
+REFERENCES = "references"
 #: Targets [%]: nulls that may be named, nulls that are `no_gap`, changes named first or in their class, and coverage
 #: of 90 % intervals. Chosen: what a user must be able to trust before changing a machine.
 NULLS_NAMED, NULLS_RIGHT, CHANGES_RIGHT, COVERAGE = 0.0, 90.0, 85.0, (80.0, 95.0)
@@ -64,6 +68,11 @@ class LabelledSet(NamedTuple):
         """What `load_scene` takes."""
         path = self.folder / self.file.scene
         return str(path) if path.exists() else self.file.scene
+
+    @property
+    def effects(self) -> str | None:
+        """File of the effects that the scene holds already."""
+        return None if self.file.effects is None else str(self.folder / self.file.effects)
 
 
 def read_labelled(folder: Path, dataset: str | None = None) -> LabelledSet:
@@ -175,8 +184,10 @@ def pairs_of(labelled: LabelledSet) -> list[Pair]:
         old, new = labelled.labels[a], labelled.labels[b]
         differing = [label for label in file.causes if old[label] != new[label]]
         if len(differing) == 1:
-            is_null = file.same is not None and old[file.same] == new[file.same] != ""
-            pairs.append(Pair(a, b, None if is_null else differing[0], _ratio(old[differing[0]], new[differing[0]])))
+            label = differing[0]
+            is_same = file.same is not None and old[file.same] == new[file.same] != ""
+            is_null = is_same or not file.causes[label].effects
+            pairs.append(Pair(a, b, None if is_null else label, _ratio(old[label], new[label])))
     tasks = dict(zip(*labelled.dataset.catalog(["id", "task"]).to_pydict().values(), strict=True))
     repeated = [n for n, ids in labelled.episodes.items() if len({tasks[i] for i in ids}) < len(ids)]
     return [*pairs, *(Pair(f"{name}.first", f"{name}.second", None, None) for name in repeated)]
@@ -216,15 +227,9 @@ def write_settings(labelled: LabelledSet, out: Path) -> None:
 
 
 def _cut(runs: Sequence[Episode], length_s: float | None) -> Iterator[Episode]:
-    """Yield runs, or pieces of them that are `length_s` long; a piece is a motion of its own."""
+    """Yield runs, or pieces of them that are `length_s` long."""
     for run in runs:
-        if length_s is None:
-            yield run
-            continue
-        rows = max(2, round(length_s * run.meta.rate_hz))
-        for k in range(len(run) // rows):
-            name, task = f"{run.meta.id}-{k}", f"{run.meta.task or ''}-{k}"
-            yield piece(run, k * rows, (k + 1) * rows, id=name, task=task)
+        yield from [run] if length_s is None else pieces(run, length_s)
 
 
 def run_pairs(
@@ -247,7 +252,7 @@ def run_pairs(
     pairs = pairs_of(labelled)
     done = {(r.a, r.b): r for r in finished(out / PAIRS, PairResult)}
     advance(len(done))
-    tasks = [(str(out), labelled.scene, *p, seed) for p in pairs if (p.a, p.b) not in done]
+    tasks = [(str(out), labelled.scene, labelled.effects, *p, seed) for p in pairs if (p.a, p.b) not in done]
     for result in spread(out / PAIRS, diagnose_pair, tasks, crew, until):
         done[result.a, result.b] = result
         advance(1)
@@ -256,7 +261,8 @@ def run_pairs(
 
 def _keep_request(labelled: LabelledSet, out: Path, seed: int) -> None:
     """Write down what is asked for, unless the same is there: answers to another question would be scored with it."""
-    digests = {"dataset": labelled.dataset.digest, "scene": load_scene(labelled.scene).digest, "seed": seed}
+    scene = _scene(labelled.scene, labelled.effects)
+    digests = {"dataset": labelled.dataset.digest, "scene": scene.digest, "seed": seed}
     text = json.dumps({**digests, "labels": labelled.labels, "cut_s": labelled.file.cut_s}, indent=1) + "\n"
     path = out / REQUEST
     if path.exists() and path.read_text(encoding="utf-8") != text:
@@ -271,7 +277,7 @@ def _keep_request(labelled: LabelledSet, out: Path, seed: int) -> None:
 
 
 def diagnose_pair(
-    out: str, scene: str, a: str, b: str, label: str | None, ratio: float | None, seed: int
+    out: str, scene: str, effects: str | None, a: str, b: str, label: str | None, ratio: float | None, seed: int
 ) -> PairResult:
     """Return what the diagnosis of B against A says; runs in any process."""
     start, folder = time.process_time(), Path(out) / SETTINGS
@@ -279,11 +285,26 @@ def diagnose_pair(
     error = None
     try:
         data, reference = open_dataset(folder / b), open_dataset(folder / a)
-        report = diagnose(data, load_scene(scene), seed=seed, against=reference, calibrate=False).report
+        world = _world(Path(out) / REFERENCES / f"{a}.json", _scene(scene, effects), reference, seed)
+        report = diagnose(data, world, seed=seed, against=reference, calibrate=False).report
     except CandataError as fault:
         error = str(fault)
     cpu_s = time.process_time() - start
     return PairResult(a=a, b=b, label=label, ratio=ratio, cpu_s=cpu_s, report=report, error=error)
+
+
+def _scene(scene: str, effects: str | None) -> Scene:
+    """Return a scene with the effects of a file as part of it."""
+    plain = load_scene(scene)
+    return plain if effects is None else with_effects(plain, read_effects(Path(effects)).effects)
+
+
+def _world(kept: Path, scene: Scene, reference: Dataset, seed: int) -> Scene:
+    """Return the scene fitted to a reference: fitted once, for all pairs with that reference."""
+    if not kept.exists():
+        near = near_reference(reference, scene, seed=seed)
+        write_text(kept, simulator(near, ()).model_dump_json(indent=1), "reference")
+    return with_effects(scene.plain or scene, read_effects(kept).effects)
 
 
 def is_right(pair: PairResult, file: LabelledSetFile) -> bool:
