@@ -59,7 +59,7 @@ def with_effort_unit(
         return _without_effort(some) if len(lost) == len(law) else _as_torque(some, law, replayer.scene.file.rate_hz)
 
     new = replace(converted(recs), notes=(*recs.notes, note), unscaled_effort=reference is None)
-    return new, None if reference is None else converted(reference)
+    return new, None if reference is None else replace(converted(reference), unscaled_effort=False)
 
 
 def _laws(replayer: Replayer, source: Recordings) -> tuple[Array, list[float]]:

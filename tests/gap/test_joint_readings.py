@@ -8,7 +8,10 @@ import pytest
 from candata.gap.effort import effort_law
 from candata.gap.effort_unit import with_effort_unit
 from candata.gap.recordings import recordings
-from candata.gap.replay import Replayer
+from candata.gap.reference import changed_since
+from candata.gap.replay import Replayer, replay_all
+from candata.gap.residuals import layout, residual
+from candata.gap.starts import starts
 from candata.gap.velocity import aligned_velocity, joint_velocity
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
@@ -39,19 +42,20 @@ def pendulum(tmp_path_factory) -> Scene:
 
 
 def swings(
-    scene: Scene, effects=(), seed: int = 0, unit: float = 1.0, channels=("joint_effort",), noise=0.02
+    scene: Scene, effects=(), seed=0, unit=1.0, channels=("joint_effort",), noise=0.02, emf=0.0
 ) -> list[Episode]:
-    """Slow swings; `unit` is that of the effort, unknown where it is not one."""
+    """Slow swings; `unit` is that of the effort, unknown where it is not one, `emf` the speed's part in it [N m s]."""
     rng = np.random.default_rng(seed)
     t = np.arange(ROWS)[None, :, None] / RATE_HZ
     commands = np.minimum(t / 0.5, 1) * np.sin(2 * np.pi * np.linspace(0.05, 0.1, COUNT)[:, None, None] * t)
     played = rollout(scene, commands, *at_rest(scene, COUNT), [effects] * COUNT, read_effort=True).readings
-    position, effort = played["joint_position"], played["joint_effort"]
+    position = played["joint_position"]
+    felt = played["joint_effort"] + emf * joint_velocity(position, RATE_HZ)
     speed = np.roll(joint_velocity(position, RATE_HZ), LATE_ROWS, axis=1)
     arrays = {
         "joint_position": position + noise * rng.standard_normal(position.shape),
         "joint_velocity": speed + 0.01 * rng.standard_normal(position.shape),
-        "joint_effort": unit * (effort + 0.01 * rng.standard_normal(position.shape)) + (unit != 1) * 12,
+        "joint_effort": unit * (felt + 0.01 * rng.standard_normal(position.shape)) + (unit != 1) * 12,
     }
     return [
         Episode(
@@ -94,6 +98,19 @@ def test_a_reference_tells_the_unit_of_an_effort(pendulum, judge, as_dataset):
     report = judge(pendulum, changed, against=before, only=("link_mass", "servo_gain")).report
     assert [e.name for e in report.effects] == ["link_mass"]
     assert "joint_effort has no unit: its size is told by the reference" in report.data.notes
+
+
+def test_what_a_duty_leaves_open_in_the_reference_is_no_news(pendulum):
+    """A duty that holds back-EMF, on two days of a machine whose servo is softer than the scene says."""
+    two_days = [swings(pendulum, SOFTER, unit=COUNTS_PER_NM, seed=s, noise=0.002, emf=0.5) for s in (1, 2)]
+    replayer = Replayer(pendulum)
+    new, old = with_effort_unit(replayer, *(recordings(pendulum, day) for day in two_days))
+    compared = changed_since(replayer, new, old, "before")
+    begin = starts(pendulum, compared)
+    readings = replay_all(replayer, compared, begin, [()])[0]
+    plan = layout(pendulum, compared, begin, readings)
+    alone, rest = (residual(recs, plan, readings)[..., 1] for recs in (new, compared))
+    assert np.nanstd(rest) < 0.9 * np.nanstd(alone)
 
 
 def test_without_a_reference_the_size_of_such_an_effort_tells_nothing(pendulum, judge):
