@@ -195,21 +195,30 @@ def _settled(quantities: Quantities, at: Array, z: Compact, width: float) -> tup
 
 
 def _thinned(quantities: Quantities, at: Array, z: Compact) -> JointFit | None:
-    """Return the fit without the quantities that do not gain on held-out episodes, the others fitted again."""
-    while True:
-        place = _Place(at, z, quantities.slopes(at, z, SHARP), robust_spread(z), quantities.prior(z))
-        folds = _folds(quantities, place)
-        idle = _idle(quantities, place, folds)
-        if not idle.any():
-            return _concluded(quantities, _last_step(quantities, place), folds)
-        if idle.all():
-            return None
-        at = _refitted(quantities, place, np.arange(len(z)), idle)[~idle]
-        quantities = replace(
-            quantities, kinds=tuple(c for c in quantities.kinds if c.label in set(quantities.owners[~idle]))
-        )
-        (z,) = quantities.residuals([at])
-        at, z = _settled(quantities, at, z, SHARP)
+    """Return the fit without the quantities that do not gain on held-out episodes, the others fitted again.
+
+    Where the replays end first, the last fit that was judged is returned, idle quantities and all.
+    """
+    judged: tuple[Quantities, _Place, list[_Fold]] | None = None
+    try:
+        while True:
+            place = _Place(at, z, quantities.slopes(at, z, SHARP), robust_spread(z), quantities.prior(z))
+            folds = _folds(quantities, place)
+            judged = quantities, place, folds
+            idle = _idle(quantities, place, folds)
+            if not idle.any():
+                return _concluded(quantities, _last_step(quantities, place), folds)
+            if idle.all():
+                return None
+            at = _refitted(quantities, place, np.arange(len(z)), idle)[~idle]
+            quantities = replace(
+                quantities, kinds=tuple(c for c in quantities.kinds if c.label in set(quantities.owners[~idle]))
+            )
+            (z,) = quantities.residuals([at])
+            at, z = _settled(quantities, at, z, SHARP)
+    except AllowanceSpent:
+        fitted = _concluded(*judged) if judged else None
+        return fitted if fitted and fitted.fit.gain > 0 else None
 
 
 def _folds(quantities: Quantities, place: _Place) -> list[_Fold]:
