@@ -13,9 +13,11 @@ from candata.effects import effect_names, read_effects
 from candata.gap.attribute import Attribution
 from candata.gap.budget import Budget, BudgetSpent
 from candata.gap.calibration import NO_BUDGET, with_calibration
+from candata.gap.candidates import candidates
 from candata.gap.conclusion import Diagnosis, Findings
 from candata.gap.diagnosis import _problem
 from candata.gap.evidence import Evidence
+from candata.gap.joint_fit import joint_fit
 from candata.gap.own_floor import in_world
 from candata.gap.recordings import recordings
 from candata.gap.replay import Replayer
@@ -214,6 +216,16 @@ def test_a_spent_budget_leaves_the_verdict_as_it_is_and_a_note(wrong):
     noted = with_calibration(replace(wrong, problem=problem), diagnosis, measure_in(problem))
     assert noted.report.calibration is None
     assert noted.report.data.notes == (NO_BUDGET,)
+
+
+def test_a_fit_that_was_judged_is_kept_where_the_replays_end(wrong):
+    """Idle quantities and all: nothing is left to fit the others again without them."""
+    possible = candidates(wrong.scene, wrong.problem.recs.channels)
+    kinds = [c for c in possible if not c.choices and c.name in {*WRONG, *SOUND}]
+    fitted = joint_fit(replace(wrong.problem, rng=np.random.default_rng(0)), kinds, (), 80.0)
+    assert fitted is not None
+    assert fitted.fit.gain > 0.2 * wrong.problem.score.loss(wrong.problem.nominal).mean()
+    assert set(SOUND) & {c.name for c, _ in fitted.fit.members}
 
 
 def test_a_calibration_takes_no_more_replays_than_a_third_of_all(wrong):
