@@ -12,12 +12,13 @@ from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
     from candata.schema.effect import EffectsFile
+    from candata.schema.randomisation import RandomisationFile
 
 Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")]
 SceneName = Annotated[
     str | None,
-    typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects."),
+    typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
 ]
 Seed = Annotated[int, typer.Option("--seed", metavar="K", help="Seed of all that is random.")]
 Objects = Annotated[
@@ -25,6 +26,9 @@ Objects = Annotated[
     typer.Option("--objects", metavar="A,B|FILE", help="Objects that take turns: names, folders, or an objects.yaml."),
 ]
 Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")]
+Randomise = Annotated[
+    Path | None, typer.Option("--randomise", metavar="FILE", help="Effects to draw anew for each episode.")
+]
 Policies = Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")]
 PolicyFile = Annotated[
     Path | None,
@@ -56,6 +60,7 @@ def generate_sim(
     seed: Seed = 1,
     objects: Objects = None,
     effects: Effects = None,
+    randomise: Randomise = None,
     policies: Policies = None,
     policy_file: PolicyFile = None,
     duration_s: Duration = 3.2,
@@ -67,6 +72,7 @@ def generate_sim(
 ) -> None:
     """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
 
+    `--randomise` draws effects for each episode, as a file of distributions says; the seed decides them.
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
     file holds all three.
     """
@@ -75,19 +81,21 @@ def generate_sim(
     if withhold is not None:
         check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
-    from candata.effects import read_effects
+    from candata.effects import read_effects, read_randomisation
     from candata.simulate.generate import Withheld, generate
 
     effects_file = read_effects(effects) if effects else None
+    random_file = read_randomisation(randomise) if randomise else None
     withheld = None if withhold is None else Withheld(withhold, sealed, salt)
     with console.stoppable(lambda: _kept_text(out), goes_on=True), console.progress("episodes", episodes) as advance:
         version = generate(
             out,
-            _scene(scene, effects_file, effects),
+            _scene(scene, (random_file, randomise), (effects_file, effects)),
             episodes,
             seed,
             objects=_objects(objects),
             effects=effects_file.effects if effects_file else (),
+            randomisation=random_file.effects if random_file else (),
             policies=tuple(policies.split(",")) if policies else (),
             policy_file=policy_file,
             duration_s=duration_s,
@@ -124,13 +132,14 @@ def _objects(text: str | None) -> tuple[str, ...]:
     return listed_objects(Path(text)) if text.endswith((".yaml", ".yml")) else console.words(text)
 
 
-def _scene(scene: str | None, effects_file: EffectsFile | None, path: Path | None) -> str:
-    """Return the scene asked for, else the one of the effects file."""
+def _scene(scene: str | None, *files: tuple[EffectsFile | RandomisationFile | None, Path | None]) -> str:
+    """Return the scene asked for, else the one of the file of effects that is given."""
     from candata.effects import scene_of
     from candata.errors import UsageError
 
     if scene is not None:
         return scene
-    if effects_file is None or path is None:
-        raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")
-    return scene_of(effects_file, path)
+    for file, path in files:
+        if file is not None and path is not None:
+            return scene_of(file, path)
+    raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")

@@ -22,6 +22,7 @@ from candata.scenes.clouds import surface_cloud
 from candata.scenes.object_folder import named_object
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
+from candata.schema.randomisation import RandomEffect
 from candata.simulate import seal as seals
 from candata.simulate.jobs import OPERATION, GenerationRecipe, check, chunks, episode_id, lineage, possible_policies
 from candata.simulate.pool import EpisodeChunk, producer, run_chunks
@@ -54,6 +55,7 @@ def generate(
     *,
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
+    randomisation: Sequence[RandomEffect] = (),
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
     duration_s: float = 3.2,
@@ -81,6 +83,8 @@ def generate(
         folders. An episode then names its object, and `labels` its scene's digest.
     effects : sequence of EffectSetting
         Effects of every episode.
+    randomisation : sequence of RandomEffect
+        Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
     policy_file : str or Path, optional
@@ -112,13 +116,16 @@ def generate(
         objects=tuple(objects),
         seed=seed,
         effects=tuple(effects),
+        randomisation=tuple(randomisation),
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
-    held_objects = _held_objects(recipe, model)
+    if effects and randomisation:
+        raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
+    held_objects = _held_objects(recipe, model, episodes)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
@@ -138,10 +145,10 @@ class _HeldObject:
     cloud: NDArray[np.float32]
 
 
-def _held_objects(recipe: GenerationRecipe, model: Scene) -> tuple[_HeldObject, ...]:
+def _held_objects(recipe: GenerationRecipe, model: Scene, episodes: int) -> tuple[_HeldObject, ...]:
     """Return the objects of a set, once it is known that all can be simulated; none of a scene without an object."""
     if not recipe.objects:
-        check(recipe, model)
+        check(recipe, model, range(episodes))
         name = model.file.object
         return () if name is None else (_HeldObject(name, model.digest, surface_cloud(model)),)
     names = [named_object(asked_name).name for asked_name in recipe.objects]
@@ -149,9 +156,9 @@ def _held_objects(recipe: GenerationRecipe, model: Scene) -> tuple[_HeldObject, 
     if repeated:
         raise UsageError("an object is named twice", expected="objects of different names", found=", ".join(repeated))
     held_objects = []
-    for name, scene_name in zip(names, recipe.scenes, strict=True):
+    for turn, (name, scene_name) in enumerate(zip(names, recipe.scenes, strict=True)):
         scene = load_scene(scene_name)
-        check(recipe, scene)
+        check(recipe, scene, [i for i in range(episodes) if recipe.scene_turn(i) == turn])
         held_objects.append(_HeldObject(name, scene.digest, surface_cloud(scene)))
     return tuple(held_objects)
 
@@ -193,8 +200,12 @@ def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policie
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
     """Return the recipe with the drawn effect, its own random stream and its commitment."""
-    for given, words in ((recipe.effects, "effects"), (recipe.objects, "several objects")):
-        if given:
+    for is_given, words in (
+        (recipe.effects, "effects"),
+        (recipe.randomisation, "a randomisation"),
+        (recipe.objects, "several objects"),
+    ):
+        if is_given:
             raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")
     if out.resolve() in withheld.seal.resolve().parents:
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))

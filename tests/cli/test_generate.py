@@ -69,6 +69,56 @@ def test_effects_come_from_a_file_that_may_name_the_scene(tmp_path, capsys):
     assert episode.meta.effects[0].parameters == {"mass_scale": 1.5}
 
 
+@pytest.fixture
+def randomised(tmp_path):
+    """A function that draws the effects of two tosses as a file says, and the dataset."""
+
+    def make(text: str, *words: object) -> int:
+        path = tmp_path / "random.yaml"
+        path.write_text(text)
+        command = ("generate-sim", "--randomise", path, "--episodes", 2, "--duration-s", 0.2, "--jobs", 1)
+        return exit_code(*command, *words, "--out", tmp_path / "set")
+
+    return make, tmp_path / "set"
+
+
+MASS = "scene: cube_toss\neffects: [{name: object_mass, parameters: {mass_scale: {uniform: [0.7, 1.5]}}}]\n"
+
+
+def test_a_randomisation_may_name_the_scene_and_is_told_by_the_lineage(randomised, capsys):
+    from candata.datasets import open_dataset
+
+    make, out = randomised
+    assert make(MASS) == 0
+    first, second = open_dataset(out)
+    assert first.meta.effects != second.meta.effects
+    exit_code("registry", "log", out)
+    assert "randomisation object_mass(mass_scale {'uniform': [0.7, 1.5]})" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "said"),
+    [
+        ("", (), "random.yaml is not valid: (whole file): keys with values are expected\n"),
+        ("effects: []\n", (), "random.yaml is not valid: effects: Tuple should have at least 1 item"),
+        (MASS.replace("uniform", "unifrom"), (), "unknown key `unifrom`, did you mean `uniform`"),
+        (MASS.replace("[0.7, 1.5]", "[1.5, 0.7]"), (), "the smallest value of uniform comes first"),
+        (MASS.replace("uniform: [0.7, 1.5]", "normal: [1, 0]"), (), "the standard deviation of normal"),
+        (MASS.replace("[0.7, 1.5]", "[0.7, 1.5], choice: [1.0]"), (), "expected one of uniform, normal and choice"),
+        (MASS.replace("name: object", "share: 1.2, name: object"), (), "effects.0.share: "),
+        (MASS, ("--withhold", "any"), "a randomisation and a withheld effect at once"),
+        (MASS, ("--effects", "effects.yaml"), "effects and a randomisation at once"),
+    ],
+)
+def test_a_wrong_randomisation_is_one_error(randomised, tmp_path, monkeypatch, capsys, text, words, said):
+    make, out = randomised
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "effects.yaml").write_text("effects: [{name: object_mass, parameters: {mass_scale: 1.5}}]\n")
+    assert make(text, *words) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
 ARM = """<mujoco><worldbody><body name="arm"><joint name="arm" axis="0 0 1"/><geom size=".1"/></body></worldbody>
   <actuator><position name="arm" joint="arm" kp="9" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
 
