@@ -11,11 +11,12 @@ from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.errors import UsageError
     from candata.schema.effect import EffectsFile
     from candata.schema.randomisation import RandomisationFile
 
-Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
-Episodes = Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
+Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
 SceneName = Annotated[
     str | None,
     typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
@@ -43,6 +44,12 @@ Withhold = Annotated[
     str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
 ]
 Seal = Annotated[Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")]
+Again = Annotated[
+    str | None, typer.Option("--again", metavar="DATASET", help="Make one of its episodes again, and compare each bit.")
+]
+EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="The episode for --again.")]
+#: Parameters that go together with --again: where things are now. All else is that of the episode.
+BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "again", "episode")
 
 
 def register(app: typer.Typer) -> None:
@@ -54,8 +61,9 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable()
 def generate_sim(
-    out: Out,
-    episodes: Episodes,
+    context: typer.Context,
+    out: Out = None,
+    episodes: Episodes = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
@@ -68,14 +76,20 @@ def generate_sim(
     jobs: Jobs = None,
     withhold: Withhold = None,
     seal: Seal = None,
+    again: Again = None,
+    episode: EpisodeId = None,
     salt: Annotated[str | None, typer.Option("--salt", hidden=True)] = None,
 ) -> None:
     """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
 
     `--randomise` draws effects for each episode, as a file of distributions says; the seed decides them.
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
-    file holds all three.
+    file holds all three. `--again` makes an episode of a dataset again from what is kept of it.
     """
+    if again is not None or episode is not None:
+        return _make_again(context, again, episode, out, scene, objects, policy_file)
+    if out is None or episodes is None:
+        raise _missing("--out DATASET" if out is None else "--episodes N")
     sealed = seal or out.with_name(f"{out.name}.seal.json")
     check_output(out, "dataset")
     if withhold is not None:
@@ -109,6 +123,62 @@ def generate_sim(
         console.note(f"withheld effect sealed in {withheld.seal}")
     total = len(members_of(out, version))
     console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+
+
+def _make_again(
+    context: typer.Context,
+    again: str | None,
+    episode_id: str | None,
+    out: Path | None,
+    scene: str | None,
+    objects: str | None,
+    policy_file: Path | None,
+) -> None:
+    """Make an episode of a dataset again, say that it is the same, and store it where that is asked for."""
+    if again is None or episode_id is None:
+        raise _missing("--again DATASET" if again is None else "--episode ID")
+    _refuse_beside_again(context)
+    if out is not None:
+        check_output(out, "dataset")
+    from candata.simulate.repetition import repeat_episode, store_repeated
+
+    dataset = console.open_named(again)
+    repeated = repeat_episode(dataset, episode_id, scene=scene, objects=_objects(objects), policy_file=policy_file)
+    console.out(f"{episode_id}: bit-equal, {len(repeated)} rows of {len(repeated.arrays)} channels")
+    if out is not None:
+        version = store_repeated(out, dataset, repeated)
+        console.out(f"{out}: version {version.number}, digest {version.digest[:12]}")
+
+
+def _refuse_beside_again(context: typer.Context) -> None:
+    """Refuse options that would ask for another episode than the one that is made again."""
+    from candata.errors import UsageError
+
+    given_options = [
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.name not in BESIDE_AGAIN and _is_typed(context, str(parameter.name))
+    ]
+    if given_options:
+        raise UsageError(
+            f"--again and {given_options[0]} at once",
+            expected="what the episode was made with",
+            fix="leave one of them out",
+        )
+
+
+def _is_typed(context: typer.Context, name: str) -> bool:
+    """Tell whether an option stands on the command line; defaults do not."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _missing(option: str) -> UsageError:
+    """Return the error for an option that is needed."""
+    from candata.errors import UsageError
+
+    name = option.split()[0]
+    return UsageError(f"option {name} is missing", expected=option, fix="see candata generate-sim --help")
 
 
 def _kept_text(out: Path) -> str:

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata import __version__
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
@@ -24,7 +21,16 @@ from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.schema.randomisation import RandomEffect
 from candata.simulate import seal as seals
-from candata.simulate.jobs import OPERATION, GenerationRecipe, check, chunks, episode_id, lineage, possible_policies
+from candata.simulate.jobs import (
+    OPERATION,
+    GenerationRecipe,
+    check,
+    chunks,
+    episode_id,
+    lineage,
+    possible_policies,
+    tool_versions,
+)
 from candata.simulate.pool import EpisodeChunk, producer, run_chunks
 
 
@@ -129,7 +135,7 @@ def generate(
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
-    history = lineage(recipe, model, _tools(), digests)
+    history = lineage(recipe, model, tool_versions(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
     root = create_dataset(out, exist_ok=True)
     recipe = recipe.model_copy(update={"point_clouds": tuple(put_cloud(root, held.cloud) for held in held_objects)})
@@ -267,8 +273,3 @@ def _facts(step: Lineage) -> dict:
     """Return what a configuration consists of."""
     details = {k: v for k, v in step.details.items() if k != "scene"}
     return {**details, **step.tools, "seeds": step.seeds, "sealed": step.sealed}
-
-
-def _tools() -> dict[str, str]:
-    """Return the versions that decide what a simulation gives."""
-    return {"candata": __version__, "mujoco": mujoco.__version__, "python": platform.python_version()}

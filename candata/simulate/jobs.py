@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -186,6 +187,11 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         details=details,
         sealed=recipe.sealed,
     )
+
+
+def tool_versions() -> dict[str, str]:
+    """Return the versions that decide what a simulation gives."""
+    return {"candata": __version__, "mujoco": mujoco.__version__, "python": platform.python_version()}
 
 
 def _digest(details: dict, seeds: Sequence[int], commitment: str | None) -> str:

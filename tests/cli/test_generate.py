@@ -119,6 +119,40 @@ def test_a_wrong_randomisation_is_one_error(randomised, tmp_path, monkeypatch, c
     assert not out.exists()
 
 
+def test_an_episode_is_made_again(randomised, tmp_path, capsys):
+    make, out = randomised
+    make(MASS)
+    capsys.readouterr()
+    again = ("generate-sim", "--again", out, "--episode", "cube_toss-s1-000001")
+    assert exit_code(*again) == 0
+    assert capsys.readouterr().out == "cube_toss-s1-000001: bit-equal, 30 rows of 2 channels\n"
+    assert exit_code(*again, "--out", tmp_path / "again") == 0
+    assert f"{tmp_path / 'again'}: version 1, digest " in capsys.readouterr().out
+    assert exit_code("generate-sim", "--again", tmp_path / "again", "--episode", "cube_toss-s1-000001") == 0
+    assert exit_code(*again, "--scene", "gripper_tabletop", "--out", tmp_path / "none") == 2
+    assert capsys.readouterr().err.startswith("the scene is not the one that the episode was made in\n")
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--again", "set"), "option --episode is missing\n"),
+        (("--episode", "x"), "option --again is missing\n"),
+        (("--again", "set", "--episode", "x", "--seed", 1), "--again and --seed at once\n"),
+        (("--again", "set", "--episode", "x", "--no-noise"), "--again and --noise at once\n"),
+        (("--again", "nowhere", "--episode", "x"), "not a dataset\n"),
+        (("--scene", "cube_toss", "--episodes", 1), "option --out is missing\n"),
+        (("--scene", "cube_toss", "--out", "x"), "option --episodes is missing\n"),
+    ],
+)
+def test_again_takes_an_episode_and_nothing_that_would_change_it(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert exit_code("generate-sim", *words) == 2
+    assert capsys.readouterr().err.startswith(said)
+    assert list(tmp_path.iterdir()) == []
+
+
 ARM = """<mujoco><worldbody><body name="arm"><joint name="arm" axis="0 0 1"/><geom size=".1"/></body></worldbody>
   <actuator><position name="arm" joint="arm" kp="9" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
 
