@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from candata.errors import UsageError
     from candata.schema.effect import EffectsFile
     from candata.schema.randomisation import RandomisationFile
+    from candata.simulate.generate import Withheld
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
@@ -42,6 +43,9 @@ WithNoise = Annotated[bool, typer.Option("--noise/--no-noise", help="Add the dec
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")]
 Withhold = Annotated[
     str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
+]
+WithholdFrom = Annotated[
+    Path | None, typer.Option("--withhold-from", metavar="FILE", help="Draw and hide effects as for --randomise, once.")
 ]
 Seal = Annotated[Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")]
 Again = Annotated[
@@ -75,6 +79,7 @@ def generate_sim(
     noise: WithNoise = True,
     jobs: Jobs = None,
     withhold: Withhold = None,
+    withhold_from: WithholdFrom = None,
     seal: Seal = None,
     again: Again = None,
     episode: EpisodeId = None,
@@ -84,7 +89,8 @@ def generate_sim(
 
     `--randomise` draws effects for each episode, as a file of distributions says; the seed decides them.
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
-    file holds all three. `--again` makes an episode of a dataset again from what is kept of it.
+    file holds all three. `--withhold-from` does so with one draw of a file of distributions, for all episodes.
+    `--again` makes an episode of a dataset again from what is kept of it.
     """
     if again is not None or episode is not None:
         return _make_again(context, again, episode, out, scene, objects, policy_file)
@@ -92,19 +98,20 @@ def generate_sim(
         raise _missing("--out DATASET" if out is None else "--episodes N")
     sealed = seal or out.with_name(f"{out.name}.seal.json")
     check_output(out, "dataset")
-    if withhold is not None:
+    if withhold is not None or withhold_from is not None:
         check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
     from candata.effects import read_effects, read_randomisation
-    from candata.simulate.generate import Withheld, generate
+    from candata.simulate.generate import generate
 
     effects_file = read_effects(effects) if effects else None
     random_file = read_randomisation(randomise) if randomise else None
-    withheld = None if withhold is None else Withheld(withhold, sealed, salt)
+    hidden_file = read_randomisation(withhold_from) if withhold_from else None
+    withheld = _withheld(withhold, hidden_file, sealed, salt)
     with console.stoppable(lambda: _kept_text(out), goes_on=True), console.progress("episodes", episodes) as advance:
         version = generate(
             out,
-            _scene(scene, (random_file, randomise), (effects_file, effects)),
+            _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)),
             episodes,
             seed,
             objects=_objects(objects),
@@ -120,9 +127,22 @@ def generate_sim(
             note=console.note,
         )
     if withheld:
-        console.note(f"withheld effect sealed in {withheld.seal}")
+        console.note(f"withheld {'effect' if withhold else 'effects'} sealed in {withheld.seal}")
     total = len(members_of(out, version))
     console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+
+
+def _withheld(
+    effect_name: str | None, hidden_file: RandomisationFile | None, seal: Path, salt: str | None
+) -> Withheld | None:
+    """Return what is withheld: one effect, or a draw of a file."""
+    from candata.errors import UsageError
+    from candata.simulate.generate import Withheld
+
+    if effect_name is not None and hidden_file is not None:
+        raise UsageError("--withhold and --withhold-from at once", fix="leave one of them out")
+    asked = hidden_file.effects if hidden_file is not None else effect_name
+    return None if asked is None else Withheld(asked, seal, salt)
 
 
 def _make_again(

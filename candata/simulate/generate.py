@@ -36,19 +36,19 @@ from candata.simulate.pool import EpisodeChunk, producer, run_chunks
 
 @dataclass(frozen=True)
 class Withheld:
-    """An effect to withhold.
+    """Effects to withhold.
 
     Attributes
     ----------
-    asked : str
-        Name of the effect, or `any`.
+    asked : str or tuple of RandomEffect
+        Name of an effect, or `any`; or a randomisation, of which one draw is the world of the whole set.
     seal : Path
         The sealed file, outside the dataset.
     salt : str, optional
         Secret in hex; random by default.
     """
 
-    asked: str
+    asked: seals.Asked
     seal: Path
     salt: str | None = None
 
@@ -100,7 +100,7 @@ def generate(
     noise : bool
         Add the sensor noise that the scene declares.
     withheld : Withheld, optional
-        Draw an effect, apply it, and keep it out of the dataset.
+        Draw an effect or several, apply them, and keep them out of the dataset.
     workers : int, optional
         Processes; as many as there are cores by default.
     progress : callable
@@ -205,7 +205,7 @@ def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policie
 
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
-    """Return the recipe with the drawn effect, its own random stream and its commitment."""
+    """Return the recipe with the drawn effects, its own random stream and its commitment."""
     for is_given, words in (
         (recipe.effects, "effects"),
         (recipe.randomisation, "a randomisation"),
@@ -223,7 +223,7 @@ def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out
             fix="name it with --seal, or choose another --out",
         )
     seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
-    secret = {"seed": seal.stream, "effects": (seal.effect,), "sealed": seal.sealed}
+    secret = {"seed": seal.stream, "effects": seal.effects, "sealed": seal.sealed}
     return recipe.model_copy(update=secret)
 
 

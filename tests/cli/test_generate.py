@@ -108,6 +108,7 @@ def test_a_randomisation_may_name_the_scene_and_is_told_by_the_lineage(randomise
         (MASS.replace("name: object", "share: 1.2, name: object"), (), "effects.0.share: "),
         (MASS, ("--withhold", "any"), "a randomisation and a withheld effect at once"),
         (MASS, ("--effects", "effects.yaml"), "effects and a randomisation at once"),
+        (MASS, ("--withhold-from", "random.yaml"), "a randomisation and a withheld effect at once"),
     ],
 )
 def test_a_wrong_randomisation_is_one_error(randomised, tmp_path, monkeypatch, capsys, text, words, said):
@@ -117,6 +118,22 @@ def test_a_wrong_randomisation_is_one_error(randomised, tmp_path, monkeypatch, c
     assert make(text, *words) == 2
     assert said in capsys.readouterr().err
     assert not out.exists()
+
+
+def test_effects_withheld_from_a_file_are_not_printed(tmp_path, capsys):
+    path, out = tmp_path / "hidden.yaml", tmp_path / "set"
+    path.write_text(MASS.replace("[{", "[{name: gravity_tilt, parameters: {tilt_x_rad: {normal: [0, 0.05]}}}, {"))
+    words = ("generate-sim", "--withhold-from", path, "--episodes", 2, "--duration-s", 0.2, "--jobs", 1, "--out", out)
+    assert exit_code(*words, "--withhold", "any") == 2
+    assert capsys.readouterr().err.startswith("--withhold and --withhold-from at once\n")
+    assert exit_code(*words) == 0
+    printed = capsys.readouterr()
+    assert printed.err.endswith(f"withheld effects sealed in {out}.seal.json\n")
+    seal = json.loads(out.with_name("set.seal.json").read_text())
+    assert [e["name"] for e in json.loads(seal["label"])["effects"]] == ["gravity_tilt", "object_mass"]
+    assert not any(word in printed.out + printed.err for word in ("mass", "tilt", seal["salt"]))
+    assert exit_code(*words) == 0
+    assert capsys.readouterr().out == printed.out, "nothing twice"
 
 
 def test_an_episode_is_made_again(randomised, tmp_path, capsys):
