@@ -65,6 +65,14 @@ def test_neither_workers_nor_the_length_of_a_set_change_a_draw(tmp_path):
     assert grown.digest == first.digest
 
 
+def test_a_set_of_objects_is_randomised_too(tmp_path):
+    sizes = effect_of("object_size", scale={"normal": [1.0, 0.05]})
+    generate(tmp_path / "set", **{**TOSS, "episodes": 2}, objects=("can",), randomisation=[sizes], workers=1)
+    first, second = open_dataset(tmp_path / "set")
+    assert first.meta.object == "can"
+    assert first.meta.effects != second.meta.effects
+
+
 def test_another_randomisation_under_the_same_ids_is_refused(tmp_path):
     short = {**TOSS, "episodes": 2, "workers": 1}
     generate(tmp_path / "set", **short, randomisation=[MASS])
