@@ -52,7 +52,7 @@ def demo(
         stage.ends(None)
         stage("writing the report")
         page = write_diagnosis(diagnosis, scene, folder / "report")
-    truth = open_seal(seal, dataset)
+    (truth,) = open_seal(seal, dataset)
     (_print_json if json else _print)(diagnosis.report, truth, page)
 
 

@@ -163,7 +163,7 @@ def _simulated_episode(scene_name: str, policy: str | None, seed: int, duration_
     policies = (policy,) if policy else possible_policies(scene)[:1]
     recipe = GenerationRecipe(scene=scene_name, seed=seed, policies=policies, duration_s=duration_s, noise=True)
     check(recipe, scene)
-    return make_episodes(scene, [job(recipe, 0)], duration_s=duration_s, noise=scene.file.noise)[0]
+    return make_episodes(scene, [job(recipe, 0, scene)], duration_s=duration_s, noise=scene.file.noise)[0]
 
 
 def _play(script: Script, link: Path | None, wait: bool, as_json: bool, *, seed: int, **options: Any) -> Transmission:

@@ -11,13 +11,16 @@ from candata_cli import console
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
+    from candata.errors import UsageError
     from candata.schema.effect import EffectsFile
+    from candata.schema.randomisation import RandomisationFile
+    from candata.simulate.generate import Withheld
 
-Out = Annotated[Path, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
-Episodes = Annotated[int, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
+Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
 SceneName = Annotated[
     str | None,
-    typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects."),
+    typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
 ]
 Seed = Annotated[int, typer.Option("--seed", metavar="K", help="Seed of all that is random.")]
 Objects = Annotated[
@@ -25,6 +28,9 @@ Objects = Annotated[
     typer.Option("--objects", metavar="A,B|FILE", help="Objects that take turns: names, folders, or an objects.yaml."),
 ]
 Effects = Annotated[Path | None, typer.Option("--effects", metavar="FILE", help="Effects to apply: an effects.yaml.")]
+Randomise = Annotated[
+    Path | None, typer.Option("--randomise", metavar="FILE", help="Effects to draw anew for each episode.")
+]
 Policies = Annotated[str | None, typer.Option("--policies", metavar="A,B", help="Motions that take turns.")]
 PolicyFile = Annotated[
     Path | None,
@@ -38,7 +44,16 @@ Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes
 Withhold = Annotated[
     str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
 ]
+WithholdFrom = Annotated[
+    Path | None, typer.Option("--withhold-from", metavar="FILE", help="Draw and hide effects as for --randomise, once.")
+]
 Seal = Annotated[Path | None, typer.Option("--seal", metavar="FILE", help="Sealed file; DATASET.seal.json by default.")]
+Again = Annotated[
+    str | None, typer.Option("--again", metavar="DATASET", help="Make one of its episodes again, and compare each bit.")
+]
+EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="The episode for --again.")]
+#: Parameters that go together with --again: where things are now. All else is that of the episode.
+BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "again", "episode")
 
 
 def register(app: typer.Typer) -> None:
@@ -50,44 +65,58 @@ def register(app: typer.Typer) -> None:
 
 @console.stoppable()
 def generate_sim(
-    out: Out,
-    episodes: Episodes,
+    context: typer.Context,
+    out: Out = None,
+    episodes: Episodes = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
     effects: Effects = None,
+    randomise: Randomise = None,
     policies: Policies = None,
     policy_file: PolicyFile = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
     jobs: Jobs = None,
     withhold: Withhold = None,
+    withhold_from: WithholdFrom = None,
     seal: Seal = None,
+    again: Again = None,
+    episode: EpisodeId = None,
     salt: Annotated[str | None, typer.Option("--salt", hidden=True)] = None,
 ) -> None:
     """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
 
+    `--randomise` draws effects for each episode, as a file of distributions says; the seed decides them.
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
-    file holds all three.
+    file holds all three. `--withhold-from` does so with one draw of a file of distributions, for all episodes.
+    `--again` makes an episode of a dataset again from what is kept of it.
     """
+    if again is not None or episode is not None:
+        return _make_again(context, again, episode, out, scene, objects, policy_file)
+    if out is None or episodes is None:
+        raise _missing("--out DATASET" if out is None else "--episodes N")
     sealed = seal or out.with_name(f"{out.name}.seal.json")
     check_output(out, "dataset")
-    if withhold is not None:
+    if withhold is not None or withhold_from is not None:
         check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
-    from candata.effects import read_effects
-    from candata.simulate.generate import Withheld, generate
+    from candata.effects import read_effects, read_randomisation
+    from candata.simulate.generate import generate
 
     effects_file = read_effects(effects) if effects else None
-    withheld = None if withhold is None else Withheld(withhold, sealed, salt)
+    random_file = read_randomisation(randomise) if randomise else None
+    hidden_file = read_randomisation(withhold_from) if withhold_from else None
+    withheld = _withheld(withhold, hidden_file, sealed, salt)
     with console.stoppable(lambda: _kept_text(out), goes_on=True), console.progress("episodes", episodes) as advance:
         version = generate(
             out,
-            _scene(scene, effects_file, effects),
+            _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)),
             episodes,
             seed,
             objects=_objects(objects),
             effects=effects_file.effects if effects_file else (),
+            randomisation=random_file.effects if random_file else (),
             policies=tuple(policies.split(",")) if policies else (),
             policy_file=policy_file,
             duration_s=duration_s,
@@ -98,9 +127,78 @@ def generate_sim(
             note=console.note,
         )
     if withheld:
-        console.note(f"withheld effect sealed in {withheld.seal}")
+        console.note(f"withheld {'effect' if withhold else 'effects'} sealed in {withheld.seal}")
     total = len(members_of(out, version))
     console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+
+
+def _withheld(
+    effect_name: str | None, hidden_file: RandomisationFile | None, seal: Path, salt: str | None
+) -> Withheld | None:
+    """Return what is withheld: one effect, or a draw of a file."""
+    from candata.errors import UsageError
+    from candata.simulate.generate import Withheld
+
+    if effect_name is not None and hidden_file is not None:
+        raise UsageError("--withhold and --withhold-from at once", fix="leave one of them out")
+    asked = hidden_file.effects if hidden_file is not None else effect_name
+    return None if asked is None else Withheld(asked, seal, salt)
+
+
+def _make_again(
+    context: typer.Context,
+    again: str | None,
+    episode_id: str | None,
+    out: Path | None,
+    scene: str | None,
+    objects: str | None,
+    policy_file: Path | None,
+) -> None:
+    """Make an episode of a dataset again, say that it is the same, and store it where that is asked for."""
+    if again is None or episode_id is None:
+        raise _missing("--again DATASET" if again is None else "--episode ID")
+    _refuse_beside_again(context)
+    if out is not None:
+        check_output(out, "dataset")
+    from candata.simulate.repetition import repeat_episode, store_repeated
+
+    dataset = console.open_named(again)
+    repeated = repeat_episode(dataset, episode_id, scene=scene, objects=_objects(objects), policy_file=policy_file)
+    console.out(f"{episode_id}: bit-equal, {len(repeated)} rows of {len(repeated.arrays)} channels")
+    if out is not None:
+        version = store_repeated(out, dataset, repeated)
+        console.out(f"{out}: version {version.number}, digest {version.digest[:12]}")
+
+
+def _refuse_beside_again(context: typer.Context) -> None:
+    """Refuse options that would ask for another episode than the one that is made again."""
+    from candata.errors import UsageError
+
+    given_options = [
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.name not in BESIDE_AGAIN and _is_typed(context, str(parameter.name))
+    ]
+    if given_options:
+        raise UsageError(
+            f"--again and {given_options[0]} at once",
+            expected="what the episode was made with",
+            fix="leave one of them out",
+        )
+
+
+def _is_typed(context: typer.Context, name: str) -> bool:
+    """Tell whether an option stands on the command line; defaults do not."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _missing(option: str) -> UsageError:
+    """Return the error for an option that is needed."""
+    from candata.errors import UsageError
+
+    name = option.split()[0]
+    return UsageError(f"option {name} is missing", expected=option, fix="see candata generate-sim --help")
 
 
 def _kept_text(out: Path) -> str:
@@ -124,13 +222,14 @@ def _objects(text: str | None) -> tuple[str, ...]:
     return listed_objects(Path(text)) if text.endswith((".yaml", ".yml")) else console.words(text)
 
 
-def _scene(scene: str | None, effects_file: EffectsFile | None, path: Path | None) -> str:
-    """Return the scene asked for, else the one of the effects file."""
+def _scene(scene: str | None, *files: tuple[EffectsFile | RandomisationFile | None, Path | None]) -> str:
+    """Return the scene asked for, else the one of the file of effects that is given."""
     from candata.effects import scene_of
     from candata.errors import UsageError
 
     if scene is not None:
         return scene
-    if effects_file is None or path is None:
-        raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")
-    return scene_of(effects_file, path)
+    for file, path in files:
+        if file is not None and path is not None:
+            return scene_of(file, path)
+    raise UsageError("no scene", expected="--scene NAME or scene.yaml", fix="see candata scene list")

@@ -12,10 +12,11 @@ from candata.effects._contract import (
     Servos,
     Trait,
 )
-from candata.effects._file import read_effects, scene_of
+from candata.effects._file import read_effects, read_randomisation, scene_of
 from candata.effects._lookup import (
     EFFECTS,
     active,
+    acts_on_element,
     effect,
     effect_names,
     effects_with,
@@ -42,6 +43,7 @@ __all__ = [
     "Servos",
     "Trait",
     "active",
+    "acts_on_element",
     "effect",
     "effect_names",
     "effects_with",
@@ -50,6 +52,7 @@ __all__ = [
     "parameters_on",
     "rail_units",
     "read_effects",
+    "read_randomisation",
     "scene_of",
     "sensed_at",
     "setting",

@@ -1,4 +1,4 @@
-"""`effects.yaml` as a value, and the scene that it names."""
+"""Files of effects as values, and the scene that one names."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from candata.errors import UsageError, Where
 from candata.schema.effect import EffectsFile
+from candata.schema.randomisation import RandomisationFile
 from candata.schema.yaml_text import read_yaml
 
 
@@ -22,8 +23,21 @@ def read_effects(path: Path) -> EffectsFile:
     return EffectsFile.parse(read_yaml(path, "the effects file"), path)
 
 
-def scene_of(file: EffectsFile, path: Path) -> str:
-    """Return the scene that an effects file names: a file beside it, whatever the working directory, or a name.
+def read_randomisation(path: Path) -> RandomisationFile:
+    """Return a file of effects with distributions, checked.
+
+    Raises
+    ------
+    UsageError
+        When it is missing, no YAML, or not valid.
+    DataError
+        When it is a Git LFS pointer.
+    """
+    return RandomisationFile.parse(read_yaml(path, "the randomisation file"), path)
+
+
+def scene_of(file: EffectsFile | RandomisationFile, path: Path) -> str:
+    """Return the scene that a file of effects names: a file beside it, whatever the working directory, or a name.
 
     Raises
     ------

@@ -130,7 +130,7 @@ def _numbers(setting: EffectSetting, parameter: Parameter, scene: Scene) -> Arra
     clipped_array = np.clip(array, low, high)
     array = np.where(np.isclose(array, clipped_array, rtol=1e-9, atol=0), clipped_array, array)
     if array.shape != (size,) or not np.isfinite(array).all() or (array < low).any() or (array > high).any():
-        count = _acts_on_element(parameter, scene, setting.element).sum()
+        count = acts_on_element(parameter, scene, setting.element).sum()
         raise UsageError(
             f"{setting.name}: {parameter.name} is not possible in scene {scene.name}",
             expected=f"{count} number(s) in [{low:g}, {high:g}] {parameter.unit}",
@@ -141,7 +141,7 @@ def _numbers(setting: EffectSetting, parameter: Parameter, scene: Scene) -> Arra
 
 def _for_all_elements(array: Array, parameter: Parameter, scene: Scene, element: str | None) -> Array:
     """Return a vector for all elements: the numbers of one, the identity elsewhere."""
-    acts = _acts_on_element(parameter, scene, element)
+    acts = acts_on_element(parameter, scene, element)
     if acts.all() or len(array) != acts.sum():
         return array
     numbers = np.full(len(acts), float(parameter.identity(scene)))
@@ -149,7 +149,7 @@ def _for_all_elements(array: Array, parameter: Parameter, scene: Scene, element:
     return numbers
 
 
-def _acts_on_element(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
+def acts_on_element(parameter: Parameter, scene: Scene, element: str | None) -> NDArray[np.bool_]:
     """Return `(size,)` whether each number acts on `element`, or where none is named."""
     if parameter.owners is None or (element is None and parameter.whole is None):
         return np.ones(parameter.size(scene), bool)
@@ -167,7 +167,7 @@ def turn(name: str) -> tuple[bool, str]:
 
 def active(name: str, scene: Scene, element: str | None = None) -> NDArray[np.bool_]:
     """Return `(d,)` which numbers of the vector act: all, or those that belong to `element`."""
-    return np.concatenate([_acts_on_element(p, scene, element) for p in effect(name).parameters])
+    return np.concatenate([acts_on_element(p, scene, element) for p in effect(name).parameters])
 
 
 def setting(name: str, x: Array, scene: Scene, element: str | None = None) -> EffectSetting:
@@ -179,7 +179,7 @@ def setting(name: str, x: Array, scene: Scene, element: str | None = None) -> Ef
     start = 0
     for p in effect(name).parameters:
         size = p.size(scene)
-        part = x[start : start + size][_acts_on_element(p, scene, element)]
+        part = x[start : start + size][acts_on_element(p, scene, element)]
         start += size
         if p.choices:
             parameters[p.name] = p.choices[int(part[0])]

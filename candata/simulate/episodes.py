@@ -20,8 +20,8 @@ from candata.schema.scene import Noise
 from candata.simulate.loop import Alter, Trajectory, rollout
 
 Array = NDArray[np.float64]
-#: Streams of an episode's random numbers: what is planned never depends on what is measured.
-PLAN_STREAM, NOISE_STREAM = 0, 1
+#: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
+PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM = 0, 1, 2
 
 
 @dataclass(frozen=True)

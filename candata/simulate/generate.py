@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from candata import __version__
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
@@ -22,26 +19,36 @@ from candata.scenes.clouds import surface_cloud
 from candata.scenes.object_folder import named_object
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
+from candata.schema.randomisation import RandomEffect
 from candata.simulate import seal as seals
-from candata.simulate.jobs import OPERATION, GenerationRecipe, check, chunks, episode_id, lineage, possible_policies
+from candata.simulate.jobs import (
+    OPERATION,
+    GenerationRecipe,
+    check,
+    chunks,
+    episode_id,
+    lineage,
+    possible_policies,
+    tool_versions,
+)
 from candata.simulate.pool import EpisodeChunk, producer, run_chunks
 
 
 @dataclass(frozen=True)
 class Withheld:
-    """An effect to withhold.
+    """Effects to withhold.
 
     Attributes
     ----------
-    asked : str
-        Name of the effect, or `any`.
+    asked : str or tuple of RandomEffect
+        Name of an effect, or `any`; or a randomisation, of which one draw is the world of the whole set.
     seal : Path
         The sealed file, outside the dataset.
     salt : str, optional
         Secret in hex; random by default.
     """
 
-    asked: str
+    asked: seals.Asked
     seal: Path
     salt: str | None = None
 
@@ -54,6 +61,7 @@ def generate(
     *,
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
+    randomisation: Sequence[RandomEffect] = (),
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
     duration_s: float = 3.2,
@@ -81,6 +89,8 @@ def generate(
         folders. An episode then names its object, and `labels` its scene's digest.
     effects : sequence of EffectSetting
         Effects of every episode.
+    randomisation : sequence of RandomEffect
+        Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
     policy_file : str or Path, optional
@@ -90,7 +100,7 @@ def generate(
     noise : bool
         Add the sensor noise that the scene declares.
     withheld : Withheld, optional
-        Draw an effect, apply it, and keep it out of the dataset.
+        Draw an effect or several, apply them, and keep them out of the dataset.
     workers : int, optional
         Processes; as many as there are cores by default.
     progress : callable
@@ -112,17 +122,20 @@ def generate(
         objects=tuple(objects),
         seed=seed,
         effects=tuple(effects),
+        randomisation=tuple(randomisation),
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
-    held_objects = _held_objects(recipe, model)
+    if effects and randomisation:
+        raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
+    held_objects = _held_objects(recipe, model, episodes)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
-    history = lineage(recipe, model, _tools(), digests)
+    history = lineage(recipe, model, tool_versions(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
     root = create_dataset(out, exist_ok=True)
     recipe = recipe.model_copy(update={"point_clouds": tuple(put_cloud(root, held.cloud) for held in held_objects)})
@@ -138,10 +151,10 @@ class _HeldObject:
     cloud: NDArray[np.float32]
 
 
-def _held_objects(recipe: GenerationRecipe, model: Scene) -> tuple[_HeldObject, ...]:
+def _held_objects(recipe: GenerationRecipe, model: Scene, episodes: int) -> tuple[_HeldObject, ...]:
     """Return the objects of a set, once it is known that all can be simulated; none of a scene without an object."""
     if not recipe.objects:
-        check(recipe, model)
+        check(recipe, model, range(episodes))
         name = model.file.object
         return () if name is None else (_HeldObject(name, model.digest, surface_cloud(model)),)
     names = [named_object(asked_name).name for asked_name in recipe.objects]
@@ -149,9 +162,9 @@ def _held_objects(recipe: GenerationRecipe, model: Scene) -> tuple[_HeldObject, 
     if repeated:
         raise UsageError("an object is named twice", expected="objects of different names", found=", ".join(repeated))
     held_objects = []
-    for name, scene_name in zip(names, recipe.scenes, strict=True):
+    for turn, (name, scene_name) in enumerate(zip(names, recipe.scenes, strict=True)):
         scene = load_scene(scene_name)
-        check(recipe, scene)
+        check(recipe, scene, [i for i in range(episodes) if recipe.scene_turn(i) == turn])
         held_objects.append(_HeldObject(name, scene.digest, surface_cloud(scene)))
     return tuple(held_objects)
 
@@ -192,9 +205,13 @@ def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policie
 
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:
-    """Return the recipe with the drawn effect, its own random stream and its commitment."""
-    for given, words in ((recipe.effects, "effects"), (recipe.objects, "several objects")):
-        if given:
+    """Return the recipe with the drawn effects, its own random stream and its commitment."""
+    for is_given, words in (
+        (recipe.effects, "effects"),
+        (recipe.randomisation, "a randomisation"),
+        (recipe.objects, "several objects"),
+    ):
+        if is_given:
             raise UsageError(f"{words} and a withheld effect at once", fix="leave one of them out")
     if out.resolve() in withheld.seal.resolve().parents:
         raise UsageError("the sealed file would lie in the dataset", where=Where(path=str(withheld.seal)))
@@ -206,7 +223,7 @@ def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out
             fix="name it with --seal, or choose another --out",
         )
     seal = seals.keep(withheld.seal, scene, withheld.asked, seed, withheld.salt)
-    secret = {"seed": seal.stream, "effects": (seal.effect,), "sealed": seal.sealed}
+    secret = {"seed": seal.stream, "effects": seal.effects, "sealed": seal.sealed}
     return recipe.model_copy(update=secret)
 
 
@@ -256,8 +273,3 @@ def _facts(step: Lineage) -> dict:
     """Return what a configuration consists of."""
     details = {k: v for k, v in step.details.items() if k != "scene"}
     return {**details, **step.tools, "seeds": step.seeds, "sealed": step.sealed}
-
-
-def _tools() -> dict[str, str]:
-    """Return the versions that decide what a simulation gives."""
-    return {"candata": __version__, "mujoco": mujoco.__version__, "python": platform.python_version()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import platform
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,8 +18,10 @@ from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.object_folder import named_object
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
+from candata.schema.randomisation import RandomEffect
 from candata.schema.record import Record
 from candata.simulate.episodes import EpisodeJob
+from candata.simulate.randomisation import check_randomisation, drawn_effects
 from candata.simulate.world import build_worlds
 
 #: Episodes a chunk, and a part: fixed, so that who makes a chunk changes nothing in it.
@@ -30,15 +33,17 @@ class GenerationRecipe(Record):
     """What a set is made from; plain values, so that any process can be told.
 
     `scene` is what `load_scene` takes; `seed` feeds the episodes' random streams; `sealed` is null for a set
-    whose effects everybody may know, else the commitment of a withheld one. With a `policy_file` (its content named
-    by `policy_digest`) the motions of the file take turns, and `policies` are their names. `objects` are what
-    `named_object` takes; they take turns in the place of the scene's own, each for one round of the policies.
-    `point_clouds` has one name for each of `scenes`; nothing where the scene has no object.
+    whose effects everybody may know, else the commitment of a withheld one. `effects` act in every episode, those of
+    `randomisation` are drawn for each. With a `policy_file` (its content named by `policy_digest`) the motions of the
+    file take turns, and `policies` are their names. `objects` are what `named_object` takes; they take turns in the
+    place of the scene's own, each for one round of the policies. `point_clouds` has one name for each of `scenes`;
+    nothing where the scene has no object.
     """
 
     scene: str
     seed: int
     effects: tuple[EffectSetting, ...] = ()
+    randomisation: tuple[RandomEffect, ...] = ()
     policies: tuple[str, ...]
     policy_file: str | None = None
     policy_digest: str | None = None
@@ -58,8 +63,15 @@ class GenerationRecipe(Record):
         return index // len(self.policies) % len(self.scenes)
 
 
-def check(recipe: GenerationRecipe, scene: Scene) -> None:
+def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -> None:
     """Refuse what cannot be simulated in `scene`.
+
+    Parameters
+    ----------
+    recipe : GenerationRecipe
+    scene : Scene
+    indices : sequence of int
+        Episodes that play there: their effects are drawn, as a worker will draw them.
 
     Raises
     ------
@@ -83,6 +95,9 @@ def check(recipe: GenerationRecipe, scene: Scene) -> None:
             fix="give a longer --duration-s",
         )
     build_worlds(scene, [recipe.effects])
+    check_randomisation(recipe.randomisation, scene)
+    for index in indices if recipe.randomisation else ():
+        drawn_effects(recipe.randomisation, scene, recipe.seed, index)
 
 
 def possible_policies(scene: Scene) -> tuple[str, ...]:
@@ -90,15 +105,15 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
     return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
 
 
-def job(recipe: GenerationRecipe, index: int, motions: Sequence[Motion] = ()) -> EpisodeJob:
-    """Return the job of episode `index`; policies, or the motions of a file, take turns."""
+def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:
+    """Return the job of episode `index`, which plays in `scene`; policies, or the motions of a file, take turns."""
     turn, scene_turn = index % len(recipe.policies), recipe.scene_turn(index)
     return EpisodeJob(
         id=episode_id(recipe, index),
         index=index,
         policy=recipe.policies[turn],
         seed=recipe.seed,
-        effects=recipe.effects,
+        effects=(*recipe.effects, *drawn_effects(recipe.randomisation, scene, recipe.seed, index)),
         hidden=recipe.sealed is not None,
         point_cloud=recipe.point_clouds[scene_turn] if recipe.point_clouds else None,
         object=named_object(recipe.objects[scene_turn]).name if recipe.objects else None,
@@ -160,6 +175,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         details["policy_file"] = recipe.policy_digest
     if not is_withheld:
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
+        if recipe.randomisation:
+            details["randomisation"] = [e.model_dump(mode="json", exclude_none=True) for e in recipe.randomisation]
     seeds = () if is_withheld else (recipe.seed,)
     return Lineage(
         operation=OPERATION,
@@ -170,6 +187,11 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         details=details,
         sealed=recipe.sealed,
     )
+
+
+def tool_versions() -> dict[str, str]:
+    """Return the versions that decide what a simulation gives."""
+    return {"candata": __version__, "mujoco": mujoco.__version__, "python": platform.python_version()}
 
 
 def _digest(details: dict, seeds: Sequence[int], commitment: str | None) -> str:

@@ -66,7 +66,7 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
         scene = _scene(name)
         motions = motions_of(plan, scene)
         noise = scene.file.noise if plan.noise else None
-        batch = [job(plan, number, motions) for number in scene_numbers]
+        batch = [job(plan, number, scene, motions) for number in scene_numbers]
         episode_of |= zip(
             scene_numbers, make_episodes(scene, batch, duration_s=plan.duration_s, noise=noise), strict=True
         )

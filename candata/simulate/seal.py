@@ -1,4 +1,4 @@
-"""A withheld effect: drawn from a seed and a secret salt, kept in a sealed file apart from the dataset."""
+"""Withheld effects: drawn from a seed and a secret salt, kept in a sealed file apart from the dataset."""
 
 from __future__ import annotations
 
@@ -18,12 +18,16 @@ from candata.datasets.writing import refused
 from candata.effects import Parameter, effect, effect_names, setting
 from candata.errors import DataError, UsageError, Where
 from candata.scenes import Scene
-from candata.schema.effect import EffectSetting
+from candata.schema.effect import EffectSetting, EffectsFile
 from candata.schema.json_text import parse_json, read_json
+from candata.schema.randomisation import RandomEffect, RandomisationFile
 from candata.schema.record import Record
 from candata.schema.text_bounds import TextError
+from candata.simulate.randomisation import check_randomisation, drawn_effects
 
 ANY_EFFECT = "any"
+#: What may be withheld: an effect by name, or any; or all that is drawn of a randomisation.
+Asked = str | tuple[RandomEffect, ...]
 SALT_BYTES = 32
 #: Rights of a sealed file: its owner reads and writes it.
 _OWNER_ALONE = 0o600
@@ -32,8 +36,9 @@ _OWNER_ALONE = 0o600
 class Seal(Record):
     """The sealed file: what was withheld and how it was drawn.
 
-    `asked` is the effect that was asked for, or `any`; `label` is the canonical JSON of the effect's setting;
-    `sealed` is the commitment sha256(label + salt) that the dataset's lineage carries.
+    `asked` is the effect that was asked for, or `any`, or `randomisation` and the sha256 of one; `label` is the
+    canonical JSON of the effect's setting, or of an `effects.yaml` with all that was drawn of a randomisation; `sealed`
+    is the commitment sha256(label + salt) that the dataset's lineage carries.
     """
 
     scene_digest: str
@@ -44,8 +49,8 @@ class Seal(Record):
     sealed: str
 
     @property
-    def effect(self) -> EffectSetting:
-        """The setting that was withheld.
+    def effects(self) -> tuple[EffectSetting, ...]:
+        """The settings that were withheld.
 
         Raises
         ------
@@ -53,9 +58,12 @@ class Seal(Record):
             When the label is not what was written.
         """
         try:
-            return EffectSetting.parse(parse_json(self.label), "label")
+            value = parse_json(self.label)
         except TextError as error:
             raise UsageError("the sealed label is damaged", expected="JSON", found=str(error)) from None
+        if isinstance(value, dict) and "effects" in value:
+            return EffectsFile.parse(value, "label").effects
+        return (EffectSetting.parse(value, "label"),)
 
     @property
     def stream(self) -> int:
@@ -68,15 +76,15 @@ def new_salt() -> str:
     return secrets.token_hex(SALT_BYTES)
 
 
-def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
-    """Return the sealed draw of `effect_name`, or of any effect that can act in the scene.
+def draw(scene: Scene, asked: Asked, seed: int, salt: str) -> Seal:
+    """Return the sealed draw of an effect, of any that can act in the scene, or of a randomisation.
 
     Parameters
     ----------
     scene : Scene
         Where it acts.
-    effect_name : str
-        Name of the effect, or `any`: each possible one is as likely.
+    asked : str or tuple of RandomEffect
+        Name of the effect, or `any`: each possible one is as likely. Of a randomisation, one draw for the whole set.
     seed : int
         The set's seed.
     salt : str
@@ -87,8 +95,34 @@ def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
     UnknownNameError
         When there is no such effect.
     UsageError
-        When it cannot act in the scene, follows what is recorded, or the salt is no hex of 32 bytes.
+        When it cannot act in the scene, follows what is recorded, or the salt is no hex of 32 bytes; or when a
+        randomisation cannot be drawn.
     """
+    if isinstance(asked, str):
+        label = canonical(_drawn_effect(scene, asked, seed, salt))
+    else:
+        check_randomisation(asked, scene)
+        effects = drawn_effects(asked, scene, secret_number(seed, salt, "randomisation"), 0)
+        label = canonical(EffectsFile(effects=effects))
+    return Seal(
+        scene_digest=scene.digest,
+        asked=_asked_text(asked),
+        seed=seed,
+        salt=salt,
+        label=label,
+        sealed=commitment(label, salt),
+    )
+
+
+def _asked_text(asked: Asked) -> str:
+    """Return what a seal says of what was asked for."""
+    if isinstance(asked, str):
+        return asked
+    return f"randomisation {hashlib.sha256(canonical(RandomisationFile(effects=asked)).encode()).hexdigest()}"
+
+
+def _drawn_effect(scene: Scene, effect_name: str, seed: int, salt: str) -> EffectSetting:
+    """Return a draw of one effect, or of any."""
     rng = np.random.default_rng(secret_number(seed, salt, "effect"))
     possible_effects = [drawn_name for drawn_name in effect_names() if effect(drawn_name).possible(scene)]
     if effect_name != ANY_EFFECT and (effect(effect_name).follows or not effect(effect_name).possible(scene)):
@@ -99,15 +133,7 @@ def draw(scene: Scene, effect_name: str, seed: int, salt: str) -> Seal:
         )
     drawn_name = str(rng.choice(possible_effects)) if effect_name == ANY_EFFECT else effect_name
     values = np.concatenate([draw_parameter(p, scene, rng) for p in effect(drawn_name).parameters])
-    label = canonical(setting(drawn_name, values, scene))
-    return Seal(
-        scene_digest=scene.digest,
-        asked=effect_name,
-        seed=seed,
-        salt=salt,
-        label=label,
-        sealed=commitment(label, salt),
-    )
+    return setting(drawn_name, values, scene)
 
 
 def draw_parameter(parameter: Parameter, scene: Scene, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -130,7 +156,7 @@ def commitment(label: str, salt: str) -> str:
     return hashlib.sha256(label.encode() + _salt_bytes(salt)).hexdigest()
 
 
-def keep(path: Path, scene: Scene, effect_name: str, seed: int, salt: str | None) -> Seal:
+def keep(path: Path, scene: Scene, asked: Asked, seed: int, salt: str | None) -> Seal:
     """Return the seal that stands in `path`; a fresh one, written and synced first, where none does.
 
     Parameters
@@ -148,10 +174,15 @@ def keep(path: Path, scene: Scene, effect_name: str, seed: int, salt: str | None
         When the file belongs to another set or is no sealed file.
     """
     if not path.exists():
-        new_seal = draw(scene, effect_name, seed, salt or new_salt())
+        new_seal = draw(scene, asked, seed, salt or new_salt())
         write_once(path, new_seal)
     seal = read_seal(path)
-    expected_fields = {"scene_digest": scene.digest, "asked": effect_name, "seed": seed, "salt": salt or seal.salt}
+    expected_fields = {
+        "scene_digest": scene.digest,
+        "asked": _asked_text(asked),
+        "seed": seed,
+        "salt": salt or seal.salt,
+    }
     for name, value in expected_fields.items():
         if getattr(seal, name) != value:
             raise UsageError(
@@ -175,8 +206,8 @@ def read_seal(path: Path) -> Seal:
     return Seal.parse(read_json(path), path)
 
 
-def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
-    """Return the effect that was withheld from `dataset`, its commitment verified.
+def open_seal(path: str | Path, dataset: Dataset) -> tuple[EffectSetting, ...]:
+    """Return the effects that were withheld from `dataset`, the commitment verified: one unless a file was drawn from.
 
     Parameters
     ----------
@@ -203,7 +234,7 @@ def open_seal(path: str | Path, dataset: Dataset) -> EffectSetting:
             where=Where(path=str(path)),
             fix="give the sealed file that was written beside this dataset",
         )
-    return seal.effect
+    return seal.effects
 
 
 def canonical(record: Record) -> str:

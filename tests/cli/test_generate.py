@@ -69,6 +69,107 @@ def test_effects_come_from_a_file_that_may_name_the_scene(tmp_path, capsys):
     assert episode.meta.effects[0].parameters == {"mass_scale": 1.5}
 
 
+@pytest.fixture
+def randomised(tmp_path):
+    """A function that draws the effects of two tosses as a file says, and the dataset."""
+
+    def make(text: str, *words: object) -> int:
+        path = tmp_path / "random.yaml"
+        path.write_text(text)
+        command = ("generate-sim", "--randomise", path, "--episodes", 2, "--duration-s", 0.2, "--jobs", 1)
+        return exit_code(*command, *words, "--out", tmp_path / "set")
+
+    return make, tmp_path / "set"
+
+
+MASS = "scene: cube_toss\neffects: [{name: object_mass, parameters: {mass_scale: {uniform: [0.7, 1.5]}}}]\n"
+
+
+def test_a_randomisation_may_name_the_scene_and_is_told_by_the_lineage(randomised, capsys):
+    from candata.datasets import open_dataset
+
+    make, out = randomised
+    assert make(MASS) == 0
+    first, second = open_dataset(out)
+    assert first.meta.effects != second.meta.effects
+    exit_code("registry", "log", out)
+    assert "randomisation object_mass(mass_scale {'uniform': [0.7, 1.5]})" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "said"),
+    [
+        ("", (), "random.yaml is not valid: (whole file): keys with values are expected\n"),
+        ("effects: []\n", (), "random.yaml is not valid: effects: Tuple should have at least 1 item"),
+        (MASS.replace("uniform", "unifrom"), (), "unknown key `unifrom`, did you mean `uniform`"),
+        (MASS.replace("[0.7, 1.5]", "[1.5, 0.7]"), (), "the smallest value of uniform comes first"),
+        (MASS.replace("uniform: [0.7, 1.5]", "normal: [1, 0]"), (), "the standard deviation of normal"),
+        (MASS.replace("[0.7, 1.5]", "[0.7, 1.5], choice: [1.0]"), (), "expected one of uniform, normal and choice"),
+        (MASS.replace("name: object", "share: 1.2, name: object"), (), "effects.0.share: "),
+        (MASS, ("--withhold", "any"), "a randomisation and a withheld effect at once"),
+        (MASS, ("--effects", "effects.yaml"), "effects and a randomisation at once"),
+        (MASS, ("--withhold-from", "random.yaml"), "a randomisation and a withheld effect at once"),
+    ],
+)
+def test_a_wrong_randomisation_is_one_error(randomised, tmp_path, monkeypatch, capsys, text, words, said):
+    make, out = randomised
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "effects.yaml").write_text("effects: [{name: object_mass, parameters: {mass_scale: 1.5}}]\n")
+    assert make(text, *words) == 2
+    assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_effects_withheld_from_a_file_are_not_printed(tmp_path, capsys):
+    path, out = tmp_path / "hidden.yaml", tmp_path / "set"
+    path.write_text(MASS.replace("[{", "[{name: gravity_tilt, parameters: {tilt_x_rad: {normal: [0, 0.05]}}}, {"))
+    words = ("generate-sim", "--withhold-from", path, "--episodes", 2, "--duration-s", 0.2, "--jobs", 1, "--out", out)
+    assert exit_code(*words, "--withhold", "any") == 2
+    assert capsys.readouterr().err.startswith("--withhold and --withhold-from at once\n")
+    assert exit_code(*words) == 0
+    printed = capsys.readouterr()
+    assert printed.err.endswith(f"withheld effects sealed in {out}.seal.json\n")
+    seal = json.loads(out.with_name("set.seal.json").read_text())
+    assert [e["name"] for e in json.loads(seal["label"])["effects"]] == ["gravity_tilt", "object_mass"]
+    assert not any(word in printed.out + printed.err for word in ("mass", "tilt", seal["salt"]))
+    assert exit_code(*words) == 0
+    assert capsys.readouterr().out == printed.out, "nothing twice"
+
+
+def test_an_episode_is_made_again(randomised, tmp_path, capsys):
+    make, out = randomised
+    make(MASS)
+    capsys.readouterr()
+    again = ("generate-sim", "--again", out, "--episode", "cube_toss-s1-000001")
+    assert exit_code(*again) == 0
+    assert capsys.readouterr().out == "cube_toss-s1-000001: bit-equal, 30 rows of 2 channels\n"
+    assert exit_code(*again, "--out", tmp_path / "again") == 0
+    assert f"{tmp_path / 'again'}: version 1, digest " in capsys.readouterr().out
+    assert exit_code("generate-sim", "--again", tmp_path / "again", "--episode", "cube_toss-s1-000001") == 0
+    assert exit_code(*again, "--scene", "gripper_tabletop", "--out", tmp_path / "none") == 2
+    assert capsys.readouterr().err.startswith("the scene is not the one that the episode was made in\n")
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--again", "set"), "option --episode is missing\n"),
+        (("--episode", "x"), "option --again is missing\n"),
+        (("--again", "set", "--episode", "x", "--seed", 1), "--again and --seed at once\n"),
+        (("--again", "set", "--episode", "x", "--no-noise"), "--again and --noise at once\n"),
+        (("--again", "nowhere", "--episode", "x"), "not a dataset\n"),
+        (("--scene", "cube_toss", "--episodes", 1), "option --out is missing\n"),
+        (("--scene", "cube_toss", "--out", "x"), "option --episodes is missing\n"),
+    ],
+)
+def test_again_takes_an_episode_and_nothing_that_would_change_it(words, said, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert exit_code("generate-sim", *words) == 2
+    assert capsys.readouterr().err.startswith(said)
+    assert list(tmp_path.iterdir()) == []
+
+
 ARM = """<mujoco><worldbody><body name="arm"><joint name="arm" axis="0 0 1"/><geom size=".1"/></body></worldbody>
   <actuator><position name="arm" joint="arm" kp="9" ctrllimited="true" ctrlrange="-1 1"/></actuator></mujoco>"""
 

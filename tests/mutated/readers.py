@@ -326,7 +326,7 @@ def _read_sealed(folder: Path) -> object:
     """Return a sealed effect."""
     from candata.simulate import seal
 
-    return seal.read_seal(folder / "seal.json").effect
+    return seal.read_seal(folder / "seal.json").effects
 
 
 #: Readers of candata's own stores, of texts that users write, and all of them, by name.

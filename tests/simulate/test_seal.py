@@ -14,12 +14,27 @@ from candata.datasets import open_dataset, pending_parts
 from candata.effects import effect, effect_names, flatten
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.scenes import load_scene
+from candata.schema.randomisation import RandomisationFile
 from candata.simulate import open_seal
 from candata.simulate.generate import Withheld, generate
 from candata.simulate.seal import draw, read_seal
 
 SALT = hashlib.sha256(b"a salt for tests").hexdigest()
 SHORT = {"scene": "xhand_tabletop", "episodes": 3, "seed": 424242, "duration_s": 0.2, "workers": 1}
+#: Several effects; with this salt all are drawn.
+WORLD = RandomisationFile.model_validate(
+    {
+        "effects": [
+            {"name": "servo_gain", "parameters": {"kp_scale": {"uniform": [0.5, 0.8]}}},
+            {
+                "name": "joint_dry_friction",
+                "element": "index2",
+                "parameters": {"frictionloss_Nm": {"uniform": [0, 0.1]}},
+            },
+            {"name": "pose_latency", "share": 0.5, "parameters": {"latency_s": {"normal": [0.03, 0.01]}}},
+        ]
+    }
+).effects
 
 
 @pytest.fixture(scope="module")
@@ -45,14 +60,15 @@ def readable(folder) -> dict[str, bytes]:
     return found
 
 
-@pytest.mark.parametrize("asked", ["servo_gain", "any"])
+@pytest.mark.parametrize("asked", ["servo_gain", "any", WORLD])
 def test_no_byte_of_the_dataset_tells_the_effect(tmp_path, asked):
     withhold(tmp_path, asked)
     seal = read_seal(tmp_path / "set.seal.json")
     open_dataset(tmp_path / "set").catalog()
     secrets = [seal.salt, bytes.fromhex(seal.salt).hex(":"), seal.label, str(seal.seed), str(seal.stream)]
-    secrets += [seal.effect.name, *seal.effect.parameters, "withhold", "--seed"]
-    secrets += [str(v) for v in seal.effect.parameters.values()]
+    for withheld in seal.effects:
+        secrets += [withheld.name, *withheld.parameters, *map(str, withheld.parameters.values())]
+    secrets += ["withhold", "--seed", "randomisation"]
     for place, content in readable(tmp_path / "set").items():
         for secret in secrets:
             assert secret.encode() not in content, f"{secret} in {place}"
@@ -86,7 +102,7 @@ def test_the_sealed_file_is_for_its_owner(tmp_path):
 
 def test_the_seal_opens_on_its_dataset(tmp_path):
     withhold(tmp_path)
-    truth = open_seal(tmp_path / "set.seal.json", open_dataset(tmp_path / "set"))
+    (truth,) = open_seal(tmp_path / "set.seal.json", open_dataset(tmp_path / "set"))
     assert truth.name == "servo_gain"
     scale = truth.parameters["kp_scale"]
     assert 0.5 <= scale <= 0.8 or 1.3 <= scale <= 2.0
@@ -103,7 +119,7 @@ def test_a_seal_that_was_changed_does_not_open(tmp_path):
 def test_a_sealed_label_that_is_damaged_is_one_clear_error(hand):
     drawn = draw(hand, "any", 1, "0" * 64)
     with pytest.raises(UsageError, match="the sealed label is damaged"):
-        _ = drawn.model_copy(update={"label": drawn.label[:-3]}).effect
+        _ = drawn.model_copy(update={"label": drawn.label[:-3]}).effects
 
 
 def test_the_effect_is_applied(tmp_path):
@@ -114,10 +130,33 @@ def test_the_effect_is_applied(tmp_path):
     real, nominal = (next(iter(open_dataset(tmp_path / name))) for name in ("set", "plain"))
     assert np.array_equal(real["action"], nominal["action"])
     assert not np.array_equal(real["joint_position"], nominal["joint_position"])
-    same = generate(tmp_path / "same", **{**SHORT, "seed": seal.stream}, effects=[seal.effect])
+    same = generate(tmp_path / "same", **{**SHORT, "seed": seal.stream}, effects=seal.effects)
     again = next(iter(open_dataset(tmp_path / "same")))
     assert same.number == 1
     assert np.array_equal(real["joint_position"], again["joint_position"])
+
+
+def test_a_world_of_several_effects_is_drawn_once_for_the_whole_set(tmp_path, hand):
+    withhold(tmp_path, WORLD)
+    data = open_dataset(tmp_path / "set")
+    truth = open_seal(tmp_path / "set.seal.json", data)
+    assert [e.name for e in truth] in ([e.name for e in WORLD], [e.name for e in WORLD[:2]])
+    assert 0.5 <= truth[0].parameters["kp_scale"] <= 0.8
+    stream = read_seal(tmp_path / "set.seal.json").stream
+    generate(tmp_path / "same", **{**SHORT, "seed": stream}, effects=truth)
+    for real, again in zip(data, open_dataset(tmp_path / "same"), strict=True):
+        assert np.array_equal(real["joint_position"], again["joint_position"])
+    withhold(tmp_path, WORLD)  # the same again adds nothing
+    assert len(open_dataset(tmp_path / "set")) == 3
+    with pytest.raises(UsageError, match="the sealed file belongs to another set: its asked differs"):
+        withhold(tmp_path, WORLD[:2])
+
+
+def test_seed_and_salt_decide_the_draw_of_a_world(hand):
+    first = draw(hand, WORLD, 1, SALT)
+    assert draw(hand, WORLD, 1, SALT) == first
+    assert first.label not in {draw(hand, WORLD, 2, SALT).label, draw(hand, WORLD, 1, SALT[::-1]).label}
+    assert {len(draw(hand, WORLD, seed, SALT).effects) for seed in range(20)} == {2, 3}
 
 
 def test_a_stopped_run_keeps_its_draw(tmp_path):
@@ -160,9 +199,9 @@ def test_a_sealed_file_in_the_dataset_is_refused(tmp_path):
 
 
 def test_known_and_withheld_effects_do_not_mix(tmp_path, hand):
-    some = draw(hand, "armature", 1, SALT).effect
+    some = draw(hand, "armature", 1, SALT).effects
     with pytest.raises(UsageError, match="effects and a withheld effect at once"):
-        generate(tmp_path / "set", **SHORT, effects=[some], withheld=Withheld("any", tmp_path / "seal.json"))
+        generate(tmp_path / "set", **SHORT, effects=some, withheld=Withheld("any", tmp_path / "seal.json"))
     assert not (tmp_path / "seal.json").exists()
 
 
@@ -185,7 +224,7 @@ def test_seed_and_salt_decide_the_draw_and_the_stream(hand):
 
 
 def test_any_draws_every_possible_effect(hand):
-    drawn = {draw(hand, "any", seed, SALT).effect.name for seed in range(500)}
+    drawn = {draw(hand, "any", seed, SALT).effects[0].name for seed in range(500)}
     # A fair draw of 500 among 40 misses one with probability 40 (39/40)^500 < 1e-3; the seeds are fixed.
     assert drawn == {name for name in effect_names() if effect(name).possible(hand)}
 
@@ -195,7 +234,7 @@ def test_a_draw_is_clearly_not_the_identity(hand, name):
     if not effect(name).possible(hand):
         pytest.skip("cannot act there")
     for seed in range(20):
-        given = draw(hand, name, seed, SALT).effect
+        (given,) = draw(hand, name, seed, SALT).effects
         x = flatten(given, hand)
         identity = [(p.neutral or p.identity)(hand) for p in effect(name).parameters for _ in range(p.size(hand))]
         assert np.abs(x - identity).max() > 0.0

@@ -1,0 +1,65 @@
+"""Records of a randomisation: effects of a simulation, each with a distribution for each of its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Self
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from candata.schema.effect import Value
+from candata.schema.record import Record
+
+
+class Distribution(Record):
+    """What a value is drawn from: one of the three, in the unit of the parameter.
+
+    `uniform` holds the smallest and the largest value, `normal` mean and standard deviation, `choice` values that are
+    all as likely. Each number of a vector is drawn on its own, except from a `choice`, whose values are whole vectors.
+    """
+
+    uniform: tuple[float, float] | None = None
+    normal: tuple[float, float] | None = None
+    choice: Annotated[tuple[Value, ...], Field(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _is_one(self) -> Self:
+        """Refuse none or several at once, limits in the wrong order, and a standard deviation of zero or less."""
+        if sum(kind is not None for kind in (self.uniform, self.normal, self.choice)) != 1:
+            raise ValueError("expected one of uniform, normal and choice")
+        if self.uniform is not None and self.uniform[0] > self.uniform[1]:
+            raise ValueError("the smallest value of uniform comes first")
+        if self.normal is not None and self.normal[1] <= 0:
+            raise ValueError("the standard deviation of normal, its second number, is above 0")
+        return self
+
+
+def _kind_of(value: Any) -> str:
+    """Return which alternative a value is meant as, so that an error speaks of that one alone."""
+    return "drawn" if isinstance(value, Mapping | Distribution) else "plain"
+
+
+#: A plain value, or what it is drawn from.
+PossiblyDrawn = Annotated[
+    Annotated[Distribution, Tag("drawn")] | Annotated[Value, Tag("plain")], Discriminator(_kind_of)
+]
+
+
+class RandomEffect(Record):
+    """One effect of a randomisation: `element` null means all elements it can act on.
+
+    `share` is the probability that an episode has it. A parameter is a plain value or is drawn for each episode; one
+    that is left out is that of the model. What is possible in a scene is said by who knows the scene.
+    """
+
+    name: str
+    element: str | None = None
+    share: Annotated[float, Field(ge=0, le=1)] = 1.0
+    parameters: dict[str, PossiblyDrawn] = Field(min_length=1)
+
+
+class RandomisationFile(Record):
+    """A file for `generate-sim --randomise`: a scene, and effects that are drawn anew for each episode."""
+
+    scene: str | None = None
+    effects: tuple[RandomEffect, ...] = Field(min_length=1)
