@@ -103,7 +103,7 @@ def test_a_scalar_has_no_numbers_of_one_element(arm, posed):
 
 def test_beside_an_effect_on_slides_the_same_one_is_tried_on_hinges(hand):
     problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(readings=CHANNELS), ruled_out=frozenset()
+        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(channels=CHANNELS), ruled_out=frozenset()
     )
     held = ((candidate("actuation_delay", hand, "wrist"), np.array([0.03])),)
     assert [c.label for c in staging.unheld(problem, held) if c.name == "actuation_delay"] == ["actuation_delay"]
@@ -113,7 +113,7 @@ def test_beside_an_effect_on_slides_the_same_one_is_tried_on_hinges(hand):
 
 def test_beside_an_effect_the_same_one_is_tried_on_slides_only(hand):
     problem = SimpleNamespace(
-        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(readings=CHANNELS), ruled_out=frozenset()
+        replayer=SimpleNamespace(scene=hand), recs=SimpleNamespace(channels=CHANNELS), ruled_out=frozenset()
     )
     held = ((candidate("actuation_delay", hand), np.array([0.03])), (candidate("joint_damping", hand), np.ones(1)))
     again = [c.label for c in staging.unheld(problem, held) if c.name in ("actuation_delay", "joint_damping")]
