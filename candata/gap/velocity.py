@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Latest a reported velocity may be [s], by steps of how many rows it is looked for, and how near one its ratio to the
-#: encoder's own rate must lie. Chosen: firmware averages over some 10 to 50 ms; a unit mistaken is off by more.
-LATEST_S, LAG_ROWS, RATIO = 0.1, 0.5, 0.2
+#: Latest a reported velocity may be [s], by steps of how many rows, and at least how many seconds, it is looked for, and
+#: how near one its ratio to the encoder's own rate must lie. Chosen: firmware averages over some 10 to 50 ms; a unit
+#: mistaken is off by more.
+LATEST_S, LAG_ROWS, LAG_S, RATIO = 0.1, 0.5, 0.0025, 0.2
 #: Least correlation of a reported velocity with the encoder's own rate. Chosen: rounded to zero in slow motion it tells
 #: nothing.
 FOLLOWS = 0.5
@@ -58,7 +59,8 @@ def aligned_velocity(
         The velocities, and notes on how late they are and which are not compared.
     """
     rate, out = joint_velocity(position, rate_hz), np.full(reported.shape, np.nan)
-    lags = np.arange(0, LATEST_S * rate_hz + LAG_ROWS / 2, LAG_ROWS)
+    step = max(LAG_ROWS, LAG_S * rate_hz)
+    lags = np.arange(0, LATEST_S * rate_hz + step / 2, step)
     late, unusable = {}, []
     for j, name in enumerate(joints):
         earlier = [_earlier(reported[..., j], lag) for lag in lags]
