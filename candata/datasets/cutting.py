@@ -27,16 +27,20 @@ def pieces(episode: Episode, length_s: float) -> Iterator[Episode]:
     """
     rows = max(2, round(length_s * episode.meta.rate_hz))
     for k in range(len(episode) // rows):
-        part = slice(k * rows, (k + 1) * rows)
-        arrays = {name: np.asarray(values)[part] for name, values in episode.arrays.items()}
-        arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][:1]
-        invalid = {
-            name.removesuffix(VALID_SUFFIX): int((~values).sum())
-            for name, values in arrays.items()
-            if name.endswith(VALID_SUFFIX) and not values.all()
-        }
         names = {"id": f"{episode.meta.id}-{k}", "task": f"{episode.meta.task or ''}-{k}"}
-        yield Episode(episode.meta.model_copy(update={**names, "invalid_counts": invalid}), arrays)
+        yield piece(episode, k * rows, (k + 1) * rows, **names)
+
+
+def piece(episode: Episode, begin: int, end: int, **meta: str) -> Episode:
+    """Return the rows from `begin` to `end` of an episode as an episode, its time from zero; `meta` replaces fields."""
+    arrays = {name: np.asarray(values)[begin:end] for name, values in episode.arrays.items()}
+    arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][:1]
+    invalid = {
+        name.removesuffix(VALID_SUFFIX): int((~values).sum())
+        for name, values in arrays.items()
+        if name.endswith(VALID_SUFFIX) and not values.all()
+    }
+    return Episode(episode.meta.model_copy(update={**meta, "invalid_counts": invalid}), arrays)
 
 
 def cut(dataset: Dataset, length_s: float, out: Path) -> VersionFile:

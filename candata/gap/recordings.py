@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from candata.align import time_factor
 from candata.datasets import Dataset
+from candata.datasets.cutting import piece
 from candata.errors import DataError, RateError, Where
 from candata.gap.deviation import SlowDeviation, shifted_readings
 from candata.gap.held import sources
@@ -232,13 +233,6 @@ def _while_driven(episodes: list[Episode]) -> tuple[list[Episode], tuple[str, ..
             kept.append(episode if end == len(episode) else piece(episode, 0, end))
     note = f"{cut} of {len(episodes)} episodes end where a servo is switched off: it follows no command any more"
     return kept, (note,) * bool(cut)
-
-
-def piece(episode: Episode, begin: int, end: int, **meta: str) -> Episode:
-    """Return the rows from `begin` to `end` of an episode as an episode, its time from zero; `meta` replaces fields."""
-    arrays = {n: np.asarray(v)[begin:end] for n, v in episode.arrays.items()}
-    arrays["time_ns"] = arrays["time_ns"] - arrays["time_ns"][:1]
-    return Episode(episode.meta.model_copy(update=meta), arrays)
 
 
 def _sound(scene: Scene, episodes: list[Episode]) -> tuple[list[Episode], list[str], tuple[str, ...]]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: Latest a reported velocity may be [s], by steps of how many rows, and at least how many seconds, it is looked for, and
+#: Latest a reported velocity may be [s], by steps of how many rows, at least how many seconds, it is looked for, and
 #: how near one its ratio to the encoder's own rate must lie. Chosen: firmware averages over some 10 to 50 ms; a unit
 #: mistaken is off by more.
 LATEST_S, LAG_ROWS, LAG_S, RATIO = 0.1, 0.5, 0.0025, 0.2
