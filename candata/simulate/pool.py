@@ -20,7 +20,7 @@ from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
 T = TypeVar("T")
 Progress = Callable[[int], None]
 #: How long a stopped worker may take to remove what it has half written [s].
-_LEAVE_S = 0.5
+_LEAVE_S = 5.0
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -134,9 +134,17 @@ def submit_tasks(
     """
     earlier_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        return [pool.submit(work, *task) for task in tasks]
+        return [pool.submit(_run_task, work, task) for task in tasks]
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, earlier_mask)
+
+
+def _run_task(work: Callable[..., T], task: tuple[Any, ...]) -> T:
+    """Return what a task returns; a worker that is told to leave ends once the task has removed what is half."""
+    try:
+        return work(*task)
+    except SystemExit:
+        os._exit(1)
 
 
 @lru_cache(maxsize=1)
@@ -153,7 +161,11 @@ def _start() -> None:
 
 
 def _leave(_number: int, _frame: object) -> NoReturn:
-    """Leave the task under way, so that it removes what is half; the process goes soon after, whatever waits for it."""
+    """Leave the task under way, so that it removes what is half; the process goes soon after, whatever waits for it.
+
+    A second signal is not heard: the pool sends one to all workers when the first of them has ended.
+    """
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
     raise SystemExit
 
