@@ -14,6 +14,37 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
+class Goal:
+    """What an episode is meant to do with the object; a field left at its default asks for nothing.
+
+    Attributes
+    ----------
+    lift_m : float
+        Least height that the object gains over row 0 [m], for `held_s` without a break.
+    held_s : float
+        How long it stays lifted [s].
+    place_m : (3,) float64, optional
+        Displacement of the object's origin at the last row from row 0 [m].
+    place_tolerance_m : float
+        Greatest distance from `place_m`, along the support, that still counts [m].
+    turn_rad : float
+        Least angle by which the object is turned at some row while a fingertip touches it, from row 0 [rad].
+    topple : bool
+        The object is meant to end on another side than it began.
+    slip : bool
+        The object is meant to slip out of the fingers.
+    """
+
+    lift_m: float = 0.0
+    held_s: float = 0.0
+    place_m: Array | None = None
+    place_tolerance_m: float = 0.05
+    turn_rad: float = 0.0
+    topple: bool = False
+    slip: bool = False
+
+
+@dataclass(frozen=True)
 class Plan:
     """Commands of one episode and the state it starts from.
 
@@ -27,6 +58,8 @@ class Plan:
         Time for which the first command is held before row 0, so that the episode begins at rest [s].
     object_shift_m : (3,) float64, optional
         Where the object is put on purpose, from its place in the model [m].
+    goal : Goal, optional
+        What the commands are meant to do with the object; None where nothing is meant.
     """
 
     commands: Array
@@ -34,6 +67,7 @@ class Plan:
     qvel: Array
     settle_s: float
     object_shift_m: Array | None = None
+    goal: Goal | None = None
 
 
 Planner = Callable[[Scene, np.random.Generator, float], Plan]
