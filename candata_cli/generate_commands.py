@@ -40,6 +40,7 @@ Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
 ]
 WithNoise = Annotated[bool, typer.Option("--noise/--no-noise", help="Add the declared sensor noise.")]
+Taxels = Annotated[bool, typer.Option("--taxels", help="Add what 120 taxels a fingertip count.")]
 Jobs = Annotated[int | None, typer.Option("--jobs", metavar="J", help="Processes; all cores by default.")]
 Withhold = Annotated[
     str | None, typer.Option("--withhold", metavar="EFFECT", help="Draw and hide an effect, or `any`.")
@@ -77,6 +78,7 @@ def generate_sim(
     policy_file: PolicyFile = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
+    taxels: Taxels = False,
     jobs: Jobs = None,
     withhold: Withhold = None,
     withhold_from: WithholdFrom = None,
@@ -121,6 +123,7 @@ def generate_sim(
             policy_file=policy_file,
             duration_s=duration_s,
             noise=noise,
+            taxels=taxels,
             withheld=withheld,
             workers=jobs,
             progress=advance,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -52,6 +52,8 @@ class Scene:
         Effects that belong to the nominal simulator, see `candata.simulate.with_effects`.
     plain : Scene or None
         The scene without them; None where there are none.
+    spec : mujoco.MjSpec or None
+        What the model was compiled from, see `candata.scenes.labels`; None where it was edited since.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Scene:
     policies: tuple[str, ...] = ()
     given_effects: tuple[EffectSetting, ...] = ()
     plain: Scene | None = None
+    spec: mujoco.MjSpec | None = field(default=None, repr=False)
 
     @property
     def substeps(self) -> int:
@@ -180,8 +183,26 @@ class Scene:
         """`(F, 4)` addresses of the frames' quaternions in sensordata."""
         return self._sensor(sensors.FRAME, 4)
 
+    @cached_property
+    def collision_sensors(self) -> NDArray[np.int64]:
+        """`(F,)` addresses of the numbers of contacts of each fingertip with the object; empty without labels."""
+        return self._sensor(sensors.COLLISION, 1)[:, 0]
+
+    @cached_property
+    def contact_sensors(self) -> NDArray[np.int64]:
+        """`(F, slots, numbers)` addresses of each contact of a fingertip (`sensors.CONTACT_SIZE`); empty likewise."""
+        shape = (-1, sensors.CONTACT_SLOTS, sensors.CONTACT_SIZE)
+        return self._sensor(sensors.CONTACTS, sensors.CONTACT_SLOTS * sensors.CONTACT_SIZE).reshape(shape)
+
+    @cached_property
+    def place_sensors(self) -> NDArray[np.int64]:
+        """`(F, 3)` addresses of where the bodies are that carry the fingertips; empty likewise."""
+        return self._sensor(sensors.PLACE, 3)
+
     def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
-        start = [self.model.sensor(f"{prefix}{i}").adr[0] for i in range(len(self.file.fingertips))]
+        names = [f"{prefix}{i}" for i in range(len(self.file.fingertips))]
+        known = [mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
+        start = [self.model.sensor_adr[sensor] for sensor in known if sensor >= 0]
         return np.array(start, int).reshape(-1, 1) + np.arange(width)
 
     @cached_property
@@ -320,7 +341,7 @@ def assemble(name: str, file: SceneFile, spec: mujoco.MjSpec, policies: tuple[st
     check_recorded(name, file, spec)
     _check_rate(name, file, model)
     _check_commands(name, model)
-    return Scene(name, file, model, policies)
+    return Scene(name, file, model, policies, spec=spec)
 
 
 def _check_rate(name: str, file: SceneFile, model: mujoco.MjModel) -> None:

@@ -13,10 +13,12 @@ from candata.policies import Motion, Plan, motion_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
+from candata.scenes.labels import with_labels
 from candata.schema.contact import fingertip_contact
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
+from candata.simulate.contact_labels import NEWTON_PER_COUNT, taxel_counts
 from candata.simulate.loop import Alter, Trajectory, rollout
 
 Array = NDArray[np.float64]
@@ -72,6 +74,8 @@ def make_episodes(
     noise: Noise | None = None,
     threads: int = 1,
     alter: Alter | None = None,
+    collision: bool = False,
+    taxels: bool = False,
 ) -> list[Episode]:
     """Return the episodes of `jobs`, simulated as one batch; the same for a seed whatever else is in it.
 
@@ -89,13 +93,28 @@ def make_episodes(
         Threads of the pool.
     alter : callable, optional
         As in `rollout`.
+    collision : bool
+        Add `fingertip_collision`, where the scene has fingertips and an object.
+    taxels : bool
+        Add `taxels`, where the scene has fingertips.
 
     Raises
     ------
     DataError
         When MuJoCo could not step a simulation to its end.
+    UsageError
+        When labels are to be added and the scene is not as `load_scene` returns it.
     """
-    episodes, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
+    episodes, fails = tried_episodes(
+        scene,
+        jobs,
+        duration_s=duration_s,
+        noise=noise,
+        threads=threads,
+        alter=alter,
+        collision=collision,
+        taxels=taxels,
+    )
     for job, failed_s in zip(jobs, fails, strict=True):
         if np.isfinite(failed_s):
             step_ms = 1000 * scene.model.opt.timestep
@@ -118,6 +137,8 @@ def tried_episodes(
     noise: Noise | None = None,
     threads: int = 1,
     alter: Alter | None = None,
+    collision: bool = False,
+    taxels: bool = False,
 ) -> tuple[list[Episode], Array]:
     """Return the episodes of `jobs` and when MuJoCo gave each of them up, `(n,)` [s] after its start.
 
@@ -129,7 +150,7 @@ def tried_episodes(
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
     trajectory = rollout(
-        scene,
+        with_labels(scene, taxels) if collision or taxels else scene,
         commands,
         np.stack([p.qpos for p in plans]),
         np.stack([p.qvel for p in plans]),
@@ -182,14 +203,19 @@ def _episode(
     if plan.commands.shape[1]:
         arrays["action"] = plan.commands
     rule = None
+    labels = {name: value[index, part] for name, value in trajectory.labels.items()}
+    if "collision" in labels:
+        arrays["fingertip_collision"] = labels["collision"]
+    if "taxel_force" in labels:
+        arrays["taxels"] = taxel_counts(labels["taxel_force"], arrays["fingertip_force"])
     if "fingertip_force" in arrays:
         rule = ContactRule()
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, rule), arrays)
+    return Episode(_meta(scene, job, rule, NEWTON_PER_COUNT if "taxels" in arrays else None), arrays)
 
 
-def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMeta:
+def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, newton_per_count: float | None) -> EpisodeMeta:
     """Return who, what, when."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
@@ -206,6 +232,7 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None) -> EpisodeMet
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
         contact_rule=rule,
+        newton_per_count=newton_per_count,
         point_cloud=job.point_cloud,
         labels={} if job.object is None else {"scene_digest": scene.digest},
     )

@@ -66,6 +66,7 @@ def generate(
     policy_file: str | Path | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
+    taxels: bool = False,
     withheld: Withheld | None = None,
     workers: int | None = None,
     progress: Callable[[int], None] = lambda _count: None,
@@ -99,6 +100,8 @@ def generate(
         Length of an episode; what a policy file holds has its own.
     noise : bool
         Add the sensor noise that the scene declares.
+    taxels : bool
+        Add what the taxels of each fingertip count.
     withheld : Withheld, optional
         Draw an effect or several, apply them, and keep them out of the dataset.
     workers : int, optional
@@ -126,6 +129,7 @@ def generate(
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
+        taxels=taxels,
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)

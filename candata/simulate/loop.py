@@ -15,6 +15,7 @@ from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
+from candata.simulate.contact_labels import is_labelled, read_labels
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.servo_laws import DriveScales, ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
@@ -54,6 +55,8 @@ class Trajectory:
     memory, first_memory : (n, M), (M,) float64
         What actuators and plugins remember at the last row, and as the model begins; empty unless the state was asked
         for.
+    labels : dict of str to ndarray
+        What a scene with labels tells, see `read_labels`.
     """
 
     readings: dict[str, Array]
@@ -64,6 +67,7 @@ class Trajectory:
     qvel: Array = field(default_factory=lambda: np.zeros(0))
     memory: Array = field(default_factory=lambda: np.zeros(0))
     first_memory: Array = field(default_factory=lambda: np.zeros(0))
+    labels: dict[str, NDArray] = field(default_factory=dict)
 
 
 def memory_size(model: mujoco.MjModel) -> int:
@@ -221,13 +225,16 @@ class _Run:
         sensor_data, touch = self._nothing(), np.zeros(self.n, bool)
         unread_rows: list[tuple[dict[str, Array], list[Array]]] = []
         rows: dict[str, list[Array]] = {}
+        labels: dict[str, list[NDArray]] = {}
         touches, sizes, states = [], [], []
         failed_row = np.full(self.n, count)
         for k in range(count):
             state = self._readings()
             unread_rows.append((state, sensor_data))
             if len(unread_rows) == rows_together or k + 1 == count:
-                force = self._forces([data for _, data in unread_rows], instant)
+                data_rows = [data for _, data in unread_rows]
+                force = self._forces(data_rows, instant)
+                self._label(labels, data_rows, instant)
                 sizes.append(np.sqrt((force**2).sum(-1)))
                 self._read(rows, [each for each, _ in unread_rows], force)
                 unread_rows = []
@@ -247,7 +254,13 @@ class _Run:
         state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
         trajectory = Trajectory(
-            readings, np.stack(touches, 1), np.concatenate(sizes).swapaxes(0, 1), failed_row, *state_arrays
+            readings=readings,
+            touch=np.stack(touches, 1),
+            tip_force=np.concatenate(sizes).swapaxes(0, 1),
+            failed=failed_row,
+            qpos=state_arrays[0],
+            qvel=state_arrays[1],
+            labels={name: np.concatenate(parts).swapaxes(0, 1) for name, parts in labels.items()},
         )
         return replace(trajectory, memory=self._remembered(), first_memory=self.first_memory) if keep else trajectory
 
@@ -283,6 +296,18 @@ class _Run:
             local = rotate(conjugate(data[..., scene.frame_sensors]), net)
             force[:, ids] = local[:, :, -1] if instant else local.mean(2)
         return force
+
+    def _label(self, labels: dict[str, list[NDArray]], sensor_data: Sequence[list[Array]], instant: bool) -> None:
+        """Add to `labels` what a scene with labels tells of R rows together, `(R, n, ...)` each."""
+        if not is_labelled(self.scene):
+            return
+        parts: dict[str, NDArray] = {}
+        for (_, ids), group_data in zip(self.groups, zip(*sensor_data, strict=True), strict=True):
+            for name, value in read_labels(self.scene, np.stack(group_data), instant).items():
+                shape = (len(sensor_data), self.n, *value.shape[2:])
+                parts.setdefault(name, np.zeros(shape, value.dtype))[:, ids] = value
+        for name, part in parts.items():
+            labels.setdefault(name, []).append(part)
 
     def _read(self, rows: dict[str, list[Array]], states: Sequence[dict[str, Array]], forces: Array) -> None:
         """Add to `rows` what the sensors of the worlds read of states and forces `(R, n, F, 3)`."""

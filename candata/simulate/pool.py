@@ -67,9 +67,10 @@ def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> 
         motions = motions_of(plan, scene)
         noise = scene.file.noise if plan.noise else None
         batch = [job(plan, number, scene, motions) for number in scene_numbers]
-        episode_of |= zip(
-            scene_numbers, make_episodes(scene, batch, duration_s=plan.duration_s, noise=noise), strict=True
+        episodes = make_episodes(
+            scene, batch, duration_s=plan.duration_s, noise=noise, collision=True, taxels=plan.taxels
         )
+        episode_of |= zip(scene_numbers, episodes, strict=True)
     return write_part(out, [episode_of[number] for number in numbers], producer(config)).id
 
 

@@ -91,7 +91,7 @@ def repeat_episode(
     for generation in _origins(dataset, recorded.meta):
         try:
             asked_scene = _scene(recorded.meta, generation, scene, objects)
-            repeated = _simulated(recorded.meta, generation, asked_scene, policy_file)
+            repeated = _simulated(recorded, generation, asked_scene, policy_file)
             _refuse_difference(recorded, repeated, generation)
         except DataError as error:
             differences.append(error)
@@ -212,8 +212,9 @@ def _motion(
     return file.motions[index % len(file.motions)]
 
 
-def _simulated(meta: EpisodeMeta, generation: _Generation, scene: Scene, policy_file: str | Path | None) -> Episode:
+def _simulated(recorded: Episode, generation: _Generation, scene: Scene, policy_file: str | Path | None) -> Episode:
     """Return the episode as this machine simulates it, with who, what and when of the one that is stored."""
+    meta = recorded.meta
     match = _INDEX.search(meta.id)
     if match is None:
         raise DataError(
@@ -231,7 +232,14 @@ def _simulated(meta: EpisodeMeta, generation: _Generation, scene: Scene, policy_
         motion=_motion(meta, generation, scene, index, policy_file),
     )
     noise = scene.file.noise if generation.details.noise else None
-    (episode,) = make_episodes(scene, [job], duration_s=generation.details.duration_s, noise=noise)
+    (episode,) = make_episodes(
+        scene,
+        [job],
+        duration_s=generation.details.duration_s,
+        noise=noise,
+        collision="fingertip_collision" in recorded,
+        taxels="taxels" in recorded,
+    )
     return Episode(meta, episode.arrays)
 
 
