@@ -64,13 +64,19 @@ def taxel_counts(taxel_force: NDArray, force: NDArray) -> NDArray[np.int16]:
     force : ndarray
         `(..., 3) float [N]`, the fingertip's reading.
     """
-    size = np.abs(taxel_force).sum(axis=-1, keepdims=True)
-    total = size.sum(axis=-2, keepdims=True)
+    counts = np.zeros(taxel_force.shape, np.int16)
+    is_felt = taxel_force.any(axis=(-2, -1)) | np.rint(force / NEWTON_PER_COUNT).any(axis=-1)
+    taxel_force, force = taxel_force[is_felt], force[is_felt]  # elsewhere all counts are 0
+    x, y, z = np.abs(np.moveaxis(taxel_force, -1, 0))
+    size = x + y + z
+    total = size.sum(axis=-1, keepdims=True)
     share = np.divide(size, total, out=np.full_like(size, 1 / TAXELS), where=total > 0)
-    rest = (force - taxel_force.sum(axis=-2))[..., None, :]
-    sums = np.rint(np.cumsum(taxel_force + share * rest, axis=-2) / NEWTON_PER_COUNT)
+    rest = (force - taxel_force.sum(axis=-2))[:, None]
+    sums = np.rint(np.cumsum(taxel_force + share[..., None] * rest, axis=-2) / NEWTON_PER_COUNT)
+    sums[:, 1:] -= sums[:, :-1].copy()
     limits = np.iinfo(np.int16)
-    return np.diff(sums, axis=-2, prepend=0).clip(limits.min, limits.max).astype(np.int16)
+    counts[is_felt] = sums.clip(limits.min, limits.max)
+    return counts
 
 
 def taxel_directions(count: int = TAXELS) -> Array:
@@ -118,10 +124,10 @@ def _taxel_force(scene: Scene, data: Array) -> NDArray[np.float32]:
     offset = rotate(to_tip, place - data[(*at, scene.place_sensors[tip])]) - _middles(scene)[tip]
     distance = np.maximum(np.linalg.norm(offset, axis=1, keepdims=True), np.finfo(float).tiny)
     cosine = (offset / distance) @ taxel_directions().T
-    share = np.exp((cosine - 1) / SPREAD_RAD**2).astype(np.float32)
+    share = np.exp((cosine - 1).astype(np.float32) / SPREAD_RAD**2)
     share /= share.sum(axis=1, keepdims=True)
     key = np.ravel_multi_index((row, simulation, tip), contacts.shape[:3])
     first = np.flatnonzero(np.diff(key, prepend=-1))
-    felt = np.add.reduceat(share[:, :, None] * force[:, None, :].astype(np.float32), first)
+    felt = np.add.reduceat(share[:, :, None] * force[:, None].astype(np.float32), first)
     taxel_force.reshape(-1, TAXELS, 3)[key[first]] = felt
     return taxel_force
