@@ -14,12 +14,14 @@ from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.labels import with_labels
+from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
 from candata.simulate.contact_labels import NEWTON_PER_COUNT, taxel_counts
 from candata.simulate.loop import Alter, Trajectory, rollout
+from candata.simulate.tracker import tracked_pose
 
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
@@ -197,26 +199,29 @@ def _episode(
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
     readings = {name: value[index, part] for name, value in trajectory.readings.items()}
-    arrays: dict[str, NDArray] = {**add_noise(readings, noise, _rng(job, NOISE_STREAM))}
+    rng, rate_hz = _rng(job, NOISE_STREAM), scene.file.rate_hz
+    arrays: dict[str, NDArray] = {**add_noise(readings, noise, rng)}
+    if noise is not None and noise.tracker is not None and "object_pose" in arrays:
+        arrays["object_pose"], valid = tracked_pose(arrays["object_pose"], noise.tracker, rate_hz, rng)
+        if noise.tracker.dropout_share:  # all episodes of a set have the same channels
+            arrays["object_pose_valid"] = valid
     count = len(plan.commands)
-    arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
+    arrays["time_ns"] = np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
     if plan.commands.shape[1]:
         arrays["action"] = plan.commands
-    rule = None
     labels = {name: value[index, part] for name, value in trajectory.labels.items()}
     if "collision" in labels:
         arrays["fingertip_collision"] = labels["collision"]
     if "taxel_force" in labels:
         arrays["taxels"] = taxel_counts(labels["taxel_force"], arrays["fingertip_force"])
     if "fingertip_force" in arrays:
-        rule = ContactRule()
-        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
+        arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], ContactRule().threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, rule, NEWTON_PER_COUNT if "taxels" in arrays else None), arrays)
+    return Episode(_meta(scene, job, arrays), arrays)
 
 
-def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, newton_per_count: float | None) -> EpisodeMeta:
-    """Return who, what, when."""
+def _meta(scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray]) -> EpisodeMeta:
+    """Return who, what, when; and what is to be known of the arrays."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
     return EpisodeMeta(
@@ -231,8 +236,13 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, newton_per_co
         joint_names=scene.file.joints,
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
-        contact_rule=rule,
-        newton_per_count=newton_per_count,
+        contact_rule=ContactRule() if "fingertip_force" in arrays else None,
+        newton_per_count=NEWTON_PER_COUNT if "taxels" in arrays else None,
+        invalid_counts={
+            name.removesuffix(VALID_SUFFIX): int((~flags).sum())
+            for name, flags in arrays.items()
+            if name.endswith(VALID_SUFFIX)
+        },
         point_cloud=job.point_cloud,
         labels={} if job.object is None else {"scene_digest": scene.digest},
     )
