@@ -9,6 +9,7 @@ import typer
 
 from candata_cli import console
 from candata_cli.outputs import check_output
+from candata_cli.recipe_option import use_recipe
 
 if TYPE_CHECKING:
     from candata.errors import UsageError
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Recipe = Annotated[
+    Path | None,
+    typer.Option(
+        "--recipe",
+        metavar="FILE",
+        is_eager=True,
+        callback=use_recipe,
+        help="Options in a YAML file, such as `episodes: 8`; those typed go before.",
+    ),
+]
 SceneName = Annotated[
     str | None,
     typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
@@ -76,6 +87,7 @@ def generate_sim(
     context: typer.Context,
     out: Out = None,
     episodes: Episodes = None,
+    recipe: Recipe = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
@@ -107,8 +119,6 @@ def generate_sim(
         raise _missing("--out DATASET" if out is None else "--episodes N")
     sealed = seal or out.with_name(f"{out.name}.seal.json")
     check_output(out, "dataset")
-    if withhold is not None or withhold_from is not None:
-        check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
     from candata.effects import read_effects, read_randomisation
     from candata.simulate.generate import generate
@@ -168,6 +178,8 @@ def _withheld(
             fix="give disturbances by --randomise, in a set of their own",
         )
     asked = hidden_file.effects if hidden_file is not None else effect_name
+    if asked is not None:
+        check_output(seal, "file", "--seal")
     return None if asked is None else Withheld(asked, seal, salt)
 
 
