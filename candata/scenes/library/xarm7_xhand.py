@@ -23,7 +23,6 @@ def build() -> mujoco.MjSpec:
     """Return the scene: table, arm, hand with its palm towards +y, a can."""
     spec = compose(ARM, HAND, world=tabletop.table(), base_m=BASE_M)
     tabletop.add_can(spec)
-    tabletop.exclude_pairs(spec, ("palm", *HANDS.load(HAND).joints))
     tabletop.add_postures(spec, START_RAD)
     return spec
 
