@@ -11,6 +11,7 @@ from scipy.optimize import least_squares, nnls
 
 from candata.effects import _contact
 from candata.policies import _drive as d
+from candata.policies._carrier import carrier
 from candata.policies._contract import Array
 from candata.scenes import Scene
 from candata.scenes.motors import affine_law
@@ -127,14 +128,14 @@ class _Hand:
     def _forces(self, points: Array) -> Array:
         """Return `(F, 3)` forces towards the object's centre whose sizes sum to 1 and that cancel as far as they can.
 
-        What the object lies on pushes back too, where no rail will lift the object off it: a palm that holds it up.
+        What the object lies on pushes back too, where nothing will lift the object off it: a palm that holds it up.
         """
         inward = self.data.xpos[self.scene.object_id] - points
         inward /= np.maximum(np.linalg.norm(inward, axis=1, keepdims=True), mujoco.mjMINVAL)
         count = len(points)
         # A heavy row keeps the sum of the sizes at 1; light ones spread the load over all fingertips.
         rows = np.concatenate([inward.T, 100 * np.ones((1, count)), 0.3 * np.eye(count)])
-        if d.rails(self.scene).lift is None:
+        if carrier(self.scene).lift is None:
             rows = np.column_stack([rows, np.arange(3 + 1 + count) == 2])
         sizes, _ = nnls(rows, 100.0 * (np.arange(len(rows)) == 3))
         return inward * sizes[:count, None]

@@ -16,22 +16,22 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     grip = rng.uniform(0.95, 1.12)
     grip_profile = p.blend(t, 0.1 * unit, rng.uniform(0.5, 0.8) * unit) - p.blend(t, 2.75 * unit, 0.3 * unit)
     commands = hand.open + grip * grip_profile[:, None] * (hand.closed - hand.open)
-    if len(hand.rails.columns):
-        lift = p.blend(t, 1.0 * unit, 0.5 * unit) - p.blend(t, 2.35 * unit, 0.35 * unit)
-        shake_envelope = p.blend(t, 1.5 * unit, 0.15 * unit) - p.blend(t, 2.2 * unit, 0.15 * unit)
-        count = len(hand.rails.columns)
-        amplitude = rng.uniform(0.006, 0.016, count) * rng.choice([-1, 1], count)
-        wave = np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * (t - 1.5 * unit))
-        commands[:, hand.rails.columns] += (shake_envelope * wave)[:, None] * amplitude
-        height = rng.uniform(0.04, 0.07)
-        p.shift(commands, hand.rails.lift, height * lift)
-    return p.finish(scene, commands, rng)
+    axes = hand.carrier.axes
+    if not len(axes):
+        return p.finish(scene, commands, rng)
+    lift = p.blend(t, 1.0 * unit, 0.5 * unit) - p.blend(t, 2.35 * unit, 0.35 * unit)
+    shake_envelope = p.blend(t, 1.5 * unit, 0.15 * unit) - p.blend(t, 2.2 * unit, 0.15 * unit)
+    amplitude = rng.uniform(0.006, 0.016, len(axes)) * rng.choice([-1, 1], len(axes))
+    wave = np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * (t - 1.5 * unit))
+    height = rng.uniform(0.04, 0.07)
+    path = p.along(amplitude @ axes, shake_envelope * wave) + p.along(hand.carrier.lift, height * lift)
+    return p.finish(scene, commands, rng, path=path)
 
 
 def _carry(lift_m: float, side_m: float) -> Planner:
-    """Return a planner that lifts by `lift_m`, carries to both sides by `side_m` along each level rail, and puts down.
+    """Return a planner that lifts by `lift_m`, carries to both sides by `side_m` each way, and puts down.
 
-    Without a wrist the object is held where it stands.
+    If nothing carries the hand, the object is held where it stands.
     """
 
     def plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -39,15 +39,12 @@ def _carry(lift_m: float, side_m: float) -> Planner:
         unit = duration_s / 3.2
         grip_profile = p.blend(t, 0.1 * unit, 0.6 * unit) - p.blend(t, 2.85 * unit, 0.25 * unit)
         commands = hand.open + 1.05 * grip_profile[:, None] * (hand.closed - hand.open)
-        if len(hand.rails.columns):
-            lift = p.blend(t, 0.8 * unit, 0.4 * unit) - p.blend(t, 2.4 * unit, 0.4 * unit)
-            way_out = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
-            way_back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
-            upright = hand.rails.lift.column if hand.rails.lift else -1
-            level = [column for column in hand.rails.columns if column != upright]
-            commands[:, level] += side_m * (way_out - way_back)[:, None]
-            p.shift(commands, hand.rails.lift, lift_m * lift)
-        return p.finish(scene, commands, rng, dither=False)
+        lift = p.blend(t, 0.8 * unit, 0.4 * unit) - p.blend(t, 2.4 * unit, 0.4 * unit)
+        way_out = p.blend(t, 1.2 * unit, 0.4 * unit) - p.blend(t, 1.6 * unit, 0.6 * unit)
+        way_back = p.blend(t, 1.6 * unit, 0.6 * unit) - p.blend(t, 2.2 * unit, 0.3 * unit)
+        path = p.along(hand.carrier.level.sum(0), side_m * (way_out - way_back))
+        path += p.along(hand.carrier.lift, lift_m * lift)
+        return p.finish(scene, commands, rng, path=path, dither=False)
 
     return plan
 
