@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import mujoco
 import numpy as np
 
 from candata.policies import _drive as d
@@ -86,6 +87,16 @@ def shift(commands: Array, rail: d.Rail | None, distance: Array | float) -> None
     """Move a rail by `distance`, (T,) or a number [m], in place, as its name says; nothing without a rail."""
     if rail is not None:
         commands[:, rail.column] += rail.sign * distance
+
+
+def direction(scene: Scene, rail: d.Rail) -> Array:
+    """Return the unit vector `(3,)` in the world along which a rail moves the hand as its name says."""
+    model, actuator = scene.model, int(scene.actuator_ids[rail.column])
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    axis = np.array(data.xaxis[scene.driven_joints[actuator]])
+    return rail.sign * np.sign(model.actuator_gear[actuator, 0]) * axis
 
 
 def finish(

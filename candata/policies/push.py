@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Policy, Variant
+from candata.policies._contract import Goal, Plan, Policy, Variant
 from candata.scenes import Scene
 
 #: How far the hand stands back before the first stroke [m].
@@ -14,6 +16,9 @@ CLEAR_M = 0.035
 LOW_M = 0.03
 #: Length of the long stroke, and how far the hand backs off for it [m].
 FAR_M, BACK_M = 0.15, 0.05
+#: Distance from the end of the stroke at which the object has arrived, as a share of the stroke: it stands up to 1 cm
+#: off, and leaves the fingers to the side. Chosen.
+ARRIVED_SHARE = 0.6
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -36,8 +41,10 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
         p.shift(
             commands, hand.rails.stroke, (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * second_stroke) - CLEAR_M
         )
-    else:
-        commands += (0.6 * (stroke + second_stroke))[:, None] * (hand.closed - hand.open)
+        way_m = reach * p.direction(scene, hand.rails.stroke)
+        goal = Goal(place_m=way_m, place_tolerance_m=ARRIVED_SHARE * reach)
+        return replace(p.finish(scene, commands, rng), goal=goal)
+    commands += (0.6 * (stroke + second_stroke))[:, None] * (hand.closed - hand.open)
     return p.finish(scene, commands, rng)
 
 
