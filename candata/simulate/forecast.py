@@ -8,7 +8,7 @@ import time
 from collections import Counter
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any
+from typing import Unpack
 
 from candata.datasets import create_dataset
 from candata.datasets.parts import RawPart, entry_of
@@ -17,7 +17,7 @@ from candata.scenes.object_folder import named_object
 from candata.schema.record import Record
 from candata.simulate.jobs import chunks
 from candata.simulate.pool import EpisodeChunk, make_chunk
-from candata.simulate.recipe import checked_objects, make_recipe, with_clouds
+from candata.simulate.recipe import SetOptions, checked_objects, make_recipe, with_clouds
 
 #: Episodes of the trial, after a first one that compiles the scene: at least, and at most where more policies take
 #: turns.
@@ -50,7 +50,7 @@ def forecast(
     *,
     workers: int | None = None,
     shard: tuple[int, int] = (1, 1),
-    **options: Any,
+    **options: Unpack[SetOptions],
 ) -> Forecast:
     """Return what `candata.simulate.generate.generate` would take; `options` are those of `make_recipe`.
 

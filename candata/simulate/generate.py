@@ -157,9 +157,9 @@ def generate(
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
     history = lineage(recipe, model, tool_versions(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
-    root = create_dataset(out, exist_ok=True)
-    recipe = with_clouds(root, recipe, held_objects)
-    with crew_of(workers or len(os.sched_getaffinity(0)), ray, root) as crew:
+    with crew_of(workers or len(os.sched_getaffinity(0)), ray, Path(out)) as crew:
+        root = create_dataset(out, exist_ok=True)
+        recipe = with_clouds(root, recipe, held_objects)
         return _complete(root, recipe, chunks_asked, history, crew, strict, progress, tally, note)
 
 

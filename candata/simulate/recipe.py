@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,19 @@ def make_recipe(
     return _with_goals(recipe, model, policies) if outcomes else recipe
 
 
+class SetOptions(TypedDict, total=False):
+    """What a set may be made with beside its scene and seed: the parameters of `make_recipe`."""
+
+    objects: Sequence[str]
+    effects: Sequence[EffectSetting]
+    randomisation: Sequence[RandomEffect]
+    policies: Sequence[str]
+    policy_file: str | Path | None
+    duration_s: float
+    noise: bool
+    outcomes: Mapping[str, float] | None
+
+
 @dataclass(frozen=True)
 class HeldObject:
     """An object of a set: its name, the digest of the scene that holds it, and points on its surface."""
@@ -105,11 +119,12 @@ def _with_goals(recipe: GenerationRecipe, scene: Scene, policies: Sequence[str])
     if recipe.policy_file is not None:
         raise UsageError("a policy file and wanted outcomes at once", fix="leave one of them out")
     names = policies_with_goal(recipe, scene)
-    aimless_names = [name for name in policies if name not in names]
-    if aimless_names or not names:
+    aimless_names = [name for name in policies or recipe.policies if name not in names]
+    if aimless_names and (policies or not names):
+        every_policy = recipe.model_copy(update={"policies": possible_policies(scene)})
         raise UsageError(
-            f"policy {', '.join(aimless_names or recipe.policies)} has no goal, so its episodes have no outcome",
-            expected=f"policies with a goal: {', '.join(names) or f'scene {scene.name} has none'}",
+            f"policy {', '.join(aimless_names)} has no goal, so its episodes have no outcome",
+            expected=f"policies with a goal: {', '.join(policies_with_goal(every_policy, scene)) or 'there is none'}",
             fix="name others with --policies, or leave --outcomes out",
         )
     return recipe.model_copy(update={"policies": names})
