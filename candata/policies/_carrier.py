@@ -79,7 +79,7 @@ class Carrier:
         return self.axes if self.lift is None else self.axes[np.abs(self.axes @ self.lift) <= UPRIGHT]
 
     def noise_of(self, hand_m: float) -> Array:
-        """Return command noise `(n,)`, 1 sd, with which a rail, or all hinges together, move the hand by `hand_m` [m]."""
+        """Return command noise `(n,)`, 1 sd, by which the hand moves by `hand_m` [m]."""
         return self.noise * (hand_m / NOISE_M)
 
     def commands(self, base: Array, path: Array) -> Array:
