@@ -269,7 +269,7 @@ def test_scene_list(capsys):
     assert exit_code("scene", "list") == 0
     assert capsys.readouterr().out.splitlines()[1].split()[:6] == ["cube_toss", "0", "0", "0", "148", "Hz"]
     assert exit_code("scene", "list", "--json") == 0
-    known = ["cube_toss", "gripper_tabletop", "xhand_tabletop"]
+    known = ["cube_toss", "gripper_tabletop", "xarm7_xhand", "xhand_tabletop"]
     assert [e["name"] for e in json.loads(capsys.readouterr().out)] == known
 
 
