@@ -12,7 +12,6 @@ from candata.errors import ReachError, Where
 from candata.policies import _drive as d
 from candata.policies._contract import Array
 from candata.policies._drive import Ids
-from candata.rotation import conjugate, exp, log, multiply, rotate
 from candata.scenes import Scene
 
 #: How upright a direction must be to count as the one that lifts (cosine to the vertical).
@@ -60,6 +59,8 @@ class Carrier:
         Whether `away` leads over the support, not up.
     noise : (n,) float64
         Most command noise of each column, 1 sd, in the command's unit.
+    chain : _Chain
+        Its joints under the commands of the open hand.
     """
 
     scene: Scene
@@ -72,6 +73,7 @@ class Carrier:
     stroke: Array | None
     sideways: bool
     noise: Array
+    chain: _Chain
 
     @property
     def level(self) -> Array:
@@ -101,7 +103,7 @@ class Carrier:
         out = np.repeat(np.asarray(base, float)[None], len(path), axis=0)
         if not path.any():
             return out
-        chain = _Chain(self.scene, self.columns, base)
+        chain = self.chain if np.array_equal(base, self.start) else _Chain(self.scene, self.columns, base)
         moves = _along_rails(chain, path) if chain.slides.all() else _follow(self.scene, self.columns, chain, path)
         out[:, self.columns] += moves * chain.command_per_move
         return out
@@ -113,9 +115,6 @@ def carrier(scene: Scene) -> Carrier:
     start, servos = d.open_commands(scene), d.servos(scene)
     columns = np.array([c for c in d.carriers(scene) if servos[c]], int)
     columns = columns[np.argsort([scene.driven_joints[int(a)] for a in scene.actuator_ids[columns]])]
-    if not len(columns):
-        nothing = np.zeros((0, 3))
-        return Carrier(scene, columns, start, np.zeros(6, bool), nothing, None, None, None, False, np.zeros(0))
     chain = _Chain(scene, columns, start)
     jacobian = chain.jacobian(*chain.place(np.zeros((1, len(columns)))))[0]
     possible = _possible(jacobian)
@@ -128,6 +127,7 @@ def carrier(scene: Scene) -> Carrier:
         axes,
         *_roles(axes, chain.stand_off),
         _noise(chain, jacobian),
+        chain,
     )
 
 
@@ -160,10 +160,12 @@ class _Chain:
         mujoco.mj_kinematics(model, data)
         self.slides = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_SLIDE
         self.axes, self.anchors = data.xaxis[joints].copy(), data.xanchor[joints].copy()
-        tips = scene.fingertip_bodies
-        self.centre = data.xpos[tips].mean(0) if len(tips) else self.anchors[-1]
-        is_there = scene.object_id is not None
-        self.stand_off = self.anchors[-1] - data.xpos[scene.object_id] if is_there else np.array([-1.0, 0.0, 0.0])
+        # Rodrigues' rotation: a part that stays, one that turns with the cosine, one with the sine.
+        self.cross = np.cross(self.axes[:, None], np.eye(3)).swapaxes(1, 2)
+        self.outer = self.axes[:, :, None] * self.axes[:, None]
+        tips, has_object = scene.fingertip_bodies, scene.object_id is not None and len(joints) > 0
+        self.centre = data.xpos[tips].mean(0) if len(tips) else self.anchors.sum(0) / max(1, len(joints))
+        self.stand_off = self.anchors[-1] - data.xpos[scene.object_id] if has_object else np.array([-1.0, 0.0, 0.0])
         gear = model.actuator_gear[ids, 0]
         zero, unit = np.zeros(len(scene.actuator_ids)), np.zeros(len(scene.actuator_ids))
         unit[columns] = gear
@@ -174,26 +176,32 @@ class _Chain:
     def place(self, moves: Array) -> tuple[Array, Array, Array, Array]:
         """Return where moves `(T, n)` of the joints lead.
 
-        The turn of the hand (T, 4), its centre (T, 3), and the axes and anchors of the joints (T, n, 3).
+        The turn of the hand (T, 3, 3), its centre (T, 3), and the axes and anchors of the joints (T, n, 3).
         """
-        count = len(moves)
-        turn, shift = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros((count, 3))
-        axes, anchors = [], []
-        for slides, axis, anchor, move in zip(self.slides, self.axes, self.anchors, moves.T, strict=True):
-            axes.append(rotate(turn, axis))
-            anchors.append(rotate(turn, anchor) + shift)
+        turn, shift = np.tile(np.eye(3), (len(moves), 1, 1)), np.zeros((len(moves), 3))
+        turns = _turns(self.cross, self.outer, moves)
+        axes, anchors = np.zeros((2, len(moves), len(self.axes), 3))
+        for joint, (slides, axis, anchor) in enumerate(zip(self.slides, self.axes, self.anchors, strict=True)):
+            axes[:, joint] = turn @ axis
+            anchors[:, joint] = turn @ anchor + shift
             if slides:
-                shift = shift + move[:, None] * axes[-1]
+                shift = shift + moves[:, joint, None] * axes[:, joint]
             else:
-                turn = multiply(turn, exp(move[:, None] * axis))
-                shift = anchors[-1] - rotate(turn, anchor)
-        return turn, rotate(turn, self.centre) + shift, np.stack(axes, 1), np.stack(anchors, 1)
+                turn = turn @ turns[:, joint]
+                shift = anchors[:, joint] - turn @ anchor
+        return turn, turn @ self.centre + shift, axes, anchors
 
     def jacobian(self, _: Array, centre: Array, axes: Array, anchors: Array) -> Array:
         """Return `(T, 6, n)` how the hand moves [m], and turns [as m, see `HAND_M`], with each joint."""
         moving = np.where(self.slides[:, None], axes, np.cross(axes, centre[:, None] - anchors))
         turning = np.where(self.slides[:, None], 0.0, HAND_M * axes)
         return np.concatenate([moving, turning], axis=2).swapaxes(1, 2)
+
+
+def _turns(cross: Array, outer: Array, angle: Array) -> Array:
+    """Return the rotation matrices `(..., 3, 3)` of angles about axes, whose cross and outer products are given."""
+    sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return outer + cosine * (np.eye(3) - outer) + sine * cross
 
 
 def _along_rails(chain: _Chain, path: Array) -> Array:
@@ -209,33 +217,48 @@ def _follow(scene: Scene, columns: Ids, chain: _Chain, path: Array) -> Array:
     """
     length = np.sqrt((path[:, :3] ** 2).sum(1) + ((HAND_M * path[:, 3:]) ** 2).sum(1)).max()
     stages = max(1, int(np.ceil(length / STAGE_M)))
-    moves = np.zeros((len(path), len(columns)))
+    moves, error = np.zeros((len(path), len(columns))), np.zeros((len(path), 6))
     for share in np.arange(1, stages + 1) / stages:
-        moves = _search(chain, share * path, moves)
-    _check(scene, columns, chain, path, moves)
+        moves, error = _search(chain, share * path, moves)
+    _check(scene, columns, chain, moves, error)
     return moves
 
 
-def _search(chain: _Chain, path: Array, moves: Array) -> Array:
-    """Return the moves `(T, n)`, searched from given ones, that bring the hand nearest to a path `(T, 6)`."""
-    for _ in range(MOST_STEPS):
-        place = chain.place(moves)
-        error = _errors(chain, path, *place[:2])
-        if np.abs(error).max() < NEAR_M:
+def _search(chain: _Chain, path: Array, moves: Array) -> tuple[Array, Array]:
+    """Return the moves `(T, n)`, searched from given ones, that bring the hand nearest to a path `(T, 6)`.
+
+    And what it then lacks to the path `(T, 6)` [m; turning as m, see `HAND_M`].
+    """
+    target = _matrices(path[:, 3:])
+    for step_number in range(MOST_STEPS):
+        turn, centre, axes, anchors = chain.place(moves)
+        error = np.concatenate(
+            [chain.centre + path[:, :3] - centre, HAND_M * _vectors(target @ turn.swapaxes(1, 2))], axis=1
+        )
+        if np.abs(error).max() < NEAR_M or step_number == MOST_STEPS - 1:
             break
-        jacobian = chain.jacobian(*place)
+        jacobian = chain.jacobian(turn, centre, axes, anchors)
         step = _step(jacobian, error, moves)
         stuck = ((moves <= chain.low) & (step < 0)) | ((moves >= chain.high) & (step > 0))
         if stuck.any():
             step = np.where(stuck, 0.0, _step(jacobian * ~stuck[:, None], error, moves))
         moves = np.clip(moves + step, chain.low, chain.high)
-    return moves
+    return moves, error
 
 
-def _errors(chain: _Chain, path: Array, turn: Array, centre: Array) -> Array:
-    """Return `(T, 6)` what the hand lacks to its path [m; turning as m, see `HAND_M`]."""
-    left_to_turn = log(multiply(exp(path[:, 3:]), conjugate(turn)))
-    return np.concatenate([chain.centre + path[:, :3] - centre, HAND_M * left_to_turn], axis=1)
+def _matrices(vectors: Array) -> Array:
+    """Return the rotation matrices `(T, 3, 3)` of rotation vectors `(T, 3)` [rad]."""
+    angle = np.linalg.norm(vectors, axis=1)
+    axes = vectors / np.maximum(angle, 1e-12)[:, None]
+    return _turns(np.cross(axes[:, None], np.eye(3)).swapaxes(1, 2), axes[:, :, None] * axes[:, None], angle)
+
+
+def _vectors(matrices: Array) -> Array:
+    """Return the rotation vectors `(T, 3)` [rad] of rotation matrices `(T, 3, 3)`."""
+    sine_axis = 0.5 * (matrices[:, [2, 0, 1], [1, 2, 0]] - matrices[:, [1, 2, 0], [2, 0, 1]])
+    sine = np.linalg.norm(sine_axis, axis=1)
+    angle = np.arctan2(sine, 0.5 * (np.trace(matrices, axis1=1, axis2=2) - 1.0))
+    return sine_axis * np.where(sine < 1e-12, 1.0, angle / np.maximum(sine, 1e-12))[:, None]
 
 
 def _step(jacobian: Array, error: Array, moves: Array) -> Array:
@@ -248,9 +271,8 @@ def _step(jacobian: Array, error: Array, moves: Array) -> Array:
     return pull + (transposed @ np.linalg.solve(normal, wanted[..., None]))[..., 0]
 
 
-def _check(scene: Scene, columns: Ids, chain: _Chain, path: Array, moves: Array) -> None:
+def _check(scene: Scene, columns: Ids, chain: _Chain, moves: Array, error: Array) -> None:
     """Refuse moves that leave the hand too far off its path."""
-    error = _errors(chain, path, *chain.place(moves)[:2])
     off_m, off_rad = (np.linalg.norm(part, axis=1) for part in (error[:, :3], error[:, 3:] / HAND_M))
     worst = int(np.argmax(np.maximum(off_m / MOST_OFF_M, off_rad / MOST_OFF_RAD)))
     if off_m[worst] <= MOST_OFF_M and off_rad[worst] <= MOST_OFF_RAD:

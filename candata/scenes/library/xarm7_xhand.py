@@ -11,6 +11,8 @@ from candata.scenes.contract import ARMS, HANDS, BuiltinScene
 from candata.schema.scene import SceneFile
 
 ARM, HAND = "xarm7", "xhand"
+#: The table reaches under the arm [m].
+TABLE_HALF_WIDTH_M = 0.65
 #: Where the arm's base stands on the table [m]. Of five places 5 cm apart, behind the palm, this one leaves the hand
 #: farthest from a singular posture.
 BASE_M = (-0.5, 0.0, 0.0)
@@ -21,7 +23,7 @@ START_RAD = (0.0, 0.67435, 0.0, 0.98685, np.pi, 1.25829, np.pi / 2)
 
 def build() -> mujoco.MjSpec:
     """Return the scene: table, arm, hand with its palm towards +y, a can."""
-    spec = compose(ARM, HAND, world=tabletop.table(), base_m=BASE_M)
+    spec = compose(ARM, HAND, world=tabletop.table(TABLE_HALF_WIDTH_M), base_m=BASE_M)
     tabletop.add_can(spec)
     tabletop.add_postures(spec, START_RAD)
     return spec
