@@ -86,12 +86,13 @@ def compose(
 
 
 def _part(name: str, registry: Registry, path: Path) -> Arm | Hand | mujoco.MjSpec:
-    """Return the registered arm or hand of a name, or the spec of a file; a file beside the scene goes first."""
+    """Return the registered arm or hand of a name, else the spec of a file."""
+    if name in registry:
+        part: Arm | Hand = registry.load(name)
+        return part
     file = model_path(path, name)
     if file.is_file():
         return read_model(file)
-    if name in registry:
-        return registry.load(name)
     if file.suffix.lower() in _ENDINGS or ":" in name:
         raise SceneError(f"model {name} does not exist", expected=str(file), where=Where(path=str(path)))
     raise UnknownNameError(f"{registry.constant.lower()} or model file", name, registry.names(), Where(path=str(path)))
@@ -136,7 +137,8 @@ def _keyframes_of_fixed(hand: Hand | mujoco.MjSpec, name: str) -> Keyframes:
 def _mount(spec: mujoco.MjSpec, site: mujoco.MjsSite, hand: Hand | mujoco.MjSpec) -> list[mujoco.MjsBody]:
     """Return the bodies of a hand that a site of `spec` now carries; the options of `spec` hold."""
     if isinstance(hand, Hand):
-        mount = site.parent.add_body(name="mount", pos=site.pos, quat=site.quat)
+        place = compile_model(spec, "of an arm").site(site.name)  # whatever way the file writes it
+        mount = site.parent.add_body(name="mount", pos=place.pos, quat=place.quat)
         hand.add(spec, mount, _UNTURNED)
         exclude_pairs(spec, [body.name for body in mount.find_all("body")])
         return [mount]
@@ -155,7 +157,8 @@ def _add_keyframes(
     model = compile_model(spec, "of an arm with a hand")
     is_hand = np.zeros(model.nq, bool)
     for joint in (j for root in roots for j in root.find_all("joint")):
-        is_hand[model.jnt_qposadr[joint.id]] = True
+        start = model.jnt_qposadr[joint.id]
+        is_hand[start : start + (4 if joint.type == mujoco.mjtJoint.mjJNT_BALL else 1)] = True
     for name in dict.fromkeys((*arm_keys, *hand_keys)):
         qpos, ctrl = model.qpos0.copy(), np.zeros(model.nu)
         for keys, places, columns in (

@@ -173,6 +173,9 @@ def test_a_users_arm_carries_a_registered_hand(folder):
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
+    beam = data.body("beam").xmat.reshape(3, 3)
+    assert np.allclose(data.body("palm").xmat.reshape(3, 3), beam @ np.diag([-1, 1, -1])), "turned as the site is"
+    assert np.allclose(data.body("palm").xpos, data.body("beam").xpos + beam @ [0.25, 0, 0])
     bodies = {model.body(int(model.geom_bodyid[g])).name for c in data.contact for g in c.geom}
     assert not any(name.startswith(("palm", "thumb", "mid", "ring")) for name in bodies), "its links stay apart"
 
