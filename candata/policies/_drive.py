@@ -25,6 +25,11 @@ def servos(scene: Scene) -> NDArray[np.bool_]:
     return _fixed(position_servos(scene.model, scene.actuator_ids))
 
 
+def position_servo_columns(scene: Scene) -> Ids:
+    """Return the columns of `action` that command position servos."""
+    return np.flatnonzero(servos(scene))
+
+
 def holding_commands(scene: Scene, length: Array) -> Array:
     """Return the commands `(A,)` at which servos rest at an actuator length `(A,)`; 0 for others."""
     model, ids = scene.model, scene.actuator_ids

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Planner, Policy, Variant
+from candata.policies._contract import Goal, Plan, Planner, Policy, Variant
 from candata.scenes import Scene
+
+#: Share of the wrist's lift that the object must make, for a share of the episode: a grasp may give a little. Chosen.
+LIFTED_SHARE, HELD_SHARE = 0.5, 0.2
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -25,7 +30,10 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     wave = np.sin(2 * np.pi * rng.uniform(1.5, 3.0) * (t - 1.5 * unit))
     height = rng.uniform(0.04, 0.07)
     path = p.along(amplitude @ axes, shake_envelope * wave) + p.along(hand.carrier.lift, height * lift)
-    return p.finish(scene, commands, rng, path=path)
+    plan = p.finish(scene, commands, rng, path=path)
+    if hand.carrier.lift is None:
+        return plan
+    return replace(plan, goal=Goal(lift_m=LIFTED_SHARE * height, held_s=HELD_SHARE * duration_s))
 
 
 def _carry(lift_m: float, side_m: float) -> Planner:

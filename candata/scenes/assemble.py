@@ -149,6 +149,16 @@ class Scene:
         return np.array([_carrier(self.model, tip) for tip in self.file.fingertips], int)
 
     @cached_property
+    def fingertip_geoms(self) -> tuple[NDArray[np.int64], ...]:
+        """Ids of each fingertip's colliding geoms: the geom itself, or those of its body and of what that carries."""
+        return tuple(
+            np.array([self.model.geom(tip).id])
+            if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, tip) < 0
+            else _colliding_geoms(self.model, subtree(self.model, int(body)))
+            for tip, body in zip(self.file.fingertips, self.fingertip_bodies, strict=True)
+        )
+
+    @cached_property
     def force_sensors(self) -> NDArray[np.int64]:
         """`(F, 3)` addresses of the world-frame forces in sensordata: of all contacts of each fingertip, on it."""
         return self._sensor(sensors.FORCE, 3)
