@@ -101,8 +101,9 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
 
 
 def possible_policies(scene: Scene) -> tuple[str, ...]:
-    """Return the policies that can act in the scene: its own list, else all that are possible."""
-    return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
+    """Return the policies of the scene's usual mix: its own list, else all that are possible and not on request."""
+    loaded = {name: policy(name) for name in policy_names()}
+    return scene.policies or tuple(n for n, each in loaded.items() if not each.on_request and each.possible(scene))
 
 
 def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:

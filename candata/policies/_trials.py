@@ -1,0 +1,66 @@
+"""Trial lifts of grasps: the hand closes about the object and lifts it, in simulation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco import batch as mujoco_batch
+from numpy.typing import NDArray
+
+from candata.policies import _drive as d
+from candata.policies import _postures as p
+from candata.policies._carrier import carrier
+from candata.policies._contract import Array
+from candata.scenes import Scene
+from candata.scenes.model_file import without_log
+
+#: Times of a trial [s]: closing, lifting, holding; and how high it lifts [m]. Chosen: as long as the fingers need.
+CLOSE_S, LIFT_S, HOLD_S, LIFT_M = 0.5, 0.4, 0.4, 0.06
+#: Share of the lift that the object must rise by, and stay at, to count as lifted.
+LIFTED_SHARE = 0.8
+
+
+class Trial(NamedTuple):
+    """Commands `(A,)` of the open and closed hand, where the hand goes `(6,)`, and the object's pose `(7,)`."""
+
+    open: Array
+    closed: Array
+    path: Array
+    object_pose: Array
+
+
+def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
+    """Return `(n,)` by how much each trial lifted the object, less what it moved about [m]; negative where it did not.
+
+    Policies cannot use the stepping loop of `simulate`, which is below them; here the nominal model is stepped as it
+    is.
+    """
+    hand, rate_hz = carrier(scene), scene.file.rate_hz
+    time_s = p.times(scene, CLOSE_S + LIFT_S + HOLD_S)
+    closing = p.blend(time_s, 0.0, 0.7 * CLOSE_S)[:, None]
+    rising = p.along(hand.lift, LIFT_M * p.blend(time_s, CLOSE_S, LIFT_S))
+    path = np.concatenate([trial.path + rising for trial in trials])
+    carried = (hand.commands(hand.start, path) - hand.start).reshape(len(trials), len(time_s), -1)
+    fingers = np.array([trial.open + closing * (trial.closed - trial.open) for trial in trials])
+    commands = np.clip(fingers + carried, *d.command_range(scene).T)
+    start = np.array([d.start_qpos(scene, rows[0]) for rows in commands])
+    at = scene.object_qpos
+    start[:, at : at + 7] = [trial.object_pose for trial in trials]
+    place = _played(scene, start, commands)[:, :, at : at + 3]
+    closed_row, lifted_row = round(CLOSE_S * rate_hz), round((CLOSE_S + LIFT_S) * rate_hz)
+    rise = place[:, -1, 2] - place[:, 0, 2]
+    pushed_m = np.linalg.norm(place[:, closed_row, :2] - place[:, 0, :2], axis=1)
+    slipped_m = np.linalg.norm(place[:, -1] - place[:, lifted_row], axis=1)
+    return np.where(rise > LIFTED_SHARE * LIFT_M, np.maximum(rise - 0.3 * pushed_m - slipped_m, 1e-6), rise - LIFT_M)
+
+
+def _played(scene: Scene, start: Array, commands: Array) -> Array:
+    """Return qpos `(n, T, nq)` at the rows of commands `(n, T, A)` played from states `(n, nq)` at rest."""
+    batch = mujoco_batch.Batch(scene.model, len(start), 1)
+    batch.bind("qpos")[:] = start
+    control = np.zeros((len(start), commands.shape[1] * scene.substeps, scene.model.nu))
+    control[:, :, scene.actuator_ids] = np.repeat(commands, scene.substeps, axis=1)
+    with without_log():
+        return batch.rollout(control.shape[1], control, record=("qpos",))["qpos"][:, :: scene.substeps]
