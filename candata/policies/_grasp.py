@@ -59,7 +59,7 @@ def grasp(scene: Scene) -> tuple[float, ...] | None:
 
 
 def hand_of(scene: Scene, start: Array) -> Hand | None:
-    """Return the kinematics of the scene's fingers about commands `(A,)`; None without servos or fingertips that touch."""
+    """Return the kinematics of the scene's fingers about commands `(A,)`; None without servos or fingertips."""
     finger_columns = np.array([i for i in np.flatnonzero(d.servos(scene)) if i not in d.carriers(scene)], int)
     tips = [_contact.geoms(scene, tip) for tip in scene.file.fingertips]
     tips = [t for t in tips if len(t)]

@@ -1,4 +1,4 @@
-"""Grasps of a scene's object, whatever it is: where opposing fingertips meet it, clear of all else, tried by lifting."""
+"""Grasps of any object: where opposing fingertips meet it, clear of all else, tried by lifting."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from functools import lru_cache
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from candata.effects import _contact
 from candata.errors import ReachError, SceneError, Where

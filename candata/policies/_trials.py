@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 from mujoco import batch as mujoco_batch
-from numpy.typing import NDArray
 
 from candata.policies import _drive as d
 from candata.policies import _postures as p
