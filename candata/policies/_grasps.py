@@ -8,8 +8,8 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from candata.effects import _contact
 from candata.errors import ReachError, SceneError, Where
+from candata.policies import _clear as clear
 from candata.policies import _drive as d
 from candata.policies._carrier import carrier
 from candata.policies._closing import SHARES, Pinch, Way, pinches, ways
@@ -97,11 +97,11 @@ def grasps(scene: Scene) -> tuple[Grasp, ...]:
     SceneError
         When nothing carries the hand up, or no grasp reaches the object.
     """
-    return _kept(_SameScene(scene.digest, scene))
+    return _kept(SameScene(scene.digest, scene))
 
 
 def chosen_grasp(scene: Scene, rng: np.random.Generator) -> Grasp:
-    """Return one of the grasps of `grasps`, which see, at random."""
+    """Return one of the grasps of `grasps`, at random."""
     kept = grasps(scene)
     return kept[int(rng.integers(len(kept)))]
 
@@ -116,6 +116,11 @@ def can_follow(scene: Scene, path: Array) -> bool:
     return bool(((limits[:, 0] <= commands) & (commands <= limits[:, 1])).all())
 
 
+def object_pose(scene: Scene) -> Array:
+    """Return the pose `(7,)` of the object in the model."""
+    return np.array(scene.model.qpos0[scene.object_qpos : scene.object_qpos + 7])
+
+
 def can_carry(scene: Scene) -> bool:
     """Tell whether the scene has an object, two fingertips, and what carries the hand up and along the support."""
     if scene.object_id is None or len(scene.fingertip_bodies) < 2:
@@ -127,18 +132,12 @@ def can_carry(scene: Scene) -> bool:
 def with_heading(scene: Scene, plan: Plan, heading_rad: float, goal: Goal | None) -> Plan:
     """Return the plan with its object turned about the vertical through its mass centre, and what it is meant to do."""
     qpos, at = plan.qpos.copy(), scene.object_qpos
-    qpos[at : at + 7] = _turned(scene, qpos[at : at + 7], heading_rad)
+    qpos[at : at + 7] = clear.turned(scene, qpos[at : at + 7], heading_rad)
     return replace(plan, qpos=qpos, goal=goal)
 
 
-def _turned(scene: Scene, pose: Array, heading_rad: float) -> Array:
-    """Return a pose `(7,)` of the object, turned about the vertical through its mass centre."""
-    turn, offset = exp(np.array([0.0, 0.0, heading_rad])), rotate(pose[3:], scene.model.body_ipos[scene.object_id])
-    return np.concatenate([pose[:3] + offset - rotate(turn, offset), multiply(turn, pose[3:])])
-
-
 @dataclass(frozen=True)
-class _SameScene:
+class SameScene:
     """A scene that equals others of its digest."""
 
     digest: str
@@ -146,7 +145,7 @@ class _SameScene:
 
 
 @lru_cache(maxsize=128)
-def _kept(key: _SameScene) -> tuple[Grasp, ...]:
+def _kept(key: SameScene) -> tuple[Grasp, ...]:
     """Return the grasps of a scene."""
     search = _Search(key.scene)
     candidates = search.candidates()
@@ -198,10 +197,6 @@ class _Search:
         offset = scene.model.body_ipos[scene.object_id]
         self.mass_centre: Array = offset
         self.centre = self.object_pose[:3] + rotate(self.object_pose[3:], offset)
-        support = _contact.geoms(scene, scene.file.support) if scene.file.support else np.zeros(0, int)
-        self.support = [int(g) for g in support]
-        others = {*scene.object_geoms.tolist(), *self.support}
-        self.robot = [int(g) for g in _contact.geoms(scene, None) if int(g) not in others]
         hand.pose(self.carrier.start[hand.free])
         self.pivot = hand.data.xpos[scene.fingertip_bodies].mean(0)
 
@@ -216,18 +211,18 @@ class _Search:
         all_ways = ways(self.scene)
         all_pinches = pinches(self.scene, self.hand, all_ways)
         cloud = surface_cloud(self.scene).astype(np.float64)
-        clear: list[Grasp] = []
+        clear_grasps: list[Grasp] = []
         widths: list[float] = []
         fitting = 0
         for _ in range(ROUNDS if all_pinches else 0):
             found, round_widths = self._lines(all_ways, all_pinches, cloud)
             widths += round_widths
             fitting += len(found)
-            clear += self._clear(found[: 2 * TRIED])
-            if len(clear) >= TRIED:
+            clear_grasps += self._clear(found[: 2 * TRIED])
+            if len(clear_grasps) >= TRIED:
                 break
-        if clear:
-            return clear[:TRIED]
+        if clear_grasps:
+            return clear_grasps[:TRIED]
         span = [pinch.gap_m[pinch.closing].max() for pinch in all_pinches]
         raise SceneError(
             f"scene {self.scene.name}: no grasp reaches the object",
@@ -339,34 +334,24 @@ class _Search:
         """Put the hand with given fingers, and the object turned, into `data`."""
         commands = fingers.copy()
         commands[self.carrier.columns] = carried[self.carrier.columns]
-        self.data.qpos[:] = d.start_qpos(self.scene, commands)
-        at = self.scene.object_qpos
-        self.data.qpos[at : at + 7] = _turned(self.scene, self.object_pose, grasp.heading_rad)
-        mujoco.mj_kinematics(self.model, self.data)
-        mujoco.mj_comPos(self.model, self.data)
+        clear.put(self.scene, self.data, commands, clear.turned(self.scene, self.object_pose, grasp.heading_rad))
 
     def _height(self, grasp: Grasp, carried: Array) -> float:
         """Return the least distance of the open and the closed hand from the support [m]."""
-        least_m = np.inf
+        heights = []
         for fingers in (grasp.open, grasp.closed):
             self._put(grasp, carried, fingers)
-            for support in self.support:
-                for geom in self.robot:
-                    gap = mujoco.mj_geomDistance(self.model, self.data, support, geom, APPROACH_M, None)
-                    least_m = min(least_m, gap)
-        return least_m
+            heights.append(clear.height_m(self.scene, self.data))
+        return min(heights)
 
     def _touches(self, grasp: Grasp, carried: Array) -> bool:
         """Tell whether the open hand overlaps the object."""
         self._put(grasp, carried, grasp.open)
-        mujoco.mj_collision(self.model, self.data)
-        ends, gaps = self.data.contact.geom, self.data.contact.dist
-        with_both = np.isin(ends, self.scene.object_geoms).any(1) & np.isin(ends, self.robot).any(1)
-        return bool((with_both & (gaps < 0)).any())
+        return clear.touches(self.scene, self.data)
 
     def trial(self, grasp: Grasp, off: Array, grip: float) -> Trial:
         """Return the trial of a grasp with the object off its place by `off (3,)` [m, m, rad of heading]."""
-        pose = _turned(self.scene, self.object_pose, grasp.heading_rad + off[2])
+        pose = clear.turned(self.scene, self.object_pose, grasp.heading_rad + off[2])
         pose[:2] += off[:2]
         closed = grasp.open + grip * (grasp.closed - grasp.open)
         return Trial(grasp.open, closed, grasp.path, pose)

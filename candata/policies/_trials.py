@@ -1,4 +1,4 @@
-"""Trial lifts of grasps: the hand closes about the object and lifts it, in simulation."""
+"""Trials of what a policy might do, in simulation: how the object moves, and whether a grasp lifts it."""
 
 from __future__ import annotations
 
@@ -30,11 +30,7 @@ class Trial(NamedTuple):
 
 
 def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
-    """Return `(n,)` by how much each trial lifted the object, less what it moved about [m]; negative where it did not.
-
-    Policies cannot use the stepping loop of `simulate`, which is below them; here the nominal model is stepped as it
-    is.
-    """
+    """Return `(n,)` by how much each trial lifted the object, less what it moved about [m]; negative if it did not."""
     hand, rate_hz = carrier(scene), scene.file.rate_hz
     time_s = p.times(scene, CLOSE_S + LIFT_S + HOLD_S)
     closing = p.blend(time_s, 0.0, 0.7 * CLOSE_S)[:, None]
@@ -43,10 +39,7 @@ def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
     carried = (hand.commands(hand.start, path) - hand.start).reshape(len(trials), len(time_s), -1)
     fingers = np.array([trial.open + closing * (trial.closed - trial.open) for trial in trials])
     commands = np.clip(fingers + carried, *d.command_range(scene).T)
-    start = np.array([d.start_qpos(scene, rows[0]) for rows in commands])
-    at = scene.object_qpos
-    start[:, at : at + 7] = [trial.object_pose for trial in trials]
-    place = _played(scene, start, commands)[:, :, at : at + 3]
+    place = object_motion(scene, commands, np.array([trial.object_pose for trial in trials]))[0]
     closed_row, lifted_row = round(CLOSE_S * rate_hz), round((CLOSE_S + LIFT_S) * rate_hz)
     rise = place[:, -1, 2] - place[:, 0, 2]
     pushed_m = np.linalg.norm(place[:, closed_row, :2] - place[:, 0, :2], axis=1)
@@ -54,11 +47,29 @@ def lifted_heights(scene: Scene, trials: list[Trial]) -> Array:
     return np.where(rise > LIFTED_SHARE * LIFT_M, np.maximum(rise - 0.3 * pushed_m - slipped_m, 1e-6), rise - LIFT_M)
 
 
-def _played(scene: Scene, start: Array, commands: Array) -> Array:
-    """Return qpos `(n, T, nq)` at the rows of commands `(n, T, A)` played from states `(n, nq)` at rest."""
-    batch = mujoco_batch.Batch(scene.model, len(start), 1)
+def object_motion(scene: Scene, commands: Array, poses: Array) -> tuple[Array, Array]:
+    """Return how the object moves: its mass centre `(n, T, 3)` [m] and its attitude `(n, T, 4)`, w x y z.
+
+    Policies cannot use the stepping loop of `simulate`, which is below them: here the scene's own model is stepped as
+    it is.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene.
+    commands : (n, T, A) float64
+        What the actuators take, a row a control step; the joints start at the first row.
+    poses : (n, 7) float64
+        Of the object at the start.
+    """
+    batch = mujoco_batch.Batch(scene.model, len(poses), 1)
+    start = np.array([d.start_qpos(scene, rows[0]) for rows in commands])
+    start[:, scene.object_qpos : scene.object_qpos + 7] = poses
     batch.bind("qpos")[:] = start
     control = np.zeros((len(start), commands.shape[1] * scene.substeps, scene.model.nu))
     control[:, :, scene.actuator_ids] = np.repeat(commands, scene.substeps, axis=1)
     with without_log():
-        return batch.rollout(control.shape[1], control, record=("qpos",))["qpos"][:, :: scene.substeps]
+        played = batch.rollout(control.shape[1], control, record=("xipos", "xquat"))
+    rows, body = slice(None, None, scene.substeps), scene.object_id
+    count = len(start), control.shape[1], -1
+    return played["xipos"].reshape(*count, 3)[:, rows, body], played["xquat"].reshape(*count, 4)[:, rows, body]
