@@ -79,7 +79,7 @@ def _strikes(key: g.SameScene) -> list[Strike]:
     ReachError
         When the hand cannot make any.
     """
-    scene, hand = key.scene, carrier(key.scene)
+    scene = key.scene
     possible = [strike for strike in _candidates(scene) if g.can_follow(scene, strike.ends)]
     if not possible:
         raise ReachError(
@@ -94,7 +94,7 @@ def _strikes(key: g.SameScene) -> list[Strike]:
 
 
 def _fallen(scene: Scene, strikes: list[Strike]) -> NDArray[np.bool_]:
-    """Return `(n, TRIALS)` whether each stroke topples the object, at speeds from low to high and some other heading."""
+    """Return `(n, TRIALS)` whether each stroke topples the object, at low to high speeds and other headings."""
     hand, speeds_mps = carrier(scene), np.linspace(*SPEED_MPS, TRIALS)
     headings_off = HEADING_SD_RAD * np.random.default_rng(0).standard_normal(TRIALS)
     longest_m = max(strike.length_m for strike in strikes)
