@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from candata_cli import console
 from candata_cli.outputs import check_output
+from candata_cli.recipe_option import use_recipe
 
 if TYPE_CHECKING:
     from candata.errors import UsageError
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Recipe = Annotated[
+    Path | None,
+    typer.Option(
+        "--recipe",
+        metavar="FILE",
+        is_eager=True,
+        callback=use_recipe,
+        help="Options in a YAML file, such as `episodes: 8`; those typed go before.",
+    ),
+]
 SceneName = Annotated[
     str | None,
     typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
@@ -36,6 +47,14 @@ PolicyFile = Annotated[
     Path | None,
     typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
 ]
+PolicyModule = Annotated[
+    str | None,
+    typer.Option(
+        "--policy-module",
+        metavar="MODULE:F|FILE",
+        help="Closed loop instead: package.module:function, FILE.py:function, or a network FILE.safetensors.",
+    ),
+]
 Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
 ]
@@ -53,7 +72,7 @@ Again = Annotated[
 ]
 EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="The episode for --again.")]
 #: Parameters that go together with --again: where things are now. All else is that of the episode.
-BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "again", "episode")
+BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "policy_module", "again", "episode")
 
 
 def register(app: typer.Typer) -> None:
@@ -68,6 +87,7 @@ def generate_sim(
     context: typer.Context,
     out: Out = None,
     episodes: Episodes = None,
+    recipe: Recipe = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
@@ -75,6 +95,7 @@ def generate_sim(
     randomise: Randomise = None,
     policies: Policies = None,
     policy_file: PolicyFile = None,
+    policy_module: PolicyModule = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
     jobs: Jobs = None,
@@ -93,13 +114,11 @@ def generate_sim(
     `--again` makes an episode of a dataset again from what is kept of it.
     """
     if again is not None or episode is not None:
-        return _make_again(context, again, episode, out, scene, objects, policy_file)
+        return _make_again(context, again, episode, out, scene, objects, policy_file, policy_module)
     if out is None or episodes is None:
         raise _missing("--out DATASET" if out is None else "--episodes N")
     sealed = seal or out.with_name(f"{out.name}.seal.json")
     check_output(out, "dataset")
-    if withhold is not None or withhold_from is not None:
-        check_output(sealed, "file", "--seal")
     from candata.datasets.versions import members_of
     from candata.effects import read_effects, read_randomisation
     from candata.simulate.generate import generate
@@ -115,10 +134,10 @@ def generate_sim(
             episodes,
             seed,
             objects=_objects(objects),
-            effects=effects_file.effects if effects_file else (),
-            randomisation=random_file.effects if random_file else (),
+            **_acting(effects_file, random_file),
             policies=tuple(policies.split(",")) if policies else (),
             policy_file=policy_file,
+            step_policy=policy_module,
             duration_s=duration_s,
             noise=noise,
             withheld=withheld,
@@ -132,6 +151,15 @@ def generate_sim(
     console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
 
 
+def _acting(effects_file: EffectsFile | None, random_file: RandomisationFile | None) -> dict[str, Any]:
+    """Return what acts in the episodes, as `generate` takes it."""
+    return {
+        "effects": effects_file.effects if effects_file else (),
+        "randomisation": random_file.effects if random_file else (),
+        "disturbances": random_file.disturbances if random_file else None,
+    }
+
+
 def _withheld(
     effect_name: str | None, hidden_file: RandomisationFile | None, seal: Path, salt: str | None
 ) -> Withheld | None:
@@ -141,7 +169,17 @@ def _withheld(
 
     if effect_name is not None and hidden_file is not None:
         raise UsageError("--withhold and --withhold-from at once", fix="leave one of them out")
+    if hidden_file is not None and (hidden_file.disturbances is not None or not hidden_file.effects):
+        raise UsageError(
+            "the file of --withhold-from does more than draw effects"
+            if hidden_file.effects
+            else "no effect to withhold",
+            expected="effects alone",
+            fix="give disturbances by --randomise, in a set of their own",
+        )
     asked = hidden_file.effects if hidden_file is not None else effect_name
+    if asked is not None:
+        check_output(seal, "file", "--seal")
     return None if asked is None else Withheld(asked, seal, salt)
 
 
@@ -153,6 +191,7 @@ def _make_again(
     scene: str | None,
     objects: str | None,
     policy_file: Path | None,
+    policy_module: str | None,
 ) -> None:
     """Make an episode of a dataset again, say that it is the same, and store it where that is asked for."""
     if again is None or episode_id is None:
@@ -163,7 +202,14 @@ def _make_again(
     from candata.simulate.repetition import repeat_episode, store_repeated
 
     dataset = console.open_named(again)
-    repeated = repeat_episode(dataset, episode_id, scene=scene, objects=_objects(objects), policy_file=policy_file)
+    repeated = repeat_episode(
+        dataset,
+        episode_id,
+        scene=scene,
+        objects=_objects(objects),
+        policy_file=policy_file,
+        step_policy=policy_module,
+    )
     console.out(f"{episode_id}: bit-equal, {len(repeated)} rows of {len(repeated.arrays)} channels")
     if out is not None:
         version = store_repeated(out, dataset, repeated)

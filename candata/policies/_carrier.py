@@ -25,7 +25,7 @@ LEAST_GAIN_M, LEAST_SHARE = 0.05, 0.99
 #: How far the hand may be off its path [m, rad]. Chosen: half the width of a finger, and what a grasp forgives.
 MOST_OFF_M, MOST_OFF_RAD = 0.010, np.deg2rad(5.0)
 #: The search ends when the hand is this near to its path everywhere [m], or after so many steps.
-NEAR_M, MOST_STEPS = 1e-6, 60
+NEAR_M, MOST_STEPS = 1e-6, 30
 #: Longest part of a path that is searched for at once [m, with radians as `HAND_M`].
 STAGE_M = 0.1
 #: Damping over the squared error, and its least value [m^2]. Source: T. Sugihara, "Solvability-unconcerned inverse

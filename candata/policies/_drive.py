@@ -24,6 +24,11 @@ def servos(scene: Scene) -> NDArray[np.bool_]:
     return position_servos(scene.model, scene.actuator_ids)
 
 
+def position_servo_columns(scene: Scene) -> Ids:
+    """Return the columns of `action` that command position servos."""
+    return np.flatnonzero(servos(scene))
+
+
 def holding_commands(scene: Scene, length: Array) -> Array:
     """Return the commands `(A,)` at which servos rest at an actuator length `(A,)`; 0 for others."""
     model, ids = scene.model, scene.actuator_ids
@@ -136,6 +141,11 @@ def carriers(scene: Scene) -> frozenset[int]:
         if all_tips and (has_several_tips or model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE):
             columns.add(i)
     return frozenset(columns)
+
+
+def carrying_columns(scene: Scene) -> Ids:
+    """Return the columns of `action` whose joint carries the whole hand, in their order; see `carriers`."""
+    return np.array(sorted(carriers(scene)), int)
 
 
 def _carries(model: mujoco.MjModel, body: int, descendant: int) -> bool:

@@ -29,7 +29,7 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
 
 
 def _carry(lift_m: float, side_m: float) -> Planner:
-    """Return a planner that lifts by `lift_m`, carries by `side_m` to both sides of each level direction, and puts down.
+    """Return a planner that lifts by `lift_m`, carries to both sides by `side_m` each way, and puts down.
 
     If nothing carries the hand, the object is held where it stands.
     """

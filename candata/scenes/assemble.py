@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.scenes import motors, sensors, transmission
+from candata.scenes.composition import compose
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
@@ -21,7 +22,7 @@ from candata.scenes.object_change import replace_object
 from candata.scenes.object_folder import named_object
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.effect import EffectSetting
-from candata.schema.scene import SceneFile, Servo
+from candata.schema.scene import ArmWithHand, SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
 #: Endings of files that are models.
@@ -146,6 +147,16 @@ class Scene:
     def fingertip_bodies(self) -> NDArray[np.int64]:
         """`(F,)` ids of the bodies that carry the fingertips."""
         return np.array([_carrier(self.model, tip) for tip in self.file.fingertips], int)
+
+    @cached_property
+    def fingertip_geoms(self) -> tuple[NDArray[np.int64], ...]:
+        """Ids of each fingertip's colliding geoms: the geom itself, or those of its body and of what that carries."""
+        return tuple(
+            np.array([self.model.geom(tip).id])
+            if mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_BODY, tip) < 0
+            else _colliding_geoms(self.model, subtree(self.model, int(body)))
+            for tip, body in zip(self.file.fingertips, self.fingertip_bodies, strict=True)
+        )
 
     @cached_property
     def force_sensors(self) -> NDArray[np.int64]:
@@ -275,6 +286,8 @@ def _from_file(path: Path) -> tuple[SceneFile, mujoco.MjSpec]:
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     file = SceneFile.parse(read_yaml(path), path)
+    if isinstance(file.model, ArmWithHand):
+        return file, compose(file.model.arm, file.model.hand, at=file.model.at, path=path)
     if file.model == "builtin" or (file.model in SCENES and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)

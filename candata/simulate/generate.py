@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from candata.datasets import create_dataset, pending_parts, publish, put_cloud
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
-from candata.policies import read_motions
+from candata.policies import read_motions, read_step_policy
 from candata.scenes import Scene, load_scene
 from candata.scenes.clouds import surface_cloud
 from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
 from candata.schema.randomisation import RandomEffect
@@ -62,8 +63,10 @@ def generate(
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
     randomisation: Sequence[RandomEffect] = (),
+    disturbances: Disturbances | None = None,
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
+    step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
     withheld: Withheld | None = None,
@@ -91,10 +94,14 @@ def generate(
         Effects of every episode.
     randomisation : sequence of RandomEffect
         Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
+    disturbances : Disturbances, optional
+        Noise on commands, and kicks, drawn for each episode; `meta.kicks` has those that it got.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
     policy_file : str or Path, optional
         Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
+    step_policy : str, optional
+        What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
     duration_s : float
         Length of an episode; what a policy file holds has its own.
     noise : bool
@@ -123,12 +130,19 @@ def generate(
         seed=seed,
         effects=tuple(effects),
         randomisation=tuple(randomisation),
+        disturbances=disturbances,
         policies=tuple(policies) or possible_policies(model),
         duration_s=duration_s,
         noise=noise,
     )
     if policy_file is not None:
         recipe = _with_file(recipe, model, policy_file, policies)
+    if step_policy is not None:
+        if policies or policy_file is not None:
+            raise UsageError("two sources of commands at once", fix="give --policies, --policy-file or --policy-module")
+        source = read_step_policy(step_policy)
+        names = {"policies": (source.name,), "step_policy": step_policy, "policy_digest": source.digest}
+        recipe = recipe.model_copy(update=names)
     if effects and randomisation:
         raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
     held_objects = _held_objects(recipe, model, episodes)

@@ -100,7 +100,7 @@ def test_a_randomisation_may_name_the_scene_and_is_told_by_the_lineage(randomise
     ("text", "words", "said"),
     [
         ("", (), "random.yaml is not valid: (whole file): keys with values are expected\n"),
-        ("effects: []\n", (), "random.yaml is not valid: effects: Tuple should have at least 1 item"),
+        ("effects: []\n", (), "random.yaml is not valid: (whole file): Value error, expected effects or disturbances"),
         (MASS.replace("uniform", "unifrom"), (), "unknown key `unifrom`, did you mean `uniform`"),
         (MASS.replace("[0.7, 1.5]", "[1.5, 0.7]"), (), "the smallest value of uniform comes first"),
         (MASS.replace("uniform: [0.7, 1.5]", "normal: [1, 0]"), (), "the standard deviation of normal"),
