@@ -11,12 +11,13 @@ import numpy as np
 from candata.errors import ReachError, SceneError, Where
 from candata.policies import _clear as clear
 from candata.policies import _drive as d
+from candata.policies import _postures as p
 from candata.policies._carrier import carrier
 from candata.policies._closing import SHARES, Pinch, Way, pinches, ways
 from candata.policies._contract import Array, Goal, Plan
 from candata.policies._grasp import Hand, hand_of
 from candata.policies._opposing import chords
-from candata.policies._trials import Trial, lifted_heights
+from candata.policies._trials import LIFT_M, Trial, lifted_heights
 from candata.rotation import conjugate, exp, multiply, rotate
 from candata.scenes import Scene
 from candata.scenes.clouds import surface_cloud
@@ -314,8 +315,8 @@ class _Search:
         return [away, up, (away + up) / np.linalg.norm(away + up)]
 
     def _approaches(self, grasp: Grasp) -> Array:
-        """Return the path `(1 + 3 D, 6)`: the grasp, and three places on the way out in each direction."""
-        rows = [grasp.path]
+        """Return the path `(2 + 3 D, 6)`: the lift, the grasp, and three places on the way out in each direction."""
+        rows = [grasp.path + p.along(self.lift, np.array([LIFT_M]))[0], grasp.path]
         for direction in self._directions():
             outward = np.concatenate([APPROACH_M * direction, np.zeros(3)])
             rows += [grasp.path + share * outward for share in (0.2, 0.5, 1.0)]
@@ -323,10 +324,10 @@ class _Search:
 
     def _way_out(self, grasp: Grasp, carried: Array) -> Array | None:
         """Return a direction in which the open hand leaves the object without touching it; None where it touches."""
-        if self._touches(grasp, carried[0]):
+        if self._touches(grasp, carried[1]):
             return None
         for n, direction in enumerate(self._directions()):
-            if not any(self._touches(grasp, row) for row in carried[1 + 3 * n : 4 + 3 * n]):
+            if not any(self._touches(grasp, row) for row in carried[2 + 3 * n : 5 + 3 * n]):
                 return direction
         return None
 
