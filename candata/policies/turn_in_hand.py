@@ -27,11 +27,13 @@ CLOSES, STROKES, OPENS, BACK = (0.0, 0.25), (0.25, 0.29), (0.54, 0.21), (0.75, 0
 SWING_SHARE, SWING_M = 0.3, 0.02
 #: Grip of a stroke: loose, so that the object turns between the fingers.
 GRIP = (0.8, 1.05)
+#: By how much the strokes of episodes differ in length and grip. Chosen.
+SIZES, FIRMER = (0.9, 1.1), (0.97, 1.05)
 #: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried twice in a row; how far
 #: those are off, as a share of the largest stroke. Chosen for 4 s of CPU time.
 DRAWN, BEST, NEIGHBOURS, NEAR_SHARE = 40, 6, 3, 0.2
-#: The best are tried so many times more, so often in a row, with the object off its place; those are kept that turn it
-#: by this share of the best.
+#: The best are tried so many times more, so often in a row, with the object off its place; those are kept whose
+#: worst turn is this share of the best.
 TIMES, LASTING, GOOD_SHARE = 3, 4, 0.75
 #: A tilt takes so many times as much from the worth of a turn; the object may move so far in each stroke [m], and loses
 #: so much a metre beyond [rad/m].
@@ -50,15 +52,14 @@ class Stroke(NamedTuple):
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     """Return the plan; which stroke, its size and the grip are random."""
     t, strokes = p.times(scene, duration_s), _strokes(g.SameScene(scene.digest, scene))
-    stroke = strokes[int(rng.integers(len(strokes)))]
-    size, grip = rng.uniform(0.9, 1.1), stroke.grip * rng.uniform(0.97, 1.05)
+    stroke = _varied(strokes[int(rng.integers(len(strokes)))], rng)
     around_s = AROUND_S * min(1.0, duration_s / (AROUND_S + CYCLE_S))
     cycles = max(1, int((duration_s - around_s) / CYCLE_S))
     cycle_s = (duration_s - around_s) / cycles
     closing, swing = _profiles(t - around_s / 2, cycles, cycle_s)
     way_in = p.blend(t, 0.1 * around_s, 0.4 * around_s) - p.blend(t, duration_s - 0.4 * around_s, 0.4 * around_s)
-    path = stroke.grasp.way_in(way_in) + size * swing[:, None] * stroke.path
-    commands = stroke.grasp.commands(grip * closing) + size * swing[:, None] * stroke.fingers
+    path = stroke.grasp.way_in(way_in) + swing[:, None] * stroke.path
+    commands = stroke.grasp.commands(stroke.grip * closing) + swing[:, None] * stroke.fingers
     plan = p.finish(scene, commands, rng, path=path)
     return g.with_heading(scene, plan, stroke.grasp.heading_rad, Goal(turn_rad=TURN_RAD))
 
@@ -81,10 +82,16 @@ def _strokes(key: g.SameScene) -> list[Stroke]:
     best = [drawn[i] for i in np.argsort(-np.abs(_worth(scene, drawn, 1)))[:BEST]]
     near = best + [_neighbour(scene, stroke, rng) for stroke in best for _ in range(NEIGHBOURS)]
     better = [near[i] for i in np.argsort(-np.abs(_worth(scene, near, 2)))[:BEST]]
-    again = [stroke for stroke in better for _ in range(TIMES)]
+    again = [_varied(stroke, rng) for stroke in better for _ in range(TIMES)]
     off = rng.standard_normal((len(again), 3)) * (g.OFF_SD_M, g.OFF_SD_M, g.OFF_SD_RAD)
-    worth = np.abs(_worth(scene, again, LASTING, off).reshape(-1, TIMES).mean(1))
+    worth = np.abs(_worth(scene, again, LASTING, off)).reshape(-1, TIMES).min(1)
     return [better[i] for i in np.argsort(-worth) if worth[i] >= GOOD_SHARE * worth.max()]
+
+
+def _varied(stroke: Stroke, rng: np.random.Generator) -> Stroke:
+    """Return the stroke, a little longer or shorter and firmer or looser."""
+    size, grip = rng.uniform(*SIZES), stroke.grip * rng.uniform(*FIRMER)
+    return stroke._replace(fingers=size * stroke.fingers, path=size * stroke.path, grip=grip)
 
 
 def _drawn(scene: Scene, rng: np.random.Generator) -> Stroke:
