@@ -182,11 +182,12 @@ class _Search:
         self.scene, self.model, self.carrier = scene, scene.model, carrier(scene)
         self.rng = np.random.default_rng(SEED)
         hand = hand_of(scene, self.carrier.start)
-        if hand is None or self.carrier.lift is None or len(hand.tips) < 2:
+        if hand is None or self.carrier.lift is None:
             raise SceneError(
-                f"scene {scene.name}: nothing to grasp the object with",
-                expected="two fingertips on servos, and servos that carry the hand up",
-                found="no fingertips on servos" if hand is None else "less",
+                f"scene {scene.name}: no hand that could lift the object",
+                expected="fingertips on position servos, and position servos that carry the hand up",
+                found="no fingertip on a servo" if hand is None else "nothing that carries the hand up",
+                where=Where(path=scene.name),
                 fix="choose a policy that needs no grasp",
             )
         self.hand: Hand = hand
@@ -294,7 +295,7 @@ class _Search:
         start = self.carrier.start
         try:
             ends = np.cumsum([len(path) for path in paths])[:-1]
-            all_commands = np.split(self.carrier.commands(start, np.concatenate(paths)), ends)
+            all_commands: list[Array | None] = [*np.split(self.carrier.commands(start, np.concatenate(paths)), ends)]
         except ReachError:
             all_commands = [self._reached(path) for path in paths]
         low, high = self.limits[:, 0] - 1e-9, self.limits[:, 1] + 1e-9

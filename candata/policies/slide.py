@@ -44,7 +44,7 @@ def _pull(scene: Scene, rng: np.random.Generator, grasp: g.Grasp) -> Array:
     The other way the palm would push the object, and nothing could slip.
     """
     hand, ends = carrier(scene), grasp.way_in(np.array([1.0, 0.0]))
-    out = grasp.approach - (grasp.approach @ hand.lift) * hand.lift
+    out = grasp.approach @ hand.level.T @ hand.level
     for _ in range(DRAWS):
         random = rng.standard_normal(len(hand.level)) @ hand.level
         direction = out + 0.3 * random if np.linalg.norm(out) > 0.5 else random

@@ -124,7 +124,7 @@ def _candidates(scene: Scene) -> list[Strike]:
         to_middle = middle - data.geom_xpos[tip]
         to_middle[2] = top_m - points[:, 2].min() - height_m
         for below_m in BELOW_TOP_M:
-            over = np.concatenate([to_middle - below_m * hand.lift, np.zeros(3)])
+            over = np.concatenate([to_middle - [0, 0, below_m], np.zeros(3)])
             outward = np.concatenate([forward, np.zeros(3)])
             back_m = RUN_UP_M + _clear_from(scene, data, pose, over, outward)
             out.append(Strike(over + np.array([[-back_m], [THROUGH_M]]) * outward, heading_rad))
