@@ -34,7 +34,8 @@ FRICTION = 0.5
 FIT_M, FIT_RAD = 0.006, 0.35
 #: Distance of the line from the mass centre that costs as much as the loss of all alignment [m]. Chosen: a finger's.
 OFF_CENTRE_M = 0.05
-#: Distance that the hand keeps from the support [m], and how much higher than the line it may grasp for that [m].
+#: Distance that the hand keeps from the support [m], and how much higher than the line it may grasp for that [m], if
+#: that is not above the object's top.
 CLEAR_M, MOST_RAISE_M = 0.004, 0.03
 #: From how far the open hand comes to its grasp [m]: more than a finger's width.
 APPROACH_M = 0.09
@@ -173,6 +174,7 @@ class _Candidate:
     share: float
     path: Array
     heading_rad: float
+    headroom_m: float
 
 
 class _Search:
@@ -247,6 +249,7 @@ class _Search:
         lines = chords(self.scene, points, rotate(conjugate(attitudes), axes))
         middles = rotate(attitudes, (lines.first + lines.second) / 2 - self.mass_centre)
         off_m = np.linalg.norm(np.cross(middles, axes), axis=1)
+        top_m = float(rotate(self.object_pose[3:], cloud - self.mass_centre)[:, 2].max())
         pressed = np.flatnonzero(lines.alignment > 1 / np.hypot(1, FRICTION))
         out = []
         for i in pressed:
@@ -258,7 +261,9 @@ class _Search:
             between_tips = self.pivot + rotate(exp(turns[i]), pinch.ends[k].mean(0) - self.pivot)
             path = np.concatenate([self.centre + middles[i] - between_tips, turns[i]])
             score = float(lines.alignment[i] - off_m[i] / OFF_CENTRE_M)
-            out.append(_Candidate(score, all_ways[pinch.way], float(SHARES[k]), path, float(headings[i])))
+            headroom_m = top_m - float(middles[i, 2])
+            share, heading_rad = float(SHARES[k]), float(headings[i])
+            out.append(_Candidate(score, all_ways[pinch.way], share, path, heading_rad, headroom_m))
         return sorted(out, key=lambda candidate: -candidate.score), lines.width_m[pressed].tolist()
 
     def _tilts(self) -> Array:
@@ -276,9 +281,10 @@ class _Search:
             closed = np.where(c.way.travel != 0, np.clip(c.way.open + share * c.way.travel, low, high), c.way.open)
             grasps_at.append(Grasp(c.way.open, closed, c.path, c.heading_rad, self.lift))
         raised = []
-        for grasp, carried in zip(grasps_at, self._carried([g.path[None] for g in grasps_at]), strict=True):
+        all_carried = self._carried([grasp.path[None] for grasp in grasps_at])
+        for c, grasp, carried in zip(candidates, grasps_at, all_carried, strict=True):
             lack_m = np.inf if carried is None else CLEAR_M - self._height(grasp, carried[0])
-            if lack_m < MOST_RAISE_M:
+            if lack_m < min(MOST_RAISE_M, c.headroom_m):
                 rise = max(0.0, float(lack_m)) * self.lift
                 raised.append(replace(grasp, path=grasp.path + np.concatenate([rise, np.zeros(3)])))
         paths = [self._approaches(grasp) for grasp in raised]
@@ -359,13 +365,12 @@ class _Search:
         return Trial(grasp.open, closed, grasp.path, pose)
 
 
-def _why_none(span: list[float], widths: list[float], fitting: int) -> str:
+def _why_none(span_m: list[float], widths_m: list[float], fitting: int) -> str:
     """Return why no grasp reaches the object, in words."""
-    if not span:
+    if not span_m:
         return "no two fingertips that close on each other"
-    reach = f"the fingertips open to {1000 * max(span):.0f} mm"
-    if not widths:
-        return f"no line between opposing points; {reach}"
-    if not fitting:
-        return f"opposing points {1000 * min(widths):.0f} to {1000 * max(widths):.0f} mm apart; {reach}"
-    return f"{fitting} places that fit, none clear of object and support and within reach of what carries the hand"
+    reach = f"the fingertips open to {1000 * max(span_m):.0f} mm"
+    if not widths_m:
+        return f"no opposing points; {reach}"
+    widths = f"opposing points {1000 * min(widths_m):.0f} to {1000 * max(widths_m):.0f} mm apart; {reach}"
+    return f"{widths}; {fitting} places fit, none clear of object and support and within reach of what carries the hand"

@@ -20,7 +20,7 @@ from candata.scenes import Scene
 #: Angle that the object is meant to turn by [rad].
 TURN_RAD = np.deg2rad(45.0)
 #: Length of a stroke and the way back in trials [s], the least in a plan, and what comes before and after [s].
-CYCLE_S, AROUND_S = 1.4, 1.6
+CYCLE_S, AROUND_S = 1.0, 1.6
 #: Shares of a cycle at which the fingers close, stroke, open and come back, and how long each takes.
 CLOSES, STROKES, OPENS, BACK = (0.0, 0.25), (0.25, 0.29), (0.54, 0.21), (0.75, 0.25)
 #: Largest random stroke: share of each joint's range, and of the hand along each level direction [m]. Chosen.
@@ -28,16 +28,16 @@ SWING_SHARE, SWING_M = 0.3, 0.02
 #: Grip of a stroke: loose, so that the object turns between the fingers.
 GRIP = (0.8, 1.05)
 #: By how much the strokes of episodes differ in length and grip. Chosen.
-SIZES, FIRMER = (0.9, 1.1), (0.97, 1.05)
-#: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried twice in a row; how far
-#: those are off, as a share of the largest stroke. Chosen for 4 s of CPU time.
-DRAWN, BEST, NEIGHBOURS, NEAR_SHARE = 40, 6, 3, 0.2
+SIZES, FIRMER = (0.92, 1.08), (0.97, 1.03)
+#: Strokes drawn and tried once; the best of them, and random neighbours of each, are tried; how far those are
+#: off, as a share of the largest stroke; how often in a row each generation of neighbours is tried. Chosen for 5 s of CPU time.
+DRAWN, BEST, NEIGHBOURS, NEAR_SHARE, GENERATIONS = 48, 6, 3, 0.2, (1, 3)
 #: The best are tried so many times more, so often in a row, with the object off its place; those are kept whose
 #: worst turn is this share of the best.
-TIMES, LASTING, GOOD_SHARE = 3, 4, 0.75
+TIMES, LASTING, GOOD_SHARE = 4, 6, 0.95
 #: A tilt takes so many times as much from the worth of a turn; the object may move so far in each stroke [m], and loses
 #: so much a metre beyond [rad/m].
-TILT_WEIGHT, MOVE_M, MOVE_WEIGHT = 3.0, 0.01, 10.0
+TILT_WEIGHT, MOVE_M, MOVE_WEIGHT = 3.0, 0.005, 10.0
 
 
 class Stroke(NamedTuple):
@@ -54,7 +54,7 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     t, strokes = p.times(scene, duration_s), _strokes(g.SameScene(scene.digest, scene))
     stroke = _varied(strokes[int(rng.integers(len(strokes)))], rng)
     around_s = AROUND_S * min(1.0, duration_s / (AROUND_S + CYCLE_S))
-    cycles = max(1, int((duration_s - around_s) / CYCLE_S))
+    cycles = int(np.clip((duration_s - around_s) / CYCLE_S, 1, LASTING))
     cycle_s = (duration_s - around_s) / cycles
     closing, swing = _profiles(t - around_s / 2, cycles, cycle_s)
     way_in = p.blend(t, 0.1 * around_s, 0.4 * around_s) - p.blend(t, duration_s - 0.4 * around_s, 0.4 * around_s)
@@ -80,12 +80,13 @@ def _strokes(key: g.SameScene) -> list[Stroke]:
     scene, rng = key.scene, np.random.default_rng(0)
     drawn = [_drawn(scene, rng) for _ in range(DRAWN)]
     best = [drawn[i] for i in np.argsort(-np.abs(_worth(scene, drawn, 1)))[:BEST]]
-    near = best + [_neighbour(scene, stroke, rng) for stroke in best for _ in range(NEIGHBOURS)]
-    better = [near[i] for i in np.argsort(-np.abs(_worth(scene, near, 2)))[:BEST]]
-    again = [_varied(stroke, rng) for stroke in better for _ in range(TIMES)]
+    for cycles in GENERATIONS:
+        near = best + [_neighbour(scene, stroke, rng) for stroke in best for _ in range(NEIGHBOURS)]
+        best = [near[i] for i in np.argsort(-np.abs(_worth(scene, near, cycles)))[:BEST]]
+    again = [_varied(stroke, rng) for stroke in best for _ in range(TIMES)]
     off = rng.standard_normal((len(again), 3)) * (g.OFF_SD_M, g.OFF_SD_M, g.OFF_SD_RAD)
     worth = np.abs(_worth(scene, again, LASTING, off)).reshape(-1, TIMES).min(1)
-    return [better[i] for i in np.argsort(-worth) if worth[i] >= GOOD_SHARE * worth.max()]
+    return [best[i] for i in np.argsort(-worth) if worth[i] >= GOOD_SHARE * worth.max()]
 
 
 def _varied(stroke: Stroke, rng: np.random.Generator) -> Stroke:
