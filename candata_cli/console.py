@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -133,8 +133,15 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
+class Advance(Protocol):
+    """Moves a progress on."""
+
+    def __call__(self, steps: int, detail: str = "") -> None:
+        """Count steps as done; `detail` says more about all that are."""
+
+
 @contextmanager
-def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress(label: str, total: int) -> Iterator[Advance]:
     """Show a bar with the time left on stderr and yield `advance(steps)`.
 
     Where stderr is no terminal, a line says the same every half minute, and one at the end how many are done.
@@ -150,14 +157,14 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
         begin_s = told_s = time.monotonic()
         done_count = 0
 
-        def advance(steps: int) -> None:
+        def advance(steps: int, detail: str = "") -> None:
             nonlocal told_s, done_count
             done_count += steps
             now_s = time.monotonic()
             if 0 < done_count < total and now_s - told_s >= EVERY_S:
                 told_s = now_s
                 left_text = duration((now_s - begin_s) / done_count * (total - done_count))
-                note(f"{label}: {done_count} of {total}, about {left_text} left")
+                note(f"{label}: {done_count} of {total}, about {left_text} left{detail and f'; {detail}'}")
 
         yield advance
         note(f"{label}: {total} done")
@@ -168,7 +175,11 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(label, total=total)
-        yield lambda steps: bar.advance(task, steps)
+
+        def advance_bar(steps: int, detail: str = "") -> None:
+            bar.update(task, advance=steps, description=f"{label}{detail and f': {detail}'}")
+
+        yield advance_bar
 
 
 @contextmanager

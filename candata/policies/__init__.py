@@ -1,8 +1,9 @@
 """Policies: one file each; the folder is the registry."""
 
 from candata.plugins import Registry
+from candata.policies._carrier import carrier
 from candata.policies._contract import Goal, Motion, Observation, Plan, Policy, Step, Variant
-from candata.policies._drive import carrying_columns, position_servo_columns
+from candata.policies._drive import position_servo_columns
 from candata.policies._motion_file import MotionFile, command_limits, motion_plan, read_motions, write_motions
 from candata.policies._step import StepPolicy, opening_plan, read_step_policy
 
@@ -19,7 +20,7 @@ __all__ = [
     "Step",
     "StepPolicy",
     "Variant",
-    "carrying_columns",
+    "carrier",
     "command_limits",
     "motion_plan",
     "opening_plan",

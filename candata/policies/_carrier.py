@@ -78,6 +78,10 @@ class Carrier:
         """`(L, 3)` the directions of `axes` that do not lift."""
         return self.axes if self.lift is None else self.axes[np.abs(self.axes @ self.lift) <= UPRIGHT]
 
+    def noise_of(self, hand_m: float) -> Array:
+        """Return command noise `(n,)`, 1 sd, by which the hand moves by `hand_m` [m]."""
+        return self.noise * (hand_m / NOISE_M)
+
     def commands(self, base: Array, path: Array) -> Array:
         """Return the commands `(T, A)` that move the hand along a path.
 

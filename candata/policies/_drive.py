@@ -143,11 +143,6 @@ def carriers(scene: Scene) -> frozenset[int]:
     return frozenset(columns)
 
 
-def carrying_columns(scene: Scene) -> Ids:
-    """Return the columns of `action` whose joint carries the whole hand, in their order; see `carriers`."""
-    return np.array(sorted(carriers(scene)), int)
-
-
 def _carries(model: mujoco.MjModel, body: int, descendant: int) -> bool:
     """Tell whether `descendant` is `body` or hangs on it."""
     while descendant != body and descendant != 0:

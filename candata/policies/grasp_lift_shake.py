@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from candata.policies import _grasps as g
 from candata.policies import _postures as p
-from candata.policies._contract import Plan, Planner, Policy, Variant
+from candata.policies._contract import Goal, Plan, Planner, Policy, Variant
 from candata.scenes import Scene
+
+#: Share of the wrist's lift that the object must make, for a share of the episode: a grasp may give a little. Chosen.
+LIFTED_SHARE, HELD_SHARE = 0.5, 0.2
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -37,7 +42,10 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     height = rng.uniform(0.04, 0.07)
     path += p.along(amplitude @ axes, shake_envelope * wave) + p.along(hand.carrier.lift, height * lift)
     plan = p.finish(scene, commands, rng, path=path)
-    return plan if grasp is None else g.with_heading(scene, plan, grasp.heading_rad, plan.goal)
+    if hand.carrier.lift is None:
+        return plan
+    goal = Goal(lift_m=LIFTED_SHARE * height, held_s=HELD_SHARE * duration_s)
+    return replace(plan, goal=goal) if grasp is None else g.with_heading(scene, plan, grasp.heading_rad, goal)
 
 
 def _carry(lift_m: float, side_m: float) -> Planner:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from candata.policies import _postures as p
-from candata.policies._contract import Array, Plan, Policy, Variant
+from candata.policies._contract import Array, Goal, Plan, Policy, Variant
 from candata.scenes import Scene
 
 #: How far the hand stands back before the first stroke [m].
@@ -14,6 +16,9 @@ CLEAR_M = 0.035
 LOW_M = 0.03
 #: Length of the long stroke, and how far the hand backs off for it [m].
 FAR_M, BACK_M = 0.15, 0.05
+#: Distance from the end of the stroke at which the object has arrived, as a share of the stroke: it stands up to 1 cm
+#: off, and leaves the fingers to the side. Chosen.
+ARRIVED_SHARE = 0.6
 
 
 def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
@@ -31,7 +36,8 @@ def _plan(scene: Scene, rng: np.random.Generator, duration_s: float) -> Plan:
     # The stroke starts clear of the object, so that an episode holds the onset of contact.
     path = _beside(hand, rng.uniform(0.045, 0.06), len(t))
     way = (reach + CLEAR_M) * (stroke + rng.uniform(0.5, 0.9) * second_stroke) - CLEAR_M
-    return p.finish(scene, commands, rng, path=path + p.along(hand.carrier.stroke, way))
+    plan = p.finish(scene, commands, rng, path=path + p.along(hand.carrier.stroke, way))
+    return replace(plan, goal=Goal(place_m=reach * hand.carrier.stroke, place_tolerance_m=ARRIVED_SHARE * reach))
 
 
 def _beside(hand: p.Postures, back_off_m: float, count: int) -> Array:

@@ -43,7 +43,8 @@ class KickDraw(Record):
 class CommandNoise(Record):
     """White Gaussian noise on each command of a position servo, one standard deviation.
 
-    `joint_rad` [rad] is that of the fingers' hinges. `hand_m` [m] is how far each joint that carries the hand moves it.
+    `joint_rad` [rad] is that of the fingers' hinges. `hand_m` [m] is how far each rail that carries the hand moves it,
+    or all hinges that carry it together.
     """
 
     joint_rad: Annotated[float, Field(ge=0)] = 0.0

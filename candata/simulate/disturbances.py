@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import UsageError
-from candata.policies import carrying_columns, position_servo_columns
+from candata.policies import carrier, position_servo_columns
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.schema.disturbance import CommandNoise, Disturbances, Kick, KickDraw
@@ -30,7 +30,7 @@ def check_disturbances(disturbances: Disturbances, scene: Scene) -> None:
     """
     if disturbances.object_kicks is not None and scene.object_id is None:
         raise UsageError(f"scene {scene.name} has no object to kick", fix="leave object_kicks out")
-    if disturbances.hand_kicks is not None and not len(carrying_columns(scene)):
+    if disturbances.hand_kicks is not None and not len(carrier(scene).columns):
         raise UsageError(
             f"nothing carries the hand of scene {scene.name}, so it cannot be kicked",
             expected="an actuated joint above all fingertips",
@@ -57,32 +57,14 @@ def _drawn_kick(target: str, draw: KickDraw, rng: np.random.Generator, time_s: f
 
 
 def drawn_command_noise(noise: CommandNoise, scene: Scene, rng: np.random.Generator, rows: int) -> Array:
-    """Return noise to add to the commands, `(T, A)` in the actuators' units; none on motors without a servo.
-
-    A joint that carries the hand has a lever: of a hinge the distance from its axis to the middle of the fingertips in
-    the model's own posture [m], of a slide 1. Its noise is `hand_m` over the lever.
-    """
+    """Return noise to add to the commands, `(T, A)` in the actuators' units; none on motors without a servo."""
     model, size = scene.model, np.zeros(len(scene.actuator_ids))
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    mujoco.mj_comPos(model, data)
-    carrying = set(carrying_columns(scene).tolist())
     for column in position_servo_columns(scene).tolist():
         joint = scene.driven_joints.get(int(scene.actuator_ids[column]))
-        if joint is None:
-            continue
-        is_hinge = model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-        if column not in carrying:
-            size[column] = noise.joint_rad if is_hinge else 0.0
-        else:
-            size[column] = noise.hand_m / (_lever_m(scene, data, joint) if is_hinge else 1.0)
+        if joint is not None and model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE:
+            size[column] = noise.joint_rad
+    size[carrier(scene).columns] = carrier(scene).noise_of(noise.hand_m)
     return rng.standard_normal((rows, len(size))) * size
-
-
-def _lever_m(scene: Scene, data: mujoco.MjData, joint: int) -> float:
-    """Return the distance from a hinge's axis to the middle of the fingertips [m], at least a centimetre."""
-    arm = data.xpos[scene.fingertip_bodies].mean(0) - data.xanchor[joint]
-    return max(float(np.linalg.norm(np.cross(data.xaxis[joint], arm))), 0.01)
 
 
 class Kicks:
@@ -127,7 +109,7 @@ class Kicks:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
-        joints = [scene.driven_joints[int(scene.actuator_ids[c])] for c in carrying_columns(scene)]
+        joints = [scene.driven_joints[int(scene.actuator_ids[c])] for c in carrier(scene).columns]
         dofs = model.jnt_dofadr[joints]
         tips, body = scene.fingertip_bodies, int(model.jnt_bodyid[joints].max())
         middle = data.xpos[tips].mean(0) if len(tips) else data.xpos[body]

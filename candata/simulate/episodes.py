@@ -21,11 +21,13 @@ from candata.schema.scene import Noise
 from candata.simulate.closed_loop import ClosedLoop, Pilot
 from candata.simulate.disturbances import Kicks, drawn_command_noise, drawn_kicks
 from candata.simulate.loop import Alter, Trajectory, rollout
+from candata.simulate.outcome import object_motion, outcome
+from candata.simulate.perturbation import Draw, perturbed
 
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
-PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM = 0, 1, 2
-COMMAND_STREAM, KICK_STREAM, POLICY_STREAM = 3, 4, 5
+PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM, ATTEMPT_STREAM = 0, 1, 2, 3
+COMMAND_STREAM, KICK_STREAM, POLICY_STREAM = 4, 5, 6
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class EpisodeJob:
         Noise on its commands, and kicks.
     object : str, optional
         Name of the object that is in the place of the scene's own; the episode then bears the digest of its scene too.
+    draw : Draw, optional
+        The attempt at an outcome that is wanted of the episode.
     """
 
     id: str
@@ -72,6 +76,7 @@ class EpisodeJob:
     step_policy: StepPolicy | None = None
     disturbances: Disturbances | None = None
     object: str | None = None
+    draw: Draw | None = None
 
 
 def make_episodes(
@@ -108,16 +113,21 @@ def make_episodes(
     episodes, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
     for job, failed_s in zip(jobs, fails, strict=True):
         if np.isfinite(failed_s):
-            step_ms = 1000 * scene.model.opt.timestep
-            failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
-            raise DataError(
-                "the simulation is unstable",
-                expected=f"a finite state after every step of {step_ms:g} ms",
-                found=f"{job.policy} {_in_words(job)}: none {failure_time}",
-                where=Where(path=scene.name, episode=job.id),
-                fix="give the model a smaller time step, more damping or armature, or milder effects",
-            )
+            raise unstable_error(scene, job, float(failed_s))
     return episodes
+
+
+def unstable_error(scene: Scene, job: EpisodeJob, failed_s: float) -> DataError:
+    """Return the error of an episode that MuJoCo gave up at a time after its start [s]."""
+    step_ms = 1000 * scene.model.opt.timestep
+    failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
+    return DataError(
+        "the simulation is unstable",
+        expected=f"a finite state after every step of {step_ms:g} ms",
+        found=f"{job.policy} {_in_words(job)}: none {failure_time}",
+        where=Where(path=scene.name, episode=job.id),
+        fix="give the model a smaller time step, more damping or armature, or milder effects",
+    )
 
 
 def tried_episodes(
@@ -128,13 +138,14 @@ def tried_episodes(
     noise: Noise | None = None,
     threads: int = 1,
     alter: Alter | None = None,
+    plans: Sequence[Plan] | None = None,
 ) -> tuple[list[Episode], Array]:
     """Return the episodes of `jobs` and when MuJoCo gave each of them up, `(n,)` [s] after its start.
 
     Not a number where it did not; before zero, while the model settled. From there on such an episode means nothing.
-    Parameters are those of `make_episodes`.
+    Parameters are those of `make_episodes`, and the jobs' `plans` where they are at hand.
     """
-    plans = [_plan(scene, j, duration_s) for j in jobs]
+    plans = plans or [planned(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
@@ -151,6 +162,7 @@ def tried_episodes(
         settle=settle,
         threads=threads,
         alter=alter,
+        keep_state=any(p.goal for p in plans),
     )
     plans = [
         replace(p, commands=given[settle : settle + len(p.commands)]) for p, given in zip(plans, commands, strict=True)
@@ -168,12 +180,20 @@ def _in_words(job: EpisodeJob) -> str:
     return f"with {', '.join(e.name for e in job.effects)}" if job.effects else "without any effect"
 
 
-def _plan(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
-    """Return the plan of one job."""
+def planned(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
+    """Return the plan of one job.
+
+    Raises
+    ------
+    DataError
+        When the policy plans what cannot be played: too few or too many commands, or numbers that are not finite.
+    """
     rng = _rng(job, PLAN_STREAM)
     if job.step_policy is not None:
         return opening_plan(scene, rng, duration_s)
     plan = motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
+    _refuse_impossible(scene, job, plan)
+    plan = perturbed(scene, plan, job.draw) if job.draw else plan
     noise = _command_noise(scene, job, len(plan.commands))
     return replace(plan, commands=np.clip(plan.commands + noise, *command_limits(scene).T)) if noise.any() else plan
 
@@ -206,10 +226,31 @@ def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pil
     )
 
 
+def _refuse_impossible(scene: Scene, job: EpisodeJob, plan: Plan) -> None:
+    """Raise DataError where a plan has the wrong size or holds numbers that are not finite."""
+    rows = len(plan.commands)
+    shapes = {
+        "commands": (plan.commands, (rows, len(scene.actuator_ids))),
+        "qpos": (plan.qpos, (scene.model.nq,)),
+        "qvel": (plan.qvel, (scene.model.nv,)),
+    }
+    for name, (array, shape) in shapes.items():
+        is_finite = bool(np.isfinite(array).all())
+        if rows == 0 or np.shape(array) != shape or not is_finite:
+            raise DataError(
+                f"policy {job.policy} plans what cannot be played",
+                expected=f"{name} of shape {shape}, all finite",
+                found=f"shape {np.shape(array)}{'' if is_finite else ', not all finite'}",
+                where=Where(path=scene.name, episode=job.id),
+                fix="mend the policy, or leave it out with --policies",
+            )
+
+
 def _rng(job: EpisodeJob, stream: int) -> np.random.Generator:
     """Return the generator of one stream of a job."""
     noise_seed = job.noise_seed if stream == NOISE_STREAM else None
-    return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream])
+    attempt = [job.draw.attempt] if job.draw and job.draw.attempt and stream == PLAN_STREAM else []
+    return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream, *attempt])
 
 
 def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
@@ -242,13 +283,30 @@ def _episode(
         rule = ContactRule()
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], rule.threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, rule, kicks), arrays)
+    return Episode(_meta(scene, job, rule, kicks, _outcome(scene, plan, trajectory, index, part)), arrays)
 
 
-def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, kicks: tuple[Kick, ...]) -> EpisodeMeta:
+def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part: slice) -> str | None:
+    """Return what became of the object; None where nothing was meant with it."""
+    if plan.goal is None or scene.object_id is None:
+        return None
+    qpos, touch, tip_force = (
+        trajectory.qpos[index, part],
+        trajectory.touch[index, part],
+        trajectory.tip_force[index, part],
+    )
+    return outcome(plan.goal, object_motion(scene, qpos, touch, tip_force))
+
+
+def _meta(
+    scene: Scene, job: EpisodeJob, rule: ContactRule | None, kicks: tuple[Kick, ...], outcome_word: str | None
+) -> EpisodeMeta:
     """Return who, what, when."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
+    labels = job.draw.labels() if job.draw else {}
+    if job.object is not None:
+        labels["scene_digest"] = scene.digest
     return EpisodeMeta(
         id=job.id,
         source="sim",
@@ -258,12 +316,13 @@ def _meta(scene: Scene, job: EpisodeJob, rule: ContactRule | None, kicks: tuple[
         task=job.policy,
         seed=None if job.hidden else job.seed,
         effects=None if job.hidden else job.effects,
+        outcome=outcome_word,
         joint_names=scene.file.joints,
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
         contact_rule=rule,
         point_cloud=job.point_cloud,
-        labels={} if job.object is None else {"scene_digest": scene.digest},
+        labels=labels,
         kicks=kicks,
     )
 

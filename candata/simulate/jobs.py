@@ -11,6 +11,7 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from pydantic import Field
 
 from candata import __version__
 from candata.errors import DataError, UsageError, Where
@@ -24,8 +25,9 @@ from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
 from candata.schema.record import Record
 from candata.simulate.disturbances import check_disturbances
-from candata.simulate.episodes import EpisodeJob
+from candata.simulate.episodes import EpisodeJob, planned
 from candata.simulate.randomisation import check_randomisation, drawn_effects
+from candata.simulate.wanted import wanted_outcome
 from candata.simulate.world import build_worlds
 
 #: Episodes a chunk, and a part: fixed, so that who makes a chunk changes nothing in it.
@@ -44,6 +46,7 @@ class GenerationRecipe(Record):
     nothing where the scene has no object. With a `step_policy` (what `read_step_policy` takes, its content named by
     `policy_digest`) that gives the commands of all episodes, and `policies` is its name. `disturbances` are drawn for
     each episode.
+    `outcomes` are the shares of wanted outcomes; none where any will do.
     """
 
     scene: str
@@ -59,6 +62,7 @@ class GenerationRecipe(Record):
     noise: bool
     objects: tuple[str, ...] = ()
     point_clouds: tuple[str, ...] = ()
+    outcomes: dict[str, float] = Field(default_factory=dict)
     sealed: str | None = None
 
     @property
@@ -69,6 +73,13 @@ class GenerationRecipe(Record):
     def scene_turn(self, index: int) -> int:
         """Return which of `scenes` episode `index` plays in."""
         return index // len(self.policies) % len(self.scenes)
+
+    def wanted(self, index: int) -> str | None:
+        """Return the outcome that is wanted of episode `index`, by turns that no policy or object runs in step with."""
+        if not self.outcomes:
+            return None
+        pairs = len(self.policies) * len(self.scenes)
+        return wanted_outcome(self.outcomes, index // pairs + index % pairs)
 
 
 def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -> None:
@@ -126,6 +137,12 @@ def possible_policies(scene: Scene) -> tuple[str, ...]:
     """Return the policies of the scene's usual mix: its own list, else all that are possible and not on request."""
     loaded = {name: policy(name) for name in policy_names()}
     return scene.policies or tuple(n for n, each in loaded.items() if not each.on_request and each.possible(scene))
+
+
+def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
+    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each."""
+    jobs = [EpisodeJob(id=name, index=0, policy=name, seed=recipe.seed) for name in recipe.policies]
+    return tuple(j.policy for j in jobs if planned(scene, j, recipe.duration_s).goal is not None)
 
 
 def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:
@@ -191,9 +208,25 @@ def short_name(scene: str) -> str:
     return path.stem if path.stem != "scene" else path.resolve().parent.name
 
 
-def chunks(episodes: int) -> list[range]:
-    """Return the episode numbers of each chunk; the last may be shorter."""
-    return [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
+def chunks(episodes: int, shard: tuple[int, int] = (1, 1)) -> list[range]:
+    """Return the episode numbers of each chunk; the last may be shorter. Of shard `(i, n)` every n-th, from the i-th.
+
+    Raises
+    ------
+    UsageError
+        When there is no such shard, or it has no chunk.
+    """
+    number, count = shard
+    all_chunks = [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
+    if not 1 <= number <= count:
+        raise UsageError("there is no such shard", expected="1/2 and 2/2, for example", found=f"{number}/{count}")
+    if number > len(all_chunks):
+        raise UsageError(
+            f"shard {number}/{count} has no episodes",
+            expected=f"at most {len(all_chunks)} shards: {episodes} episodes are made in chunks of {CHUNK}",
+            found=f"{count} shards",
+        )
+    return all_chunks[number - 1 :: count]
 
 
 def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], object_digests: dict[str, str]) -> Lineage:
@@ -211,6 +244,8 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
     }
     if object_digests:
         details["objects"] = object_digests
+    if recipe.outcomes:
+        details["outcomes"] = recipe.outcomes
     if recipe.policy_digest is not None:
         details["step_policy" if recipe.step_policy else "policy_file"] = recipe.policy_digest
     if recipe.disturbances is not None:

@@ -24,6 +24,7 @@ from candata.schema.manifest import VersionFile
 from candata.schema.record import Record
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.jobs import OPERATION, tool_versions
+from candata.simulate.perturbation import Draw
 
 #: Number of an episode, at the end of its id (`candata.simulate.jobs.episode_id`).
 _INDEX = re.compile(r"-(\d{6,})$")
@@ -265,6 +266,7 @@ def _simulated(
         motion=_motion(meta, generation, scene, index, policy_file),
         step_policy=_step_policy(meta, generation, step_policy),
         disturbances=generation.details.disturbances,
+        draw=Draw.kept(meta.labels),
     )
     noise = scene.file.noise if generation.details.noise else None
     (episode,) = make_episodes(scene, [job], duration_s=generation.details.duration_s, noise=noise)
