@@ -75,7 +75,8 @@ def tell_forecast(forecast: Forecast, json: bool) -> None:
         console.out(f"{forecast.episodes} episodes; every one of the trial was left out, so the rest is not known")
         return
     console.out(f"{forecast.episodes} episodes, {forecast.rows} rows, {forecast.steps} steps of physics")
+    processes = f"{forecast.workers} process{'' if forecast.workers == 1 else 'es'}"
     console.out(
-        f"{console.duration(60 * forecast.minutes)} with {forecast.workers} processes, {forecast.gigabytes:.3g} GB "
+        f"{console.duration(60 * forecast.minutes)} with {processes}, {forecast.gigabytes:.3g} GB "
         f"(measured on {forecast.trial_episodes} episodes)"
     )
