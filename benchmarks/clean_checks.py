@@ -22,13 +22,13 @@ import numpy as np
 
 from candata.checks import check, rule_names
 from candata.datasets import append, create_dataset, open_dataset
-from candata.gap.blind.crew import local
 from candata.gap.blind.rigs.cases import write_rig_case
 from candata.gap.blind.rigs.design import all_traits
 from candata.scenes import Scene, load_scene
 from candata.scenes.roles import builtin_scenes
 from candata.schema.bench import Label
 from candata.schema.manifest import Lineage
+from candata.simulate.crew import local
 from candata.simulate.episodes import EpisodeJob, make_episodes
 
 #: Episodes of a set: of a built-in scene, and of a random small one.

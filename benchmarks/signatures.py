@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 from candata.datasets import append, create_dataset, open_dataset
 from candata.gap import diagnose
-from candata.gap.blind.crew import Crew, alone, local
 from candata.gap.blind.filling import Source, keep_signature, planned, source
 from candata.gap.wanted import Depth
 from candata.scenes import Scene, load_scene
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
+from candata.simulate.crew import Crew, alone, local
 from candata.simulate.episodes import EpisodeJob, make_episodes
 
 SCENE = "xhand_tabletop"

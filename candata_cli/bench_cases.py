@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from candata_cli import console
 
 if TYPE_CHECKING:
-    from candata.gap.blind.crew import Crew
     from candata.gap.blind.sanity import Fitness
     from candata.schema.bench import Kind
+    from candata.simulate.crew import Crew
 
 KINDS = ("one", "quarter", "null", "pair", "triple", "outside", "background", "solver", "local")
 #: Episodes of a case and their length [s]: in one scene, and in random small ones (None: each scene draws its own).

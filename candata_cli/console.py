@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import typer
 
@@ -56,6 +56,13 @@ def number(text: str | None) -> int | str | None:
 def words(text: str) -> tuple[str, ...]:
     """Return the words of a comma-separated list."""
     return tuple(word.strip() for word in text.split(",") if word.strip())
+
+
+def shares_text(counts: Mapping[str, int]) -> str:
+    """Return `success 12 (60 %), slip 8 (40 %)`, the most frequent first; empty of nothing."""
+    total = sum(counts.values())
+    order = sorted(counts.items(), key=lambda pair: (-pair[1], pair[0]))
+    return ", ".join(f"{name} {count} ({100 * count / total:.0f} %)" for name, count in order)
 
 
 class StoppedRun(Exception):
@@ -133,8 +140,15 @@ def duration(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
+class Advance(Protocol):
+    """Moves a progress on."""
+
+    def __call__(self, steps: int, detail: str = "") -> None:
+        """Count steps as done; `detail` says more about all that are."""
+
+
 @contextmanager
-def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
+def progress(label: str, total: int) -> Iterator[Advance]:
     """Show a bar with the time left on stderr and yield `advance(steps)`.
 
     Where stderr is no terminal, a line says the same every half minute, and one at the end how many are done.
@@ -150,14 +164,14 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
         begin_s = told_s = time.monotonic()
         done_count = 0
 
-        def advance(steps: int) -> None:
+        def advance(steps: int, detail: str = "") -> None:
             nonlocal told_s, done_count
             done_count += steps
             now_s = time.monotonic()
             if 0 < done_count < total and now_s - told_s >= EVERY_S:
                 told_s = now_s
                 left_text = duration((now_s - begin_s) / done_count * (total - done_count))
-                note(f"{label}: {done_count} of {total}, about {left_text} left")
+                note(f"{label}: {done_count} of {total}, about {left_text} left{detail and f'; {detail}'}")
 
         yield advance
         note(f"{label}: {total} done")
@@ -168,7 +182,11 @@ def progress(label: str, total: int) -> Iterator[Callable[[int], None]]:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as bar:
         task = bar.add_task(label, total=total)
-        yield lambda steps: bar.advance(task, steps)
+
+        def advance_bar(steps: int, detail: str = "") -> None:
+            bar.update(task, advance=steps, description=f"{label}{detail and f': {detail}'}")
+
+        yield advance_bar
 
 
 @contextmanager

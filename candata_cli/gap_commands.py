@@ -18,10 +18,10 @@ from candata_cli.bench_cases import KINDS, SCENE, bench_request, listed_words, m
 from candata_cli.outputs import check_output
 
 if TYPE_CHECKING:
-    from candata.gap.blind.crew import Crew
     from candata.gap.blind.outcomes import Outcome
     from candata.gap.blind.running import Place
     from candata.schema.bench import BenchFile, CaseResult, FilledSignature
+    from candata.simulate.crew import Crew
 
 BASELINES = ("lowest_error", "bic", "one_se", "commonest", "oracle")
 BENCH_EXAMPLE = """\b
@@ -118,7 +118,7 @@ def bench(
     """
     check_output(out, "folder")
     from candata.gap.blind.cases import CASES, LABELS
-    from candata.gap.blind.cluster import crew_of
+    from candata.simulate.cluster import crew_of
 
     request = bench_request(world, scene, traits, kinds, counts, only, seed, episodes, duration_s)
     baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
@@ -146,7 +146,7 @@ def score(
 ) -> None:
     """Diagnose and score cases that were made elsewhere."""
     check_output(out, "folder")
-    from candata.gap.blind.cluster import crew_of
+    from candata.simulate.cluster import crew_of
 
     baseline_names, stop_time = listed_words(baselines, BASELINES, "baseline"), end_time(minutes)
     with console.stoppable(lambda: _kept_text(out), goes_on=True), bench_lock(out), crew_of(jobs, ray, out) as crew:

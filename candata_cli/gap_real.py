@@ -47,9 +47,9 @@ def real(
 ) -> None:
     """Diagnose what changed between all pairs of settings, and score the answers by the labels: misses first."""
     check_output(out, "folder")
-    from candata.gap.blind.crew import local
     from candata.gap.blind.labelled import pairs_of, read_labelled, run_pairs, score_pairs
     from candata.reports.bench import bench_text, write_bench
+    from candata.simulate.crew import local
 
     labelled = read_labelled(folder, dataset)
     kept_text = f"the pairs diagnosed so far are kept in {out}"

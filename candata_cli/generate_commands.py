@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from candata_cli import console
+from candata_cli.generate_report import tell_forecast, tell_set
 from candata_cli.outputs import check_output
+from candata_cli.recipe_option import use_recipe
 
 if TYPE_CHECKING:
     from candata.errors import UsageError
     from candata.schema.effect import EffectsFile
     from candata.schema.randomisation import RandomisationFile
     from candata.simulate.generate import Withheld
+    from candata.simulate.recipe import SetOptions
 
 Out = Annotated[Path | None, typer.Option("--out", metavar="DATASET", help="Dataset to write or go on with.")]
 Episodes = Annotated[int | None, typer.Option("--episodes", metavar="N", help="How many episodes.")]
+Recipe = Annotated[
+    Path | None,
+    typer.Option(
+        "--recipe",
+        metavar="FILE",
+        is_eager=True,
+        callback=use_recipe,
+        help="Options in a YAML file, such as `episodes: 8`; those typed go before.",
+    ),
+]
 SceneName = Annotated[
     str | None,
     typer.Option("--scene", metavar="SCENE", help="Name or scene.yaml; else that of --effects or --randomise."),
@@ -36,6 +52,14 @@ PolicyFile = Annotated[
     Path | None,
     typer.Option("--policy-file", metavar="FILE", help="Motions to play instead: motion.parquet of a diagnosis."),
 ]
+PolicyModule = Annotated[
+    str | None,
+    typer.Option(
+        "--policy-module",
+        metavar="MODULE:F|FILE",
+        help="Closed loop instead: package.module:function, FILE.py:function, or a network FILE.safetensors.",
+    ),
+]
 Duration = Annotated[
     float, typer.Option("--duration-s", metavar="S", help="Length of an episode; a policy file has its own.")
 ]
@@ -53,8 +77,17 @@ Again = Annotated[
     str | None, typer.Option("--again", metavar="DATASET", help="Make one of its episodes again, and compare each bit.")
 ]
 EpisodeId = Annotated[str | None, typer.Option("--episode", metavar="ID", help="The episode for --again.")]
+Outcomes = Annotated[
+    str | None,
+    typer.Option("--outcomes", metavar="NAME:SHARE,..", help="Draw grip, aim and timing until the mix is met."),
+]
+Shard = Annotated[str, typer.Option("--shard", metavar="I/N", help="Make every N-th chunk from the I-th.")]
+Ray = Annotated[str | None, typer.Option("--ray", metavar="ADDRESS", help=console.RAY)]
+Strict = Annotated[bool, typer.Option("--strict", help="End at the first episode that cannot be made.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what the set would take; make nothing.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 #: Parameters that go together with --again: where things are now. All else is that of the episode.
-BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "again", "episode")
+BESIDE_AGAIN = ("out", "scene", "objects", "policy_file", "policy_module", "again", "episode")
 
 
 def register(app: typer.Typer) -> None:
@@ -69,6 +102,7 @@ def generate_sim(
     context: typer.Context,
     out: Out = None,
     episodes: Episodes = None,
+    recipe: Recipe = None,
     scene: SceneName = None,
     seed: Seed = 1,
     objects: Objects = None,
@@ -76,6 +110,7 @@ def generate_sim(
     randomise: Randomise = None,
     policies: Policies = None,
     policy_file: PolicyFile = None,
+    policy_module: PolicyModule = None,
     duration_s: Duration = 3.2,
     noise: WithNoise = True,
     taxels: Taxels = False,
@@ -83,8 +118,14 @@ def generate_sim(
     withhold: Withhold = None,
     withhold_from: WithholdFrom = None,
     seal: Seal = None,
+    outcomes: Outcomes = None,
+    shard: Shard = "1/1",
+    ray: Ray = None,
+    strict: Strict = False,
+    dry_run: DryRun = False,
     again: Again = None,
     episode: EpisodeId = None,
+    json: Json = False,
     salt: Annotated[str | None, typer.Option("--salt", hidden=True)] = None,
 ) -> None:
     """Simulate episodes into a dataset; the same command goes on after a stop and adds nothing twice.
@@ -93,58 +134,109 @@ def generate_sim(
     `--withhold` draws an effect from the seed and a secret salt and keeps it out of the dataset; the sealed
     file holds all three. `--withhold-from` does so with one draw of a file of distributions, for all episodes.
     `--again` makes an episode of a dataset again from what is kept of it.
+    `--outcomes success:0.5,fail:0.5` shares out how episodes end: success, slip, drop, miss, topple, or fail for any
+    of the last four.
+    An episode that cannot be made is left out, with its reason in the dataset, unless `--strict` is given.
     """
     if again is not None or episode is not None:
-        return _make_again(context, again, episode, out, scene, objects, policy_file)
-    if out is None or episodes is None:
-        raise _missing("--out DATASET" if out is None else "--episodes N")
-    sealed = seal or out.with_name(f"{out.name}.seal.json")
-    check_output(out, "dataset")
-    if withhold is not None or withhold_from is not None:
-        check_output(sealed, "file", "--seal")
-    from candata.datasets.versions import members_of
-    from candata.effects import read_effects, read_randomisation
+        return _make_again(context, again, episode, out, scene, objects, policy_file, policy_module)
+    if out is None and not dry_run:
+        raise _missing("--out DATASET")
+    if episodes is None:
+        raise _missing("--episodes N")
+    if out is not None:
+        sealed = seal or out.with_name(f"{out.name}.seal.json")
+        check_output(out, "dataset")
+    scene_name, options = _set_options(scene, objects, effects, randomise, withhold_from, policies, outcomes)
+    options |= {"policy_file": policy_file, "step_policy": policy_module, "duration_s": duration_s}
+    options |= {"noise": noise, "taxels": taxels}
+    part = _shard(shard)
+    if out is None or dry_run:
+        from candata.simulate.forecast import forecast
+
+        return tell_forecast(forecast(scene_name, episodes, seed, workers=jobs, shard=part, **options), json)
     from candata.simulate.generate import generate
+
+    withheld = _withheld(withhold, withhold_from, sealed, salt)
+    make_set = partial(
+        generate, out, scene_name, episodes, seed, withheld=withheld, workers=jobs, ray=ray, shard=part, strict=strict
+    )
+    with console.stoppable(lambda: _kept_text(out), goes_on=True), _progress(episodes, part) as (advance, tally):
+        version = make_set(**options, progress=advance, tally=tally, note=console.note)
+    if withheld:
+        console.note(f"withheld {'effect' if withhold else 'effects'} sealed in {withheld.seal}")
+    tell_set(out, version, json)
+
+
+@contextmanager
+def _progress(
+    episodes: int, shard: tuple[int, int]
+) -> Iterator[tuple[Callable[[int], None], Callable[[Mapping[str, int]], None]]]:
+    """Show progress, with the shares of outcomes so far; yield what counts episodes, and what hears of outcomes."""
+    from candata.simulate.jobs import chunks
+
+    seen: dict[str, int] = {}
+    with console.progress("episodes", sum(len(chunk) for chunk in chunks(episodes, shard))) as advance:
+        yield (lambda count: advance(count, console.shares_text(seen)), seen.update)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    """Return which shard of how many is made."""
+    from candata.errors import UsageError
+
+    number, mark, count = text.partition("/")
+    if not (mark and number.isdigit() and count.isdigit()):
+        raise UsageError("--shard cannot be read", expected="such as 1/2", found=repr(text))
+    return int(number), int(count)
+
+
+def _set_options(
+    scene: str | None,
+    objects: str | None,
+    effects: Path | None,
+    randomise: Path | None,
+    withhold_from: Path | None,
+    policies: str | None,
+    outcomes: str | None,
+) -> tuple[str, SetOptions]:
+    """Return the scene of a set, and what it is made with that is read from files and lists."""
+    from candata.effects import read_effects, read_randomisation
+    from candata.simulate.wanted import parsed_outcomes
 
     effects_file = read_effects(effects) if effects else None
     random_file = read_randomisation(randomise) if randomise else None
     hidden_file = read_randomisation(withhold_from) if withhold_from else None
-    withheld = _withheld(withhold, hidden_file, sealed, salt)
-    with console.stoppable(lambda: _kept_text(out), goes_on=True), console.progress("episodes", episodes) as advance:
-        version = generate(
-            out,
-            _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)),
-            episodes,
-            seed,
-            objects=_objects(objects),
-            effects=effects_file.effects if effects_file else (),
-            randomisation=random_file.effects if random_file else (),
-            policies=tuple(policies.split(",")) if policies else (),
-            policy_file=policy_file,
-            duration_s=duration_s,
-            noise=noise,
-            taxels=taxels,
-            withheld=withheld,
-            workers=jobs,
-            progress=advance,
-            note=console.note,
-        )
-    if withheld:
-        console.note(f"withheld {'effect' if withhold else 'effects'} sealed in {withheld.seal}")
-    total = len(members_of(out, version))
-    console.out(f"{out}: {total} episodes in version {version.number}, digest {version.digest[:12]}")
+    options: SetOptions = {
+        "objects": _objects(objects),
+        "effects": effects_file.effects if effects_file else (),
+        "randomisation": random_file.effects if random_file else (),
+        "disturbances": random_file.disturbances if random_file else None,
+        "policies": tuple(policies.split(",")) if policies else (),
+        "outcomes": parsed_outcomes(outcomes) if outcomes is not None else None,
+    }
+    return _scene(scene, (random_file, randomise), (hidden_file, withhold_from), (effects_file, effects)), options
 
 
-def _withheld(
-    effect_name: str | None, hidden_file: RandomisationFile | None, seal: Path, salt: str | None
-) -> Withheld | None:
+def _withheld(effect_name: str | None, hidden_path: Path | None, seal: Path, salt: str | None) -> Withheld | None:
     """Return what is withheld: one effect, or a draw of a file."""
+    from candata.effects import read_randomisation
     from candata.errors import UsageError
     from candata.simulate.generate import Withheld
 
-    if effect_name is not None and hidden_file is not None:
+    if effect_name is not None and hidden_path is not None:
         raise UsageError("--withhold and --withhold-from at once", fix="leave one of them out")
+    hidden_file = read_randomisation(hidden_path) if hidden_path is not None else None
+    if hidden_file is not None and (hidden_file.disturbances is not None or not hidden_file.effects):
+        raise UsageError(
+            "the file of --withhold-from does more than draw effects"
+            if hidden_file.effects
+            else "no effect to withhold",
+            expected="effects alone",
+            fix="give disturbances by --randomise, in a set of their own",
+        )
     asked = hidden_file.effects if hidden_file is not None else effect_name
+    if asked is not None:
+        check_output(seal, "file", "--seal")
     return None if asked is None else Withheld(asked, seal, salt)
 
 
@@ -156,6 +248,7 @@ def _make_again(
     scene: str | None,
     objects: str | None,
     policy_file: Path | None,
+    policy_module: str | None,
 ) -> None:
     """Make an episode of a dataset again, say that it is the same, and store it where that is asked for."""
     if again is None or episode_id is None:
@@ -166,7 +259,14 @@ def _make_again(
     from candata.simulate.repetition import repeat_episode, store_repeated
 
     dataset = console.open_named(again)
-    repeated = repeat_episode(dataset, episode_id, scene=scene, objects=_objects(objects), policy_file=policy_file)
+    repeated = repeat_episode(
+        dataset,
+        episode_id,
+        scene=scene,
+        objects=_objects(objects),
+        policy_file=policy_file,
+        step_policy=policy_module,
+    )
     console.out(f"{episode_id}: bit-equal, {len(repeated)} rows of {len(repeated.arrays)} channels")
     if out is not None:
         version = store_repeated(out, dataset, repeated)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from candata.errors import SceneError, UnknownNameError, UsageError, Where
 from candata.scenes import motors, sensors, transmission
+from candata.scenes.composition import compose
 from candata.scenes.contract import SCENES
 from candata.scenes.model_file import compile_model, model_path, read_model
 from candata.scenes.named_files import kind_of
@@ -21,7 +22,7 @@ from candata.scenes.object_change import replace_object
 from candata.scenes.object_folder import named_object
 from candata.scenes.role_check import check_recorded, check_roles
 from candata.schema.effect import EffectSetting
-from candata.schema.scene import SceneFile, Servo
+from candata.schema.scene import ArmWithHand, SceneFile, Servo
 from candata.schema.yaml_text import read_yaml
 
 #: Endings of files that are models.
@@ -52,8 +53,12 @@ class Scene:
         Effects that belong to the nominal simulator, see `candata.simulate.with_effects`.
     plain : Scene or None
         The scene without them; None where there are none.
+    has_other_object : bool
+        Whether another object is in the place of the scene's own: its keyframes know nothing of it.
     spec : mujoco.MjSpec or None
-        What the model was compiled from, see `candata.scenes.labels`; None where it was edited since.
+        What the model was compiled from; None where it was edited since.
+    unlabelled : Scene or None
+        The scene without labels, see `candata.scenes.labels`; None where there are none.
     """
 
     name: str
@@ -62,7 +67,9 @@ class Scene:
     policies: tuple[str, ...] = ()
     given_effects: tuple[EffectSetting, ...] = ()
     plain: Scene | None = None
+    has_other_object: bool = False
     spec: mujoco.MjSpec | None = field(default=None, repr=False)
+    unlabelled: Scene | None = field(default=None, repr=False)
 
     @property
     def substeps(self) -> int:
@@ -191,8 +198,8 @@ class Scene:
     @cached_property
     def contact_sensors(self) -> NDArray[np.int64]:
         """`(F, slots, numbers)` addresses of each contact of a fingertip (`sensors.CONTACT_SIZE`); empty likewise."""
-        shape = (-1, sensors.CONTACT_SLOTS, sensors.CONTACT_SIZE)
-        return self._sensor(sensors.CONTACTS, sensors.CONTACT_SLOTS * sensors.CONTACT_SIZE).reshape(shape)
+        slots, size = sensors.CONTACT_SLOTS, sensors.CONTACT_SIZE
+        return self._sensor(sensors.CONTACTS, slots * size).reshape(-1, slots, size)
 
     @cached_property
     def place_sensors(self) -> NDArray[np.int64]:
@@ -200,9 +207,9 @@ class Scene:
         return self._sensor(sensors.PLACE, 3)
 
     def _sensor(self, prefix: str, width: int) -> NDArray[np.int64]:
-        names = [f"{prefix}{i}" for i in range(len(self.file.fingertips))]
-        known = [mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
-        start = [self.model.sensor_adr[sensor] for sensor in known if sensor >= 0]
+        kind, names = mujoco.mjtObj.mjOBJ_SENSOR, [f"{prefix}{i}" for i in range(len(self.file.fingertips))]
+        ids = [mujoco.mj_name2id(self.model, kind, name) for name in names]
+        start = [self.model.sensor_adr[sensor] for sensor in ids if sensor >= 0]
         return np.array(start, int).reshape(-1, 1) + np.arange(width)
 
     @cached_property
@@ -213,10 +220,10 @@ class Scene:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 over the compiled model and the roles: names what was simulated."""
-        size = mujoco.mj_sizeModel(self.model)
-        buffer = np.zeros(size, np.uint8)
-        mujoco.mj_saveModel(self.model, None, buffer)
+        """SHA-256 over the compiled model and the roles: names what was simulated, with labels or without."""
+        model = (self.unlabelled or self).model
+        buffer = np.zeros(mujoco.mj_sizeModel(model), np.uint8)
+        mujoco.mj_saveModel(model, None, buffer)
         given = "".join(setting.model_dump_json() for setting in self.given_effects)
         return hashlib.sha256(buffer.tobytes() + (self.file.model_dump_json() + given).encode()).hexdigest()
 
@@ -269,7 +276,7 @@ def load_scene(name: str | Path) -> Scene:
         return assemble(str(name), *_source(name))
     file, spec, policies = _source(base)
     replace_object(base, file, spec, named_object(object_name))
-    return assemble(str(name), file, spec, policies)
+    return replace(assemble(str(name), file, spec, policies), has_other_object=True)
 
 
 def _source(name: str | Path) -> tuple[SceneFile, mujoco.MjSpec, tuple[str, ...]]:
@@ -306,6 +313,8 @@ def _from_file(path: Path) -> tuple[SceneFile, mujoco.MjSpec]:
     if not path.is_file():
         raise UsageError(f"scene file {path} does not exist", where=Where(path=str(path)))
     file = SceneFile.parse(read_yaml(path), path)
+    if isinstance(file.model, ArmWithHand):
+        return file, compose(file.model.arm, file.model.hand, at=file.model.at, path=path)
     if file.model == "builtin" or (file.model in SCENES and not (path.parent / file.model).exists()):
         raise SceneError("a scene file names a model file", expected="an MJCF or URDF beside it", found=file.model)
     source = model_path(path, file.model)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 from candata.errors import UsageError
 from candata.scenes import sensors
@@ -11,11 +10,10 @@ from candata.scenes.assemble import Scene
 from candata.scenes.model_file import compile_model
 
 
-@lru_cache(maxsize=4)
 def with_labels(scene: Scene, taxels: bool = False) -> Scene:
     """Return a scene whose simulations also tell which fingertips meet the object: the same motion, more sensors.
 
-    Its digest is another one. A scene without fingertips, or with neither an object nor `taxels`, stays as it is.
+    Its digest is that of the scene. One without fingertips, or with neither an object nor `taxels`, stays as it is.
 
     Parameters
     ----------
@@ -40,4 +38,4 @@ def with_labels(scene: Scene, taxels: bool = False) -> Scene:
             sensors.add_collision(spec, scene.file, index, tip)
         if taxels:
             sensors.add_contacts(spec, index, tip)
-    return replace(scene, model=compile_model(spec, scene.name), spec=None)
+    return replace(scene, model=compile_model(spec, scene.name), spec=None, unlabelled=scene)

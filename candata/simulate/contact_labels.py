@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import mujoco
@@ -12,6 +13,7 @@ from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 
 Array = NDArray[np.float64]
+Groups = Sequence[tuple[int, NDArray[np.int64]]]
 #: Taxels of a fingertip, and force that one count stands for [N]. Source: the XHand's wire
 #: (`candata.record.devices.xhand`).
 TAXELS, NEWTON_PER_COUNT = 120, 0.1
@@ -20,9 +22,38 @@ TAXELS, NEWTON_PER_COUNT = 120, 0.1
 SPREAD_RAD = 0.33
 
 
-def is_labelled(scene: Scene) -> bool:
-    """Tell whether simulations of a scene tell labels, see `candata.scenes.labels.with_labels`."""
-    return bool(len(scene.collision_sensors) or len(scene.contact_sensors))
+def row_labels(scene: Scene, groups: Groups, sensor_data: Sequence[list[Array]], instant: bool) -> dict[str, NDArray]:
+    """Return the labels of R rows together, `(R, n, ...)` each, as `read_labels` gives them; none of a plain scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    groups : sequence of (int, ndarray)
+        Number of physics steps a row, and the simulations that take so many; together all n.
+    sensor_data : sequence of R lists
+        What the sensors of each group read, `(m, S, nsensordata)`.
+    instant : bool
+        As in `read_labels`.
+    """
+    labels: dict[str, NDArray] = {}
+    if not (len(scene.collision_sensors) or len(scene.contact_sensors)):
+        return labels
+    count = sum(len(ids) for _, ids in groups)
+    for (_, ids), group_data in zip(groups, zip(*sensor_data, strict=True), strict=True):
+        for name, value in read_labels(scene, np.stack(group_data), instant).items():
+            shape = (len(sensor_data), count, *value.shape[2:])
+            labels.setdefault(name, np.zeros(shape, value.dtype))[:, ids] = value
+    return labels
+
+
+def label_channels(labels: dict[str, NDArray], force: Array | None) -> dict[str, NDArray]:
+    """Return the channels of an episode from its labels `(T, ...)` and its fingertips' forces `(T, F, 3)` [N]."""
+    channels = {}
+    if "collision" in labels:
+        channels["fingertip_collision"] = labels["collision"]
+    if "taxel_force" in labels and force is not None:
+        channels["taxels"] = taxel_counts(labels["taxel_force"], force)
+    return channels
 
 
 def read_labels(scene: Scene, data: Array, instant: bool) -> dict[str, NDArray]:

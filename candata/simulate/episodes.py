@@ -3,29 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from candata.errors import DataError, Where
-from candata.policies import Motion, Plan, motion_plan, policy
+from candata.policies import Motion, Plan, StepPolicy, command_limits, motion_plan, opening_plan, policy
 from candata.rotation import exp, multiply
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
-from candata.scenes.labels import with_labels
 from candata.schema.channels import VALID_SUFFIX
 from candata.schema.contact import fingertip_contact
+from candata.schema.disturbance import Disturbances, Kick
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import ContactRule, Episode, EpisodeMeta
 from candata.schema.scene import Noise
-from candata.simulate.contact_labels import NEWTON_PER_COUNT, taxel_counts
+from candata.simulate.closed_loop import ClosedLoop, Pilot
+from candata.simulate.contact_labels import NEWTON_PER_COUNT, label_channels
+from candata.simulate.disturbances import Kicks, drawn_command_noise, drawn_kicks
 from candata.simulate.loop import Alter, Trajectory, rollout
-from candata.simulate.tracker import tracked_pose
+from candata.simulate.outcome import object_motion, outcome
+from candata.simulate.perturbation import Draw, perturbed
+from candata.simulate.tracker import with_tracker
 
 Array = NDArray[np.float64]
 #: Streams of an episode's random numbers: what is planned never depends on what is measured, or on drawn effects.
-PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM = 0, 1, 2
+PLAN_STREAM, NOISE_STREAM, EFFECT_STREAM, ATTEMPT_STREAM = 0, 1, 2, 3
+COMMAND_STREAM, KICK_STREAM, POLICY_STREAM = 4, 5, 6
 
 
 @dataclass(frozen=True)
@@ -52,8 +58,14 @@ class EpisodeJob:
         Seed of the sensor noise, where it is not `seed`.
     motion : Motion, optional
         What to play instead of a policy.
+    step_policy : StepPolicy, optional
+        What gives the commands in a closed loop, instead of a policy.
+    disturbances : Disturbances, optional
+        Noise on its commands, and kicks.
     object : str, optional
         Name of the object that is in the place of the scene's own; the episode then bears the digest of its scene too.
+    draw : Draw, optional
+        The attempt at an outcome that is wanted of the episode.
     """
 
     id: str
@@ -65,7 +77,10 @@ class EpisodeJob:
     point_cloud: str | None = None
     noise_seed: int | None = None
     motion: Motion | None = None
+    step_policy: StepPolicy | None = None
+    disturbances: Disturbances | None = None
     object: str | None = None
+    draw: Draw | None = None
 
 
 def make_episodes(
@@ -76,8 +91,6 @@ def make_episodes(
     noise: Noise | None = None,
     threads: int = 1,
     alter: Alter | None = None,
-    collision: bool = False,
-    taxels: bool = False,
 ) -> list[Episode]:
     """Return the episodes of `jobs`, simulated as one batch; the same for a seed whatever else is in it.
 
@@ -95,40 +108,30 @@ def make_episodes(
         Threads of the pool.
     alter : callable, optional
         As in `rollout`.
-    collision : bool
-        Add `fingertip_collision`, where the scene has fingertips and an object.
-    taxels : bool
-        Add `taxels`, where the scene has fingertips.
 
     Raises
     ------
     DataError
         When MuJoCo could not step a simulation to its end.
-    UsageError
-        When labels are to be added and the scene is not as `load_scene` returns it.
     """
-    episodes, fails = tried_episodes(
-        scene,
-        jobs,
-        duration_s=duration_s,
-        noise=noise,
-        threads=threads,
-        alter=alter,
-        collision=collision,
-        taxels=taxels,
-    )
+    episodes, fails = tried_episodes(scene, jobs, duration_s=duration_s, noise=noise, threads=threads, alter=alter)
     for job, failed_s in zip(jobs, fails, strict=True):
         if np.isfinite(failed_s):
-            step_ms = 1000 * scene.model.opt.timestep
-            failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
-            raise DataError(
-                "the simulation is unstable",
-                expected=f"a finite state after every step of {step_ms:g} ms",
-                found=f"{job.policy} {_in_words(job)}: none {failure_time}",
-                where=Where(path=scene.name, episode=job.id),
-                fix="give the model a smaller time step, more damping or armature, or milder effects",
-            )
+            raise unstable_error(scene, job, float(failed_s))
     return episodes
+
+
+def unstable_error(scene: Scene, job: EpisodeJob, failed_s: float) -> DataError:
+    """Return the error of an episode that MuJoCo gave up at a time after its start [s]."""
+    step_ms = 1000 * scene.model.opt.timestep
+    failure_time = "while it settles" if failed_s < 0 else f"{failed_s:.2f} s after its start"
+    return DataError(
+        "the simulation is unstable",
+        expected=f"a finite state after every step of {step_ms:g} ms",
+        found=f"{job.policy} {_in_words(job)}: none {failure_time}",
+        where=Where(path=scene.name, episode=job.id),
+        fix="give the model a smaller time step, more damping or armature, or milder effects",
+    )
 
 
 def tried_episodes(
@@ -139,32 +142,46 @@ def tried_episodes(
     noise: Noise | None = None,
     threads: int = 1,
     alter: Alter | None = None,
-    collision: bool = False,
-    taxels: bool = False,
+    plans: Sequence[Plan] | None = None,
 ) -> tuple[list[Episode], Array]:
     """Return the episodes of `jobs` and when MuJoCo gave each of them up, `(n,)` [s] after its start.
 
     Not a number where it did not; before zero, while the model settled. From there on such an episode means nothing.
-    Parameters are those of `make_episodes`.
+    Parameters are those of `make_episodes`, and the jobs' `plans` where they are at hand.
+
+    Raises
+    ------
+    FailedStepsError
+        When policies in a closed loop give no commands.
     """
-    plans = [_plan(scene, j, duration_s) for j in jobs]
+    plans = plans or [planned(scene, j, duration_s) for j in jobs]
     settle = round(plans[0].settle_s * scene.file.rate_hz)
     rows = max(len(p.commands) for p in plans)
     commands = np.stack([_padded_commands(p, settle, rows) for p in plans])
+    pilots = [_pilot(scene, j, len(p.commands), noise) for j, p in zip(jobs, plans, strict=True)]
+    kicks = [_kicks(scene, j, len(p.commands)) for j, p in zip(jobs, plans, strict=True)]
+    closed_loop = ClosedLoop(pilots, settle, scene.file.rate_hz, command_limits(scene))
     trajectory = rollout(
-        with_labels(scene, taxels) if collision or taxels else scene,
+        scene,
         commands,
         np.stack([p.qpos for p in plans]),
         np.stack([p.qvel for p in plans]),
         [j.effects for j in jobs],
+        observer=Kicks(scene, kicks, settle) if any(kicks) else None,
+        closed_loop=closed_loop if any(pilots) else None,
         settle=settle,
         threads=threads,
         alter=alter,
+        keep_state=any(p.goal for p in plans),
     )
+    closed_loop.check()
+    plans = [
+        replace(p, commands=given[settle : settle + len(p.commands)]) for p, given in zip(plans, commands, strict=True)
+    ]
     ends = np.array([settle + len(p.commands) for p in plans])
     fails = np.where(trajectory.failed < ends, (trajectory.failed - settle) / scene.file.rate_hz, np.nan)
-    numbered_jobs = enumerate(zip(jobs, plans, strict=True))
-    return [_episode(scene, j, p, trajectory, i, settle, noise) for i, (j, p) in numbered_jobs], fails
+    numbered_jobs = enumerate(zip(jobs, plans, kicks, strict=True))
+    return [_episode(scene, j, p, k, trajectory, i, settle, noise) for i, (j, p, k) in numbered_jobs], fails
 
 
 def _in_words(job: EpisodeJob) -> str:
@@ -174,16 +191,83 @@ def _in_words(job: EpisodeJob) -> str:
     return f"with {', '.join(e.name for e in job.effects)}" if job.effects else "without any effect"
 
 
-def _plan(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
-    """Return the plan of one job."""
+def planned(scene: Scene, job: EpisodeJob, duration_s: float) -> Plan:
+    """Return the plan of one job.
+
+    Raises
+    ------
+    DataError
+        When the policy plans what cannot be played: too few or too many commands, or numbers that are not finite.
+    """
     rng = _rng(job, PLAN_STREAM)
-    return motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
+    if job.step_policy is not None:
+        return opening_plan(scene, rng, duration_s)
+    plan = motion_plan(scene, job.motion, rng) if job.motion else policy(job.policy).plan(scene, rng, duration_s)
+    _refuse_impossible(scene, job, plan)
+    plan = perturbed(scene, plan, job.draw) if job.draw else plan
+    noise = _command_noise(scene, job, len(plan.commands))
+    return replace(plan, commands=np.clip(plan.commands + noise, *command_limits(scene).T)) if noise.any() else plan
+
+
+def _command_noise(scene: Scene, job: EpisodeJob, rows: int) -> Array:
+    """Return what is added to the commands of a job, `(T, A)`."""
+    noise = job.disturbances.command_noise if job.disturbances else None
+    if noise is None:
+        return np.zeros((rows, len(scene.actuator_ids)))
+    return drawn_command_noise(noise, scene, _rng(job, COMMAND_STREAM), rows)
+
+
+def _kicks(scene: Scene, job: EpisodeJob, rows: int) -> tuple[Kick, ...]:
+    """Return the kicks of a job."""
+    if job.disturbances is None:
+        return ()
+    return drawn_kicks(job.disturbances, _rng(job, KICK_STREAM), rows / scene.file.rate_hz)
+
+
+def _pilot(scene: Scene, job: EpisodeJob, rows: int, noise: Noise | None) -> Pilot | None:
+    """Return what gives the commands of a job in a closed loop; None where they are planned."""
+    if job.step_policy is None:
+        return None
+    return Pilot(
+        job.id,
+        partial(job.step_policy.begin, scene, _rng(job, POLICY_STREAM)),
+        lambda readings: _sensed(scene, job, readings, noise),
+        rows,
+        _command_noise(scene, job, rows),
+    )
+
+
+def _sensed(scene: Scene, job: EpisodeJob, readings: dict[str, Array], noise: Noise | None) -> dict[str, NDArray]:
+    """Return readings `(T, ...)` with the episode's noise, the object's pose as the scene's tracker gives it."""
+    rng = _rng(job, NOISE_STREAM)
+    return with_tracker(add_noise(readings, noise, rng), noise, scene.file.rate_hz, rng)
+
+
+def _refuse_impossible(scene: Scene, job: EpisodeJob, plan: Plan) -> None:
+    """Raise DataError where a plan has the wrong size or holds numbers that are not finite."""
+    rows = len(plan.commands)
+    shapes = {
+        "commands": (plan.commands, (rows, len(scene.actuator_ids))),
+        "qpos": (plan.qpos, (scene.model.nq,)),
+        "qvel": (plan.qvel, (scene.model.nv,)),
+    }
+    for name, (array, shape) in shapes.items():
+        is_finite = bool(np.isfinite(array).all())
+        if rows == 0 or np.shape(array) != shape or not is_finite:
+            raise DataError(
+                f"policy {job.policy} plans what cannot be played",
+                expected=f"{name} of shape {shape}, all finite",
+                found=f"shape {np.shape(array)}{'' if is_finite else ', not all finite'}",
+                where=Where(path=scene.name, episode=job.id),
+                fix="mend the policy, or leave it out with --policies",
+            )
 
 
 def _rng(job: EpisodeJob, stream: int) -> np.random.Generator:
     """Return the generator of one stream of a job."""
     noise_seed = job.noise_seed if stream == NOISE_STREAM else None
-    return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream])
+    attempt = [job.draw.attempt] if job.draw and job.draw.attempt and stream == PLAN_STREAM else []
+    return np.random.default_rng([job.seed if noise_seed is None else noise_seed, job.index, stream, *attempt])
 
 
 def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
@@ -194,36 +278,52 @@ def _padded_commands(plan: Plan, settle: int, rows: int) -> Array:
 
 
 def _episode(
-    scene: Scene, job: EpisodeJob, plan: Plan, trajectory: Trajectory, index: int, settle: int, noise: Noise | None
+    scene: Scene,
+    job: EpisodeJob,
+    plan: Plan,
+    kicks: tuple[Kick, ...],
+    trajectory: Trajectory,
+    index: int,
+    settle: int,
+    noise: Noise | None,
 ) -> Episode:
     """Return one episode of a played batch."""
     part = slice(settle, settle + len(plan.commands))
     readings = {name: value[index, part] for name, value in trajectory.readings.items()}
-    rng, rate_hz = _rng(job, NOISE_STREAM), scene.file.rate_hz
-    arrays: dict[str, NDArray] = {**add_noise(readings, noise, rng)}
-    if noise is not None and noise.tracker is not None and "object_pose" in arrays:
-        arrays["object_pose"], valid = tracked_pose(arrays["object_pose"], noise.tracker, rate_hz, rng)
-        if noise.tracker.dropout_share:  # all episodes of a set have the same channels
-            arrays["object_pose_valid"] = valid
+    arrays = _sensed(scene, job, readings, noise)
+    labels = {name: value[index, part] for name, value in trajectory.labels.items()}
+    arrays |= label_channels(labels, arrays.get("fingertip_force"))
     count = len(plan.commands)
-    arrays["time_ns"] = np.round(np.arange(count) * 1e9 / rate_hz).astype(np.int64)
+    arrays["time_ns"] = np.round(np.arange(count) * 1e9 / scene.file.rate_hz).astype(np.int64)
     if plan.commands.shape[1]:
         arrays["action"] = plan.commands
-    labels = {name: value[index, part] for name, value in trajectory.labels.items()}
-    if "collision" in labels:
-        arrays["fingertip_collision"] = labels["collision"]
-    if "taxel_force" in labels:
-        arrays["taxels"] = taxel_counts(labels["taxel_force"], arrays["fingertip_force"])
     if "fingertip_force" in arrays:
         arrays["fingertip_contact"] = fingertip_contact(arrays["fingertip_force"], ContactRule().threshold_n)
         arrays["contact"] = np.asarray(arrays["fingertip_contact"].any(1))
-    return Episode(_meta(scene, job, arrays), arrays)
+    return Episode(_meta(scene, job, arrays, kicks, _outcome(scene, plan, trajectory, index, part)), arrays)
 
 
-def _meta(scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray]) -> EpisodeMeta:
+def _outcome(scene: Scene, plan: Plan, trajectory: Trajectory, index: int, part: slice) -> str | None:
+    """Return what became of the object; None where nothing was meant with it."""
+    if plan.goal is None or scene.object_id is None:
+        return None
+    qpos, touch, tip_force = (
+        trajectory.qpos[index, part],
+        trajectory.touch[index, part],
+        trajectory.tip_force[index, part],
+    )
+    return outcome(plan.goal, object_motion(scene, qpos, touch, tip_force))
+
+
+def _meta(
+    scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray], kicks: tuple[Kick, ...], outcome_word: str | None
+) -> EpisodeMeta:
     """Return who, what, when; and what is to be known of the arrays."""
     # The object by its name: where its folder lies decides nothing.
     base, mark, _ = scene.name.rpartition(OBJECT_MARK)
+    labels = job.draw.labels() if job.draw else {}
+    if job.object is not None:
+        labels["scene_digest"] = scene.digest
     return EpisodeMeta(
         id=job.id,
         source="sim",
@@ -233,6 +333,7 @@ def _meta(scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray]) -> EpisodeM
         task=job.policy,
         seed=None if job.hidden else job.seed,
         effects=None if job.hidden else job.effects,
+        outcome=outcome_word,
         joint_names=scene.file.joints,
         actuator_names=scene.file.actuator_names,
         fingertip_names=scene.file.fingertips,
@@ -244,7 +345,8 @@ def _meta(scene: Scene, job: EpisodeJob, arrays: dict[str, NDArray]) -> EpisodeM
             if name.endswith(VALID_SUFFIX)
         },
         point_cloud=job.point_cloud,
-        labels={} if job.object is None else {"scene_digest": scene.digest},
+        labels=labels,
+        kicks=kicks,
     )
 
 

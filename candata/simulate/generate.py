@@ -3,35 +3,35 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from candata.datasets import create_dataset, pending_parts, publish, put_cloud
+from candata.datasets import create_dataset, pending_parts, publish
+from candata.datasets.quarantine import read_quarantine
 from candata.datasets.versions import DATASET, index_of, newest_version
 from candata.errors import UsageError, Where
-from candata.policies import read_motions
 from candata.scenes import Scene, load_scene
-from candata.scenes.clouds import surface_cloud
-from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage, VersionFile
+from candata.schema.quarantine import QuarantinedEpisode
 from candata.schema.randomisation import RandomEffect
 from candata.simulate import seal as seals
+from candata.simulate.cluster import crew_of
+from candata.simulate.crew import Crew
 from candata.simulate.jobs import (
     OPERATION,
     GenerationRecipe,
-    check,
     chunks,
     episode_id,
     lineage,
-    possible_policies,
     tool_versions,
 )
-from candata.simulate.pool import EpisodeChunk, producer, run_chunks
+from candata.simulate.pool import ChunkResult, EpisodeChunk, make_chunk, producer
+from candata.simulate.recipe import checked_objects, make_recipe, with_clouds
 
 
 @dataclass(frozen=True)
@@ -62,20 +62,28 @@ def generate(
     objects: Sequence[str] = (),
     effects: Sequence[EffectSetting] = (),
     randomisation: Sequence[RandomEffect] = (),
+    disturbances: Disturbances | None = None,
     policies: Sequence[str] = (),
     policy_file: str | Path | None = None,
+    step_policy: str | None = None,
     duration_s: float = 3.2,
     noise: bool = True,
     taxels: bool = False,
+    outcomes: Mapping[str, float] | None = None,
     withheld: Withheld | None = None,
     workers: int | None = None,
+    ray: str | None = None,
+    shard: tuple[int, int] = (1, 1),
+    strict: bool = False,
     progress: Callable[[int], None] = lambda _count: None,
+    tally: Callable[[Mapping[str, int]], None] = lambda _counts: None,
     note: Callable[[str], None] = lambda _words: None,
 ) -> VersionFile:
     """Return the version that holds the set; bit-identical for a seed whatever the number of workers.
 
     Chunks that an earlier run wrote are taken as they are, so that a run that was stopped goes on, and a run
-    that ended adds nothing.
+    that ended adds nothing. An episode that cannot be made is left out, with its reason in the dataset
+    (`candata.datasets.quarantine`).
 
     Parameters
     ----------
@@ -92,22 +100,37 @@ def generate(
         Effects of every episode.
     randomisation : sequence of RandomEffect
         Effects drawn for each episode, from the seed and its number; each episode's `meta.effects` has its draw.
+    disturbances : Disturbances, optional
+        Noise on commands, and kicks, drawn for each episode; `meta.kicks` has those that it got.
     policies : sequence of str
         Motions, which take turns; the scene's own by default.
     policy_file : str or Path, optional
         Motions as commands, which take turns instead: a Parquet file such as a diagnosis proposes.
+    step_policy : str, optional
+        What gives the commands in a closed loop instead: `package.module:function`, `FILE.py:function` or a network.
     duration_s : float
         Length of an episode; what a policy file holds has its own.
     noise : bool
         Add the sensor noise that the scene declares.
     taxels : bool
         Add what the taxels of each fingertip count.
+    outcomes : mapping of str to float, optional
+        Shares of wanted outcomes, see `candata.simulate.wanted`: grip, aim and timing are drawn until an episode ends
+        as its turn wants. Then only policies with a goal play.
     withheld : Withheld, optional
         Draw an effect or several, apply them, and keep them out of the dataset.
     workers : int, optional
         Processes; as many as there are cores by default.
+    ray : str, optional
+        Address of a Ray cluster that does the work instead, see `candata.simulate.cluster.on_ray`.
+    shard : (int, int)
+        `(i, n)` makes every n-th chunk from the i-th. All n into one dataset, or merged, are the whole set.
+    strict : bool
+        Raise the error of the first episode that cannot be made.
     progress : callable
         Called with the number of episodes just done.
+    tally : callable
+        Called with how many episodes that this run made ended with each outcome so far.
     note : callable
         Called with words for people where a run that was stopped goes on.
 
@@ -117,95 +140,105 @@ def generate(
         When something cannot be simulated, or the dataset holds these ids made in another way.
     SceneError
         When the scene is not sound.
+    DataError
+        When no episode could be made, none of those that want an outcome got it, or one failed with `strict`.
+    SetupError
+        When the Ray cluster cannot do the work.
     """
-    model = load_scene(scene)
     _check_count(episodes, seed, workers)
-    recipe = GenerationRecipe(
-        scene=scene,
-        objects=tuple(objects),
-        seed=seed,
-        effects=tuple(effects),
-        randomisation=tuple(randomisation),
-        policies=tuple(policies) or possible_policies(model),
+    chunks_asked = chunks(episodes, shard)
+    model = load_scene(scene)
+    recipe = make_recipe(
+        scene,
+        model,
+        seed,
+        objects=objects,
+        effects=effects,
+        randomisation=randomisation,
+        disturbances=disturbances,
+        policies=policies,
+        policy_file=policy_file,
+        step_policy=step_policy,
         duration_s=duration_s,
         noise=noise,
         taxels=taxels,
+        outcomes=outcomes,
     )
-    if policy_file is not None:
-        recipe = _with_file(recipe, model, policy_file, policies)
-    if effects and randomisation:
-        raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
-    held_objects = _held_objects(recipe, model, episodes)
+    held_objects = checked_objects(recipe, model, episodes)
     if withheld is not None:
         recipe = _with_secret(recipe, model, withheld, Path(out), seed)
     digests = {held.name: held.scene_digest for held in held_objects} if recipe.objects else {}
     history = lineage(recipe, model, tool_versions(), digests)
     _refuse_other(Path(out), recipe, episodes, history)
-    root = create_dataset(out, exist_ok=True)
-    recipe = recipe.model_copy(update={"point_clouds": tuple(put_cloud(root, held.cloud) for held in held_objects)})
-    return _complete(root, recipe, episodes, history, workers, progress, note)
-
-
-@dataclass(frozen=True)
-class _HeldObject:
-    """An object of a set: its name, the digest of the scene that holds it, and points on its surface."""
-
-    name: str
-    scene_digest: str
-    cloud: NDArray[np.float32]
-
-
-def _held_objects(recipe: GenerationRecipe, model: Scene, episodes: int) -> tuple[_HeldObject, ...]:
-    """Return the objects of a set, once it is known that all can be simulated; none of a scene without an object."""
-    if not recipe.objects:
-        check(recipe, model, range(episodes))
-        name = model.file.object
-        return () if name is None else (_HeldObject(name, model.digest, surface_cloud(model)),)
-    names = [named_object(asked_name).name for asked_name in recipe.objects]
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise UsageError("an object is named twice", expected="objects of different names", found=", ".join(repeated))
-    held_objects = []
-    for turn, (name, scene_name) in enumerate(zip(names, recipe.scenes, strict=True)):
-        scene = load_scene(scene_name)
-        check(recipe, scene, [i for i in range(episodes) if recipe.scene_turn(i) == turn])
-        held_objects.append(_HeldObject(name, scene.digest, surface_cloud(scene)))
-    return tuple(held_objects)
+    with crew_of(workers or len(os.sched_getaffinity(0)), ray, Path(out)) as crew:
+        root = create_dataset(out, exist_ok=True)
+        recipe = with_clouds(root, recipe, held_objects)
+        return _complete(root, recipe, chunks_asked, history, crew, strict, progress, tally, note)
 
 
 def _complete(
     root: Path,
     recipe: GenerationRecipe,
-    episodes: int,
+    chunks_asked: Sequence[range],
     history: Lineage,
-    workers: int | None,
+    crew: Crew,
+    strict: bool,
     progress: Callable[[int], None],
+    tally: Callable[[Mapping[str, int]], None],
     note: Callable[[str], None],
 ) -> VersionFile:
     """Make what is missing of the set and publish it."""
-    present_ids = set(_index(root))
     config = str(history.config_digest)
+    number_of = {episode_id(recipe, number): number for chunk in chunks_asked for number in chunk}
+    present_ids = set(_index(root))
     pending = [p for p in pending_parts(root) if p.producer == producer(config)]
-    done_ids = present_ids | {name for part in pending for name, _ in part.episodes}
-    numbers_left = [tuple(n for n in c if episode_id(recipe, n) not in done_ids) for c in chunks(episodes)]
+    made_ids = present_ids | {name for part in pending for name, _ in part.episodes}
+    done_ids = made_ids if strict else made_ids | read_quarantine(root, config).keys()
+    numbers_left = [tuple(n for n in c if episode_id(recipe, n) not in done_ids) for c in chunks_asked]
     chunks_left = [
-        EpisodeChunk(str(root), recipe.model_dump_json(), config, numbers) for numbers in numbers_left if numbers
+        EpisodeChunk(str(root.absolute()), recipe.model_dump_json(), config, numbers, strict)
+        for numbers in numbers_left
+        if numbers
     ]
-    done_count = episodes - sum(len(c.numbers) for c in chunks_left)
-    if 0 < done_count < episodes:
-        note(f"going on: {done_count} of {episodes} episodes stand already")
+    done_count = len(number_of) - sum(len(c.numbers) for c in chunks_left)
+    if 0 < done_count < len(number_of):
+        note(f"going on: {done_count} of {len(number_of)} episodes stand already")
     progress(done_count)
-    new_parts = run_chunks(chunks_left, workers or len(os.sched_getaffinity(0)), progress)
+    new_parts = [result.part for result in _made(crew, chunks_left, progress, tally) if result.part]
+    left_out = {number_of[e.id]: e for e in read_quarantine(root, config).values() if e.id in number_of}
+    left_out = {number: e for number, e in left_out.items() if e.id not in made_ids}
+    _refuse_failed(recipe, sorted(number_of.values()), left_out)
     return publish(root, [*(part.id for part in pending), *new_parts], history)
 
 
-def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> GenerationRecipe:
-    """Return the recipe that plays the motions of a file."""
-    if policies:
-        raise UsageError("policies and a policy file at once", fix="leave one of them out")
-    motion_file = read_motions(path, scene)
-    names = tuple(m.name for m in motion_file.motions)
-    return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": motion_file.digest})
+def _made(
+    crew: Crew,
+    chunks_left: Sequence[EpisodeChunk],
+    progress: Callable[[int], None],
+    tally: Callable[[Mapping[str, int]], None],
+) -> list[ChunkResult]:
+    """Return what became of the chunks, in their order, once a crew has made them."""
+    results: list[ChunkResult] = []
+    counts: Counter[str] = Counter()
+    with closing(crew(make_chunk, [astuple(chunk) for chunk in chunks_left])) as stream:
+        for result in stream:
+            results.append(result)
+            counts.update(result.outcomes)
+            tally(counts)
+            progress(len(result.numbers))
+    return sorted(results, key=lambda result: result.numbers)
+
+
+def _refuse_failed(
+    recipe: GenerationRecipe, numbers: Sequence[int], left_out: Mapping[int, QuarantinedEpisode]
+) -> None:
+    """Raise DataError where every episode was left out, or every one of those that want an outcome."""
+    by_outcome: dict[str | None, list[int]] = {}
+    for number in numbers:
+        by_outcome.setdefault(recipe.wanted(number), []).append(number)
+    for wanting_numbers in by_outcome.values():
+        if all(number in left_out for number in wanting_numbers):
+            raise left_out[wanting_numbers[0]].error
 
 
 def _with_secret(recipe: GenerationRecipe, scene: Scene, withheld: Withheld, out: Path, seed: int) -> GenerationRecipe:

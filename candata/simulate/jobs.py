@@ -6,22 +6,28 @@ import hashlib
 import json
 import platform
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import mujoco
+import numpy as np
+from pydantic import Field
 
 from candata import __version__
 from candata.errors import DataError, UsageError, Where
-from candata.policies import Motion, policy, policy_names, read_motions
+from candata.policies import Motion, StepPolicy, policy, policy_names, read_motions, read_step_policy
 from candata.scenes import Scene
 from candata.scenes.assemble import OBJECT_MARK
 from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
 from candata.schema.effect import EffectSetting
 from candata.schema.manifest import Lineage
 from candata.schema.randomisation import RandomEffect
 from candata.schema.record import Record
-from candata.simulate.episodes import EpisodeJob
+from candata.simulate.disturbances import check_disturbances
+from candata.simulate.episodes import EpisodeJob, planned
 from candata.simulate.randomisation import check_randomisation, drawn_effects
+from candata.simulate.wanted import wanted_outcome
 from candata.simulate.world import build_worlds
 
 #: Episodes a chunk, and a part: fixed, so that who makes a chunk changes nothing in it.
@@ -37,21 +43,27 @@ class GenerationRecipe(Record):
     `randomisation` are drawn for each. With a `policy_file` (its content named by `policy_digest`) the motions of the
     file take turns, and `policies` are their names. `objects` are what `named_object` takes; they take turns in the
     place of the scene's own, each for one round of the policies. `point_clouds` has one name for each of `scenes`;
-    nothing where the scene has no object.
+    nothing where the scene has no object. With a `step_policy` (what `read_step_policy` takes, its content named by
+    `policy_digest`) that gives the commands of all episodes, and `policies` is its name. `disturbances` are drawn for
+    each episode.
+    `outcomes` are the shares of wanted outcomes; none where any will do.
     """
 
     scene: str
     seed: int
     effects: tuple[EffectSetting, ...] = ()
     randomisation: tuple[RandomEffect, ...] = ()
+    disturbances: Disturbances | None = None
     policies: tuple[str, ...]
     policy_file: str | None = None
+    step_policy: str | None = None
     policy_digest: str | None = None
     duration_s: float
     noise: bool
     taxels: bool = False
     objects: tuple[str, ...] = ()
     point_clouds: tuple[str, ...] = ()
+    outcomes: dict[str, float] = Field(default_factory=dict)
     sealed: str | None = None
 
     @property
@@ -62,6 +74,13 @@ class GenerationRecipe(Record):
     def scene_turn(self, index: int) -> int:
         """Return which of `scenes` episode `index` plays in."""
         return index // len(self.policies) % len(self.scenes)
+
+    def wanted(self, index: int) -> str | None:
+        """Return the outcome that is wanted of episode `index`, by turns that no policy or object runs in step with."""
+        if not self.outcomes:
+            return None
+        pairs = len(self.policies) * len(self.scenes)
+        return wanted_outcome(self.outcomes, index // pairs + index % pairs)
 
 
 def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -> None:
@@ -79,7 +98,7 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
     UsageError
         When a policy or an effect cannot act in the scene, or an episode would have fewer than 2 rows.
     """
-    for name in () if recipe.policy_file else recipe.policies:
+    for name in () if recipe.policy_file or recipe.step_policy else recipe.policies:
         if not policy(name).possible(scene):
             raise UsageError(
                 f"policy {name} cannot act in scene {scene.name}",
@@ -97,13 +116,34 @@ def check(recipe: GenerationRecipe, scene: Scene, indices: Sequence[int] = ()) -
         )
     build_worlds(scene, [recipe.effects])
     check_randomisation(recipe.randomisation, scene)
+    if recipe.disturbances is not None:
+        check_disturbances(recipe.disturbances, scene)
+    if recipe.step_policy is not None:
+        _check_step_policy(recipe, scene)
     for index in indices if recipe.randomisation else ():
         drawn_effects(recipe.randomisation, scene, recipe.seed, index)
 
 
+def _check_step_policy(recipe: GenerationRecipe, scene: Scene) -> None:
+    """Refuse a closed loop without actuators, under a clock that drifts, or whose policy does not begin."""
+    if not len(scene.actuator_ids):
+        raise UsageError(f"scene {scene.name} has no actuators to command")
+    names = {*(effect.name for effect in recipe.effects), *(effect.name for effect in recipe.randomisation)}
+    if "clock_drift" in names:
+        raise UsageError("a clock that drifts cannot act in a closed loop", fix="leave clock_drift out")
+    read_step_policy(str(recipe.step_policy)).begin(scene, np.random.default_rng(recipe.seed))
+
+
 def possible_policies(scene: Scene) -> tuple[str, ...]:
-    """Return the policies that can act in the scene: its own list, else all that are possible."""
-    return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
+    """Return the policies of the scene's usual mix: its own list, else all that are possible and not on request."""
+    loaded = {name: policy(name) for name in policy_names()}
+    return scene.policies or tuple(n for n, each in loaded.items() if not each.on_request and each.possible(scene))
+
+
+def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
+    """Return those of a recipe's policies that mean to do something with the object of a scene, by a plan of each."""
+    jobs = [EpisodeJob(id=name, index=0, policy=name, seed=recipe.seed) for name in recipe.policies]
+    return tuple(j.policy for j in jobs if planned(scene, j, recipe.duration_s).goal is not None)
 
 
 def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Motion] = ()) -> EpisodeJob:
@@ -119,7 +159,24 @@ def job(recipe: GenerationRecipe, index: int, scene: Scene, motions: Sequence[Mo
         point_cloud=recipe.point_clouds[scene_turn] if recipe.point_clouds else None,
         object=named_object(recipe.objects[scene_turn]).name if recipe.objects else None,
         motion=motions[turn] if motions else None,
+        step_policy=_step_policy(recipe.step_policy, str(recipe.policy_digest)) if recipe.step_policy else None,
+        disturbances=recipe.disturbances,
     )
+
+
+@lru_cache(maxsize=1)
+def _step_policy(source: str, digest: str) -> StepPolicy:
+    """Return the policy of a recipe, read once a process.
+
+    Raises
+    ------
+    DataError
+        When it is no longer what the recipe was made from.
+    """
+    step_policy = read_step_policy(source)
+    if step_policy.digest != digest:
+        raise DataError("the policy has changed while it was played", where=Where(path=source))
+    return step_policy
 
 
 def motions_of(recipe: GenerationRecipe, scene: Scene) -> tuple[Motion, ...]:
@@ -152,9 +209,25 @@ def short_name(scene: str) -> str:
     return path.stem if path.stem != "scene" else path.resolve().parent.name
 
 
-def chunks(episodes: int) -> list[range]:
-    """Return the episode numbers of each chunk; the last may be shorter."""
-    return [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
+def chunks(episodes: int, shard: tuple[int, int] = (1, 1)) -> list[range]:
+    """Return the episode numbers of each chunk; the last may be shorter. Of shard `(i, n)` every n-th, from the i-th.
+
+    Raises
+    ------
+    UsageError
+        When there is no such shard, or it has no chunk.
+    """
+    number, count = shard
+    all_chunks = [range(start, min(start + CHUNK, episodes)) for start in range(0, episodes, CHUNK)]
+    if not 1 <= number <= count:
+        raise UsageError("there is no such shard", expected="1/2 and 2/2, for example", found=f"{number}/{count}")
+    if number > len(all_chunks):
+        raise UsageError(
+            f"shard {number}/{count} has no episodes",
+            expected=f"at most {len(all_chunks)} shards: {episodes} episodes are made in chunks of {CHUNK}",
+            found=f"{count} shards",
+        )
+    return all_chunks[number - 1 :: count]
 
 
 def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], object_digests: dict[str, str]) -> Lineage:
@@ -174,8 +247,12 @@ def lineage(recipe: GenerationRecipe, scene: Scene, tools: dict[str, str], objec
         details["taxels"] = True
     if object_digests:
         details["objects"] = object_digests
+    if recipe.outcomes:
+        details["outcomes"] = recipe.outcomes
     if recipe.policy_digest is not None:
-        details["policy_file"] = recipe.policy_digest
+        details["step_policy" if recipe.step_policy else "policy_file"] = recipe.policy_digest
+    if recipe.disturbances is not None:
+        details["disturbances"] = recipe.disturbances.model_dump(mode="json", exclude_none=True)
     if not is_withheld:
         details["effects"] = [e.model_dump(mode="json") for e in recipe.effects]
         if recipe.randomisation:

@@ -11,11 +11,14 @@ from mujoco import batch as mujoco_batch
 from numpy.typing import NDArray
 
 from candata.effects import DriveStrength, DryFriction, Forces, Servos
+from candata.errors import UsageError
 from candata.rotation import conjugate, rotate
 from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 from candata.schema.effect import EffectSetting
-from candata.simulate.contact_labels import is_labelled, read_labels
+from candata.simulate.closed_loop import ClosedLoop
+from candata.simulate.contact_labels import row_labels
+from candata.simulate.disturbances import Kicks
 from candata.simulate.observer import Follower, Observer, Prescribed
 from candata.simulate.servo_laws import DriveScales, ServoLaws, servo_laws, without_command_limits
 from candata.simulate.timing import resample_control, retime_commands, steps_of
@@ -56,7 +59,7 @@ class Trajectory:
         What actuators and plugins remember at the last row, and as the model begins; empty unless the state was asked
         for.
     labels : dict of str to ndarray
-        What a scene with labels tells, see `read_labels`.
+        What a scene with labels tells, see `read_labels`: `(n, T, ...)` each.
     """
 
     readings: dict[str, Array]
@@ -88,7 +91,8 @@ def rollout(
     qvel: Array,
     effects: Sequence[Sequence[EffectSetting]],
     *,
-    observer: Observer | Prescribed | None = None,
+    observer: Observer | Prescribed | Kicks | None = None,
+    closed_loop: ClosedLoop | None = None,
     push: Push | None = None,
     instant_force: bool = False,
     keep_state: bool = False,
@@ -107,13 +111,15 @@ def rollout(
     scene : Scene
         The nominal scene.
     commands : (n, T, A) float64
-        Command held over each control step; `A` may be 0.
+        Command held over each control step; `A` may be 0. A closed loop sets its own in place.
     qpos, qvel : (n, nq), (n, nv) float64
         State at row 0.
     effects : sequence of n sequences of EffectSetting
         Effects of each simulation.
-    observer : Observer or Prescribed, optional
-        Pulls each state towards its recording, or sets part of it; without it the simulations run free.
+    observer : Observer, Prescribed or Kicks, optional
+        Pulls each state towards its recording, sets part of it, or kicks it; without it the simulations run free.
+    closed_loop : ClosedLoop, optional
+        Sets the commands row by row, in place, from what the sensors read.
     push : callable, optional
         Gives generalised forces to add over each control step, beside those of the effects.
     instant_force : bool
@@ -138,7 +144,7 @@ def rollout(
     Raises
     ------
     UsageError
-        When an effect cannot act in the scene.
+        When an effect cannot act in the scene, or not in a closed loop.
     """
     worlds, states = build_worlds(scene, effects), (np.asarray(qpos, float), np.asarray(qvel, float))
     run = _Run(scene, worlds, *states, threads, alter, push, read_effort)
@@ -148,7 +154,7 @@ def rollout(
         run.hear(earlier_commands)
     run.supply = supply
     with without_log():  # warnings are counted
-        return run.play(np.asarray(commands, float), observer, instant_force, keep_state, settle)
+        return run.play(np.asarray(commands, float), observer, closed_loop, instant_force, keep_state, settle)
 
 
 class _Run:
@@ -210,7 +216,8 @@ class _Run:
     def play(
         self,
         commands: Array,
-        observer: Observer | Prescribed | None,
+        observer: Observer | Prescribed | Kicks | None,
+        closed_loop: ClosedLoop | None,
         instant: bool,
         keep: bool,
         settle: int,
@@ -218,9 +225,11 @@ class _Run:
         """Step through all rows and collect the readings."""
         scene, count, substeps = self.scene, commands.shape[1], self.scene.substeps
         drifting_ids = np.flatnonzero(self.worlds.pace != 1)
+        if len(drifting_ids) and closed_loop is not None:
+            raise UsageError("a clock that drifts cannot act in a closed loop", fix="leave clock_drift out")
         retimed_commands = retime_commands(commands[drifting_ids], self.worlds.pace[drifting_ids], substeps, settle)
         follower = Follower(scene, observer) if isinstance(observer, Observer) else observer
-        rows_together = 1 if self.worlds.force or self.push else ROWS
+        rows_together = 1 if self.worlds.force or self.push or closed_loop else ROWS
         force = np.zeros((1, self.n, len(scene.force_sensors), 3))
         sensor_data, touch = self._nothing(), np.zeros(self.n, bool)
         unread_rows: list[tuple[dict[str, Array], list[Array]]] = []
@@ -234,7 +243,8 @@ class _Run:
             if len(unread_rows) == rows_together or k + 1 == count:
                 data_rows = [data for _, data in unread_rows]
                 force = self._forces(data_rows, instant)
-                self._label(labels, data_rows, instant)
+                for name, values in row_labels(scene, self.groups, data_rows, instant).items():
+                    labels.setdefault(name, []).append(values)
                 sizes.append(np.sqrt((force**2).sum(-1)))
                 self._read(rows, [each for each, _ in unread_rows], force)
                 unread_rows = []
@@ -243,6 +253,9 @@ class _Run:
                 states.append((self.qpos.copy(), self.qvel.copy()))
             if follower is not None:
                 follower.correct(k, state, touch, self.qpos, self.qvel)
+            if closed_loop is not None:
+                now = {name: values[-1] for name, values in rows.items()}
+                closed_loop.set_commands(k, now, commands)
             if k + 1 < count:
                 held_commands = np.repeat(commands[:, k][:, None], substeps, axis=1)
                 held_commands[drifting_ids] = retimed_commands[:, k]
@@ -254,13 +267,13 @@ class _Run:
         state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
         trajectory = Trajectory(
-            readings=readings,
-            touch=np.stack(touches, 1),
-            tip_force=np.concatenate(sizes).swapaxes(0, 1),
-            failed=failed_row,
-            qpos=state_arrays[0],
-            qvel=state_arrays[1],
-            labels={name: np.concatenate(parts).swapaxes(0, 1) for name, parts in labels.items()},
+            readings,
+            np.stack(touches, 1),
+            np.concatenate(sizes).swapaxes(0, 1),
+            failed_row,
+            state_arrays[0],
+            state_arrays[1],
+            labels={name: np.concatenate(values).swapaxes(0, 1) for name, values in labels.items()},
         )
         return replace(trajectory, memory=self._remembered(), first_memory=self.first_memory) if keep else trajectory
 
@@ -296,18 +309,6 @@ class _Run:
             local = rotate(conjugate(data[..., scene.frame_sensors]), net)
             force[:, ids] = local[:, :, -1] if instant else local.mean(2)
         return force
-
-    def _label(self, labels: dict[str, list[NDArray]], sensor_data: Sequence[list[Array]], instant: bool) -> None:
-        """Add to `labels` what a scene with labels tells of R rows together, `(R, n, ...)` each."""
-        if not is_labelled(self.scene):
-            return
-        parts: dict[str, NDArray] = {}
-        for (_, ids), group_data in zip(self.groups, zip(*sensor_data, strict=True), strict=True):
-            for name, value in read_labels(self.scene, np.stack(group_data), instant).items():
-                shape = (len(sensor_data), self.n, *value.shape[2:])
-                parts.setdefault(name, np.zeros(shape, value.dtype))[:, ids] = value
-        for name, part in parts.items():
-            labels.setdefault(name, []).append(part)
 
     def _read(self, rows: dict[str, list[Array]], states: Sequence[dict[str, Array]], forces: Array) -> None:
         """Add to `rows` what the sensors of the worlds read of states and forces `(R, n, F, 3)`."""

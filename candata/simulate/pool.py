@@ -7,20 +7,25 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from dataclasses import astuple, dataclass
+from concurrent.futures import Future, ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 from candata.scenes import Scene, load_scene
+from candata.scenes.labels import with_labels
 from candata.schema.episode import Episode
+from candata.schema.quarantine import QuarantinedEpisode
 from candata.simulate.jobs import OPERATION, GenerationRecipe, job, motions_of
 
 T = TypeVar("T")
-Progress = Callable[[int], None]
 #: How long a stopped worker may take to remove what it has half written [s].
 _LEAVE_S = 5.0
+#: Scenes that a process keeps compiled: one for each of forty objects, a few megabytes each.
+SCENES_KEPT = 48
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -38,72 +43,65 @@ class EpisodeChunk:
         Digest of the configuration, kept as the part's producer.
     numbers : tuple of int
         The episodes' numbers.
+    strict : bool
+        Raise the error of an episode that cannot be made; else it is left out.
     """
 
     out: str
     recipe: str
     config: str
     numbers: tuple[int, ...]
+    strict: bool = False
 
 
-def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...]) -> str:
-    """Return the id of the part that holds the chunk's episodes; runs in any process.
+@dataclass(frozen=True)
+class ChunkResult:
+    """What became of a chunk: its episodes' numbers, the part that holds them (None where all were left out), and how
+    many ended with each outcome.
+    """
+
+    numbers: tuple[int, ...]
+    part: str | None
+    outcomes: dict[str, int]
+
+
+def make_chunk(out: str, recipe: str, config: str, numbers: tuple[int, ...], strict: bool) -> ChunkResult:
+    """Return what became of a chunk, once its part and the record of what was left out stand; runs in any process.
 
     Raises
     ------
     DataError
-        When MuJoCo could not step a simulation to its end.
+        When an episode cannot be made, with `strict`.
     """
     from candata.datasets import write_part
-    from candata.simulate.episodes import make_episodes
+    from candata.datasets.quarantine import write_quarantine
+    from candata.simulate.attempts import attempted_episodes
 
     plan = GenerationRecipe.model_validate_json(recipe)
     by_scene: dict[str, list[int]] = {}
     for number in numbers:
         by_scene.setdefault(plan.scenes[plan.scene_turn(number)], []).append(number)
-    episode_of: dict[int, Episode] = {}
+    made: dict[int, Episode | QuarantinedEpisode] = {}
     for name, scene_numbers in by_scene.items():
-        scene = _scene(name)
+        scene = _scene(name, plan.taxels)
         motions = motions_of(plan, scene)
         noise = scene.file.noise if plan.noise else None
         batch = [job(plan, number, scene, motions) for number in scene_numbers]
-        episodes = make_episodes(
-            scene, batch, duration_s=plan.duration_s, noise=noise, collision=True, taxels=plan.taxels
-        )
-        episode_of |= zip(scene_numbers, episodes, strict=True)
-    return write_part(out, [episode_of[number] for number in numbers], producer(config)).id
+        wanted = [plan.wanted(number) for number in scene_numbers]
+        results = attempted_episodes(scene, batch, wanted, duration_s=plan.duration_s, noise=noise)
+        made |= zip(scene_numbers, results, strict=True)
+    episodes = [e for n in numbers if isinstance(e := made[n], Episode)]
+    left_out = [e for n in numbers if isinstance(e := made[n], QuarantinedEpisode)]
+    if strict and left_out:
+        raise left_out[0].error
+    write_quarantine(Path(out), config, left_out)
+    part_id = write_part(out, episodes, producer(config)).id if episodes else None
+    return ChunkResult(numbers, part_id, Counter(e.meta.outcome for e in episodes if e.meta.outcome is not None))
 
 
 def producer(config: str) -> dict[str, str]:
     """Return what a part says of who wrote it."""
     return {"operation": OPERATION, "config": config}
-
-
-def run_chunks(chunks: Sequence[EpisodeChunk], workers: int, progress: Progress) -> list[str]:
-    """Return the part ids of the chunks, in their order; `progress` hears of each one's episodes.
-
-    Parameters
-    ----------
-    chunks : sequence of Chunk
-        What to make.
-    workers : int
-        Processes; with one, or one chunk, the work is done here.
-    progress : callable
-        Called with the number of episodes just written.
-    """
-    if min(workers, len(chunks)) <= 1:
-        parts = []
-        for chunk in chunks:
-            parts.append(make_chunk(*astuple(chunk)))
-            progress(len(chunk.numbers))
-        return parts
-    with spawned_pool(min(workers, len(chunks))) as pool:
-        futures = {f: i for i, f in enumerate(submit_tasks(pool, make_chunk, [astuple(chunk) for chunk in chunks]))}
-        part_ids: dict[int, str] = {}
-        for future in as_completed(futures):
-            part_ids[futures[future]] = future.result()
-            progress(len(chunks[futures[future]].numbers))
-    return [part_ids[i] for i in range(len(chunks))]
 
 
 @contextlib.contextmanager
@@ -148,10 +146,10 @@ def _run_task(work: Callable[..., T], task: tuple[Any, ...]) -> T:
         os._exit(1)
 
 
-@lru_cache(maxsize=1)
-def _scene(name: str) -> Scene:
-    """Return the scene, compiled once a process."""
-    return load_scene(name)
+@lru_cache(maxsize=SCENES_KEPT)
+def _scene(name: str, taxels: bool) -> Scene:
+    """Return the scene with labels, compiled once a process."""
+    return with_labels(load_scene(name), taxels)
 
 
 def _start() -> None:

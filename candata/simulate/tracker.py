@@ -6,9 +6,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from candata.rotation import exp, multiply
-from candata.schema.scene import Tracker
+from candata.schema.channels import VALID_SUFFIX
+from candata.schema.scene import Noise, Tracker
 
 Array = NDArray[np.float64]
+
+
+def with_tracker(
+    readings: dict[str, Array], noise: Noise | None, rate_hz: float, rng: np.random.Generator
+) -> dict[str, NDArray]:
+    """Return readings `(T, ...)` with `object_pose` as the scene's tracker gives it; as they are without one.
+
+    Where the tracker loses the object, `object_pose_valid` is there too, in every episode of a set.
+    """
+    tracker = None if noise is None else noise.tracker
+    if tracker is None or "object_pose" not in readings:
+        return dict(readings)
+    pose, valid = tracked_pose(readings["object_pose"], tracker, rate_hz, rng)
+    flags = {f"object_pose{VALID_SUFFIX}": valid} if tracker.dropout_share else {}
+    return {**readings, "object_pose": pose, **flags}
 
 
 def tracked_pose(

@@ -108,7 +108,9 @@ def with_effects(scene: Scene, settings: EffectList) -> Scene:
         return scene
     (model,) = build_worlds(scene, [settings]).models
     given_effects = (*scene.given_effects, *settings)
-    return replace(scene, model=model, given_effects=given_effects, plain=scene.plain or scene, spec=None)
+    return replace(
+        scene, model=model, given_effects=given_effects, plain=scene.plain or scene, spec=None, unlabelled=None
+    )
 
 
 def all_effects(scene: Scene, settings: EffectList) -> tuple[EffectSetting, ...]:

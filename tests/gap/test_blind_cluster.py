@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from candata.errors import MissingExtraError, SetupError, UsageError
-from candata.gap.blind import cluster
 from candata.gap.blind.cases import CASES, make_cases, read_cases, seal_labels
-from candata.gap.blind.cluster import on_ray
 from candata.gap.blind.running import RESULTS, Place, finished, run_cases
 from candata.schema.bench import CaseResult
+from candata.simulate import cluster
+from candata.simulate.cluster import on_ray
 
 SMALL = {"seed": 1, "episodes": 2, "duration_s": 0.4}
 SCENE = "cube_toss"

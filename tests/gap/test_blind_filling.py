@@ -12,8 +12,6 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError
 from candata.gap import diagnose, signatures
-from candata.gap.blind.cluster import on_ray
-from candata.gap.blind.crew import alone, local
 from candata.gap.blind.filling import MANY, keep_signature, planned, shared_by, shared_tasks, source
 from candata.gap.blind.running import Place
 from candata.gap.candidates import candidates
@@ -22,6 +20,8 @@ from candata.gap.replay import Replayer
 from candata.gap.screen import respond
 from candata.gap.shortlist import brief
 from candata.schema.manifest import Lineage
+from candata.simulate.cluster import on_ray
+from candata.simulate.crew import alone, local
 
 ONLY = ("joint_damping", "servo_gain", "actuation_delay")
 

@@ -7,7 +7,6 @@ import pytest
 from candata.datasets import append, create_dataset, open_dataset
 from candata.errors import DataError, UnknownNameError, UsageError
 from candata.gap.blind import labelled as labelled_module
-from candata.gap.blind.crew import alone
 from candata.gap.blind.labelled import SETTINGS, pairs_of, read_labelled, run_pairs, score_pairs
 from candata.schema.effect import EffectSetting
 from candata.schema.episode import Episode
@@ -15,6 +14,7 @@ from candata.schema.labelled import PairResult
 from candata.schema.manifest import Lineage
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, NamedEffect, Report
 from candata.simulate import with_effects
+from candata.simulate.crew import alone
 from tests.gap.conftest import ARM, ROLES
 
 LABELS = """dataset: runs

@@ -88,10 +88,11 @@ def test_labels_change_no_bit_of_the_motion_and_the_scene_keeps_its_digest():
     digest, job = scene.digest, EpisodeJob("e", 0, "squeeze", 1)
     options = {"duration_s": 0.6, "noise": scene.file.noise}
     (plain,) = make_episodes(scene, [job], **options)
-    (labelled,) = make_episodes(scene, [job], **options, collision=True, taxels=True)
+    (labelled,) = make_episodes(with_labels(scene, True), [job], **options)
     assert set(labelled.arrays) - set(plain.arrays) == {"fingertip_collision", "taxels"}
     assert all(np.array_equal(plain[name], labelled[name]) for name in plain.arrays)
-    assert scene.digest == digest
+    assert with_labels(scene, True).digest == scene.digest == digest
+    assert labelled.meta.newton_per_count == NEWTON_PER_COUNT
     assert labelled["fingertip_collision"].any()
     assert not labelled["fingertip_collision"].all()
     total = labelled["taxels"].sum(axis=2) * labelled.meta.newton_per_count
@@ -99,11 +100,11 @@ def test_labels_change_no_bit_of_the_motion_and_the_scene_keeps_its_digest():
 
 
 def test_worlds_with_other_physics_steps_are_labelled_too():
-    scene = load_scene("gripper_tabletop")
+    scene = with_labels(load_scene("gripper_tabletop"))
     finer = EffectSetting(name="time_step", parameters={"time_step_s": 0.0025})
     jobs = [EpisodeJob(name, 0, "squeeze", 1, effects) for name, effects in (("a", ()), ("b", (finer,)))]
-    alone = [make_episodes(scene, [job], duration_s=0.4, collision=True)[0] for job in jobs]
-    together = make_episodes(scene, jobs, duration_s=0.4, collision=True)
+    alone = [make_episodes(scene, [job], duration_s=0.4)[0] for job in jobs]
+    together = make_episodes(scene, jobs, duration_s=0.4)
     for one, other in zip(alone, together, strict=True):
         assert np.array_equal(one["fingertip_collision"], other["fingertip_collision"])
         assert one["fingertip_collision"].any()

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import Bed, make_bed
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.blind.signatures import Signature, least_squares, signatures
@@ -30,6 +29,7 @@ from candata.gap.score import Compact
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import CaseResult, CaseResults, Label
 from candata.schema.report import DiagnosisData, EpisodeCount, Estimate, Gap, NamedEffect, Report, UnknownCause
+from candata.simulate.crew import Crew, alone
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -21,7 +21,6 @@ import numpy as np
 from candata.datasets import append, create_dataset
 from candata.datasets.drafts import draft_beside, place
 from candata.errors import DataError, UsageError, Where
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.draws import draw_labels
 from candata.gap.blind.outside import alter_with
 from candata.gap.conclusion import lasting
@@ -30,6 +29,7 @@ from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.episode import Episode
 from candata.schema.json_text import parse_json, read_json
 from candata.schema.manifest import Lineage
+from candata.simulate.crew import Crew, alone
 from candata.simulate.episodes import EpisodeJob, make_episodes
 from candata.simulate.jobs import possible_policies
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once

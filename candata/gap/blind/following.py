@@ -11,7 +11,6 @@ from pathlib import Path
 
 from candata.datasets import Dataset, append, create_dataset, open_dataset
 from candata.gap.blind.cases import hidden_world
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.running import CACHE, Place, finished, run_case, spread
 from candata.gap.diagnosis import diagnose
 from candata.gap.proposal import PLAYED
@@ -19,6 +18,7 @@ from candata.scenes import Scene
 from candata.schema.bench import CaseResult, Label
 from candata.schema.manifest import Lineage
 from candata.schema.report import Report
+from candata.simulate.crew import Crew, alone
 from candata.simulate.episodes import EpisodeJob
 
 FOLLOWED, FOLDER, METHOD = "followed.jsonl", "followed", "followed up"

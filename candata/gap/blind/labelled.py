@@ -20,7 +20,6 @@ from candata.datasets.registry import resolve
 from candata.datasets.writing import write_text
 from candata.effects import effect_names, read_effects
 from candata.errors import CandataError, DataError, UnknownNameError, UsageError, Where
-from candata.gap.blind.crew import Crew
 from candata.gap.blind.running import finished, spread
 from candata.gap.conclusion import simulator
 from candata.gap.diagnosis import diagnose, near_reference
@@ -33,6 +32,7 @@ from candata.schema.manifest import Lineage
 from candata.schema.report import NamedEffect, Report
 from candata.schema.yaml_text import read_yaml
 from candata.simulate import with_effects
+from candata.simulate.crew import Crew
 
 #: File in the folder of a labelled set, and what a run keeps.
 LABELS, PAIRS, SETTINGS, REQUEST = "labels.yaml", "pairs.jsonl", "settings", "request.json"

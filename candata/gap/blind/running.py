@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, TypeVar
 
 from candata.datasets import Dataset, open_dataset
 from candata.errors import CandataError
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.conclusion import lasting
 from candata.gap.diagnosis import diagnose
 from candata.scenes import Scene, load_scene
@@ -20,6 +19,7 @@ from candata.schema.bench import CaseResult
 from candata.schema.json_text import parse_json
 from candata.schema.record import Record
 from candata.schema.report import Report
+from candata.simulate.crew import Crew, alone
 
 RESULTS, CACHE = "results.jsonl", "cache"
 Judge = Callable[[Dataset, Scene, int, Path | None], Report]

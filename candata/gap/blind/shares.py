@@ -10,12 +10,12 @@ import numpy as np
 
 from candata.datasets import Dataset, open_dataset
 from candata.gap.blind.bed import make_bed
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.outcomes import text_of
 from candata.gap.blind.running import Place, finished, spread
 from candata.gap.score import Compact
 from candata.scenes import Scene, load_scene
 from candata.schema.bench import Label, Shares
+from candata.simulate.crew import Crew, alone
 
 SHARES = "shares.jsonl"
 #: Episodes on which contributors are compared.

@@ -11,7 +11,6 @@ import numpy as np
 from candata.datasets import append, create_dataset
 from candata.datasets.drafts import draft_beside, place
 from candata.gap.blind.cases import CASE, CASES, LABELS, missing_cases, standing_labels
-from candata.gap.blind.crew import Crew, alone
 from candata.gap.blind.rigs.causes import CAUSES, drawn_cause, planted
 from candata.gap.blind.rigs.design import all_traits
 from candata.gap.blind.rigs.readings import Planted, episode_reading, episodes, ideal, noisy
@@ -20,6 +19,7 @@ from candata.scenes.first_load import vouch
 from candata.schema.bench import CaseFile, Kind, Label, LabelsFile
 from candata.schema.json_text import parse_json
 from candata.schema.manifest import Lineage
+from candata.simulate.crew import Crew, alone
 from candata.simulate.seal import canonical, commitment, new_salt, secret_number, write_once
 
 Told = Callable[[str], None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import as_completed
 from typing import Any, Protocol, TypeVar
 
@@ -14,11 +14,11 @@ T = TypeVar("T")
 class Crew(Protocol):
     """Does tasks that need nothing of each other."""
 
-    def __call__(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+    def __call__(self, work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Generator[T, None, None]:
         """Yield what `work`, a function of a module, makes of each task, as it comes."""
 
 
-def alone(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+def alone(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Generator[T, None, None]:
     """Yield what `work` makes of each task, one after another in this process: the least of crews."""
     yield from (work(*task) for task in tasks)
 
@@ -28,7 +28,7 @@ def local(jobs: int) -> Crew:
     if jobs == 1:
         return alone
 
-    def crew(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+    def crew(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Generator[T, None, None]:
         if len(tasks) < 2:
             yield from alone(work, tasks)
             return

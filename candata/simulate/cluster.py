@@ -8,14 +8,14 @@ import socket
 import subprocess
 import sys
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
 from candata import __version__
 from candata.errors import CandataError, MissingExtraError, SetupError
-from candata.gap.blind.crew import Crew, local
+from candata.simulate.crew import Crew, local
 
 T = TypeVar("T")
 #: Address that means a cluster of this machine alone, started for the run and ended with it.
@@ -170,7 +170,7 @@ def _name(node: dict[str, Any]) -> str:
 def _crew(ray: Any) -> Crew:
     """Return the crew of the cluster that was joined."""
 
-    def crew(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Iterator[T]:
+    def crew(work: Callable[..., T], tasks: Sequence[tuple[Any, ...]]) -> Generator[T, None, None]:
         task = ray.remote(work).options(num_cpus=1, max_retries=RETRIES)
         waiting = [task.remote(*one) for one in tasks]
         try:

@@ -1,0 +1,14 @@
+"""Words for what became of the object in a simulated episode."""
+
+from __future__ import annotations
+
+SUCCESS, FAIL = "success", "fail"
+#: What `candata.simulate.outcome` tells of an episode that is meant to do something with an object.
+OUTCOMES = (SUCCESS, "slip", "drop", "miss", "topple")
+#: What may be wanted of an episode: an outcome, or any of those that are no success.
+WANTED = (*OUTCOMES, FAIL)
+
+
+def is_wanted(outcome: str | None, wanted: str) -> bool:
+    """Tell whether an outcome is the wanted one."""
+    return outcome is not None and (outcome != SUCCESS if wanted == FAIL else outcome == wanted)

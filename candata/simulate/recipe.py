@@ -1,0 +1,150 @@
+"""The recipe of a generated set, checked: what excludes what, which policies can play, which objects take turns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+from candata.datasets import put_cloud
+from candata.errors import UsageError
+from candata.policies import read_motions, read_step_policy
+from candata.scenes import Scene, load_scene
+from candata.scenes.clouds import surface_cloud
+from candata.scenes.object_folder import named_object
+from candata.schema.disturbance import Disturbances
+from candata.schema.effect import EffectSetting
+from candata.schema.randomisation import RandomEffect
+from candata.simulate.jobs import GenerationRecipe, check, policies_with_goal, possible_policies
+
+
+def make_recipe(
+    scene: str,
+    model: Scene,
+    seed: int,
+    *,
+    objects: Sequence[str] = (),
+    effects: Sequence[EffectSetting] = (),
+    randomisation: Sequence[RandomEffect] = (),
+    disturbances: Disturbances | None = None,
+    policies: Sequence[str] = (),
+    policy_file: str | Path | None = None,
+    step_policy: str | None = None,
+    duration_s: float = 3.2,
+    noise: bool = True,
+    taxels: bool = False,
+    outcomes: Mapping[str, float] | None = None,
+) -> GenerationRecipe:
+    """Return the recipe of a set in a scene that is loaded as `model`; parameters are those of `generate`.
+
+    Raises
+    ------
+    UsageError
+        When two of them exclude each other, or a policy has no goal where outcomes are wanted.
+    """
+    recipe = GenerationRecipe(
+        scene=scene,
+        objects=tuple(objects),
+        seed=seed,
+        effects=tuple(effects),
+        randomisation=tuple(randomisation),
+        disturbances=disturbances,
+        policies=tuple(policies) or possible_policies(model),
+        duration_s=duration_s,
+        noise=noise,
+        taxels=taxels,
+        outcomes=dict(sorted((outcomes or {}).items())),
+    )
+    if policy_file is not None:
+        recipe = _with_file(recipe, model, policy_file, policies)
+    if step_policy is not None:
+        recipe = _with_step_policy(recipe, step_policy, policies)
+    if effects and randomisation:
+        raise UsageError("effects and a randomisation at once", fix="write plain numbers into the randomisation")
+    return _with_goals(recipe, model, policies) if outcomes else recipe
+
+
+class SetOptions(TypedDict, total=False):
+    """What a set may be made with beside its scene and seed: the parameters of `make_recipe`."""
+
+    objects: Sequence[str]
+    effects: Sequence[EffectSetting]
+    randomisation: Sequence[RandomEffect]
+    disturbances: Disturbances | None
+    policies: Sequence[str]
+    policy_file: str | Path | None
+    step_policy: str | None
+    duration_s: float
+    noise: bool
+    taxels: bool
+    outcomes: Mapping[str, float] | None
+
+
+@dataclass(frozen=True)
+class HeldObject:
+    """An object of a set: its name, the digest of the scene that holds it, and points on its surface."""
+
+    name: str
+    scene_digest: str
+    cloud: NDArray[np.float32]
+
+
+def checked_objects(recipe: GenerationRecipe, model: Scene, episodes: int) -> tuple[HeldObject, ...]:
+    """Return the objects of a set, once it is known that all can be simulated; none of a scene without an object."""
+    if not recipe.objects:
+        check(recipe, model, range(episodes))
+        name = model.file.object
+        return () if name is None else (HeldObject(name, model.digest, surface_cloud(model)),)
+    names = [named_object(asked_name).name for asked_name in recipe.objects]
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise UsageError("an object is named twice", expected="objects of different names", found=", ".join(repeated))
+    held_objects = []
+    for turn, (name, scene_name) in enumerate(zip(names, recipe.scenes, strict=True)):
+        scene = load_scene(scene_name)
+        check(recipe, scene, [i for i in range(episodes) if recipe.scene_turn(i) == turn])
+        held_objects.append(HeldObject(name, scene.digest, surface_cloud(scene)))
+    return tuple(held_objects)
+
+
+def with_clouds(root: Path, recipe: GenerationRecipe, held_objects: Sequence[HeldObject]) -> GenerationRecipe:
+    """Return the recipe with the names of its objects' point clouds, once these are in the dataset."""
+    return recipe.model_copy(update={"point_clouds": tuple(put_cloud(root, held.cloud) for held in held_objects)})
+
+
+def _with_file(recipe: GenerationRecipe, scene: Scene, path: str | Path, policies: Sequence[str]) -> GenerationRecipe:
+    """Return the recipe that plays the motions of a file."""
+    if policies:
+        raise UsageError("policies and a policy file at once", fix="leave one of them out")
+    motion_file = read_motions(path, scene)
+    names = tuple(m.name for m in motion_file.motions)
+    return recipe.model_copy(update={"policies": names, "policy_file": str(path), "policy_digest": motion_file.digest})
+
+
+def _with_step_policy(recipe: GenerationRecipe, source: str, policies: Sequence[str]) -> GenerationRecipe:
+    """Return the recipe whose commands a policy gives in a closed loop."""
+    if policies or recipe.policy_file is not None:
+        raise UsageError("two sources of commands at once", fix="give --policies, --policy-file or --policy-module")
+    step_policy = read_step_policy(source)
+    names = {"policies": (step_policy.name,), "step_policy": source, "policy_digest": step_policy.digest}
+    return recipe.model_copy(update=names)
+
+
+def _with_goals(recipe: GenerationRecipe, scene: Scene, policies: Sequence[str]) -> GenerationRecipe:
+    """Return the recipe with the policies that have a goal; refuse those that were named and have none."""
+    if recipe.policy_file is not None or recipe.step_policy is not None:
+        raise UsageError("commands of your own and wanted outcomes at once", fix="leave one of them out")
+    names = policies_with_goal(recipe, scene)
+    aimless_names = [name for name in policies or recipe.policies if name not in names]
+    if aimless_names and (policies or not names):
+        every_policy = recipe.model_copy(update={"policies": possible_policies(scene)})
+        raise UsageError(
+            f"policy {', '.join(aimless_names)} has no goal, so its episodes have no outcome",
+            expected=f"policies with a goal: {', '.join(policies_with_goal(every_policy, scene)) or 'there is none'}",
+            fix="name others with --policies, or leave --outcomes out",
+        )
+    return recipe.model_copy(update={"policies": names})
