@@ -264,17 +264,11 @@ class _Run:
                 self._apply_strength(k)
                 sensor_data, touch = self._step(held_commands)
                 failed_row[self.batch.warning[:, :, 1].any(1) & (failed_row == count)] = k + 1
-        state_arrays = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
+        qpos, qvel = [np.stack(s, 1) for s in zip(*states, strict=True)] or [np.zeros(0), np.zeros(0)]
         readings = {n: np.stack(v, 1) for n, v in rows.items()}
-        trajectory = Trajectory(
-            readings,
-            np.stack(touches, 1),
-            np.concatenate(sizes).swapaxes(0, 1),
-            failed_row,
-            state_arrays[0],
-            state_arrays[1],
-            labels={name: np.concatenate(values).swapaxes(0, 1) for name, values in labels.items()},
-        )
+        tip_force = np.concatenate(sizes).swapaxes(0, 1)
+        joined = {name: np.concatenate(values).swapaxes(0, 1) for name, values in labels.items()}
+        trajectory = Trajectory(readings, np.stack(touches, 1), tip_force, failed_row, qpos, qvel, labels=joined)
         return replace(trajectory, memory=self._remembered(), first_memory=self.first_memory) if keep else trajectory
 
     def _readings(self) -> dict[str, Array]:
