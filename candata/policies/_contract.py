@@ -103,12 +103,15 @@ class Policy:
         `(scene, rng, duration_s) -> Plan`.
     variants : tuple of Variant
         The same kind of motion, made to show one thing; never part of the usual mix.
+    on_request : bool
+        Played where it is named only: never part of the usual mix.
     """
 
     about: str
     possible: Callable[[Scene], bool]
     plan: Planner
     variants: tuple[Variant, ...] = ()
+    on_request: bool = False
 
 
 @dataclass(frozen=True, eq=False)

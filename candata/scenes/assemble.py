@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -53,6 +53,8 @@ class Scene:
         Effects that belong to the nominal simulator, see `candata.simulate.with_effects`.
     plain : Scene or None
         The scene without them; None where there are none.
+    has_other_object : bool
+        Whether another object is in the place of the scene's own: its keyframes know nothing of it.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Scene:
     policies: tuple[str, ...] = ()
     given_effects: tuple[EffectSetting, ...] = ()
     plain: Scene | None = None
+    has_other_object: bool = False
 
     @property
     def substeps(self) -> int:
@@ -249,7 +252,7 @@ def load_scene(name: str | Path) -> Scene:
         return assemble(str(name), *_source(name))
     file, spec, policies = _source(base)
     replace_object(base, file, spec, named_object(object_name))
-    return assemble(str(name), file, spec, policies)
+    return replace(assemble(str(name), file, spec, policies), has_other_object=True)
 
 
 def _source(name: str | Path) -> tuple[SceneFile, mujoco.MjSpec, tuple[str, ...]]:

@@ -134,8 +134,9 @@ def _check_step_policy(recipe: GenerationRecipe, scene: Scene) -> None:
 
 
 def possible_policies(scene: Scene) -> tuple[str, ...]:
-    """Return the policies that can act in the scene: its own list, else all that are possible."""
-    return scene.policies or tuple(n for n in policy_names() if policy(n).possible(scene))
+    """Return the policies of the scene's usual mix: its own list, else all that are possible and not on request."""
+    loaded = {name: policy(name) for name in policy_names()}
+    return scene.policies or tuple(n for n, each in loaded.items() if not each.on_request and each.possible(scene))
 
 
 def policies_with_goal(recipe: GenerationRecipe, scene: Scene) -> tuple[str, ...]:
