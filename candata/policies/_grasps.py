@@ -17,7 +17,7 @@ from candata.policies._closing import SHARES, Pinch, Way, pinches, ways
 from candata.policies._contract import Array, Goal, Plan
 from candata.policies._grasp import Hand, hand_of
 from candata.policies._opposing import chords
-from candata.policies._trials import LIFT_M, Trial, lifted_heights
+from candata.policies._trials import LIFT_M, Trial, lift_worths
 from candata.rotation import conjugate, exp, multiply, rotate
 from candata.scenes import Scene
 from candata.scenes.clouds import surface_cloud
@@ -43,7 +43,7 @@ APPROACH_M = 0.09
 #: of the built-in hand 0.1 to 0.5 N m at the finger's base.
 SQUEEZE = (0.15, 0.6)
 #: Grasps that are tried by one lift; the best of them that are tried again, so many times; the most that are kept, and
-#: the share of lifts that a kept grasp reaches when others reach it. Chosen for a second of CPU time.
+#: the least mean worth of their lifts, as a share of the best. Chosen for a second of CPU time.
 TRIED, TRIED_AGAIN, TIMES, KEPT, GOOD_SHARE = 32, 8, 5, 4, 0.8
 #: How the object stands off, is turned, and the grip differs when a grasp is tried again (1 sd, 1 sd, range): more than
 #: policies do.
@@ -152,17 +152,19 @@ def _kept(key: SameScene) -> tuple[Grasp, ...]:
     search = _Search(key.scene)
     candidates = search.candidates()
     trials = [search.trial(grasp, np.zeros(3), 1.0) for grasp in candidates]
-    first_heights = lifted_heights(key.scene, trials)
-    best = [candidates[i] for i in np.argsort(-first_heights, kind="stable")[:TRIED_AGAIN]]
+    first_worths = lift_worths(key.scene, trials)
+    best = [candidates[i] for i in np.argsort(-first_worths, kind="stable")[:TRIED_AGAIN]]
     rng = np.random.default_rng(SEED)
     off = rng.standard_normal((len(best) * TIMES, 3)) * (OFF_SD_M, OFF_SD_M, OFF_SD_RAD)
     grips = rng.uniform(*GRIP, len(off))
     again = [search.trial(best[i // TIMES], off[i], grips[i]) for i in range(len(off))]
-    shares = (lifted_heights(key.scene, again) > 0).reshape(-1, TIMES).mean(1)
-    order = np.argsort(-shares, kind="stable")
-    ranked = [replace(best[i], lifted_share=float(shares[i])) for i in order]
-    enough = min(GOOD_SHARE, ranked[0].lifted_share)
-    return tuple(grasp for grasp in ranked if grasp.lifted_share >= enough)[:KEPT]
+    worths = lift_worths(key.scene, again).reshape(-1, TIMES)
+    shares, means = (worths > 0).mean(1), worths.mean(1)
+    return tuple(
+        replace(best[i], lifted_share=float(shares[i]))
+        for i in np.argsort(-means, kind="stable")[:KEPT]
+        if means[i] >= GOOD_SHARE * means.max()
+    )
 
 
 @dataclass(frozen=True, eq=False)
