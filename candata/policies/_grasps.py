@@ -35,8 +35,8 @@ FIT_M, FIT_RAD = 0.006, 0.35
 #: Distance of the line from the mass centre that costs as much as the loss of all alignment [m]. Chosen: a finger's.
 OFF_CENTRE_M = 0.05
 #: Distance that the hand keeps from the support [m], and how much higher than the line it may grasp for that [m], if
-#: that is not above the object's top.
-CLEAR_M, MOST_RAISE_M = 0.004, 0.03
+#: that is not farther above the object's top than fingertips reach below the line.
+CLEAR_M, MOST_RAISE_M, LOWER_M = 0.004, 0.03, 0.012
 #: From how far the open hand comes to its grasp [m]: more than a finger's width.
 APPROACH_M = 0.09
 #: How far the fingers close beyond where they touch, as a share of the way from open to closed. Chosen: with the servos
@@ -44,7 +44,7 @@ APPROACH_M = 0.09
 SQUEEZE = (0.15, 0.6)
 #: Grasps that are tried by one lift; the best of them that are tried again, so many times; the most that are kept, and
 #: the least mean worth of their lifts, as a share of the best. Chosen for a second of CPU time.
-TRIED, TRIED_AGAIN, TIMES, KEPT, GOOD_SHARE = 32, 8, 5, 4, 0.8
+TRIED, TRIED_AGAIN, TIMES, KEPT, GOOD_SHARE = 32, 8, 4, 4, 0.8
 #: How the object stands off, is turned, and the grip differs when a grasp is tried again (1 sd, 1 sd, range): more than
 #: policies do.
 OFF_SD_M, OFF_SD_RAD, GRIP = 0.005, 0.05, (0.92, 1.1)
@@ -286,7 +286,7 @@ class _Search:
         all_carried = self._carried([grasp.path[None] for grasp in grasps_at])
         for c, grasp, carried in zip(candidates, grasps_at, all_carried, strict=True):
             lack_m = np.inf if carried is None else CLEAR_M - self._height(grasp, carried[0])
-            if lack_m < min(MOST_RAISE_M, c.headroom_m):
+            if lack_m < min(MOST_RAISE_M, c.headroom_m + LOWER_M):
                 rise = max(0.0, float(lack_m)) * self.lift
                 raised.append(replace(grasp, path=grasp.path + np.concatenate([rise, np.zeros(3)])))
         paths = [self._approaches(grasp) for grasp in raised]

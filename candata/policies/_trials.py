@@ -16,7 +16,7 @@ from candata.scenes import Scene
 from candata.scenes.model_file import without_log
 
 #: Times of a trial [s]: closing, lifting, holding; and how high it lifts [m]. Chosen: as long as the fingers need.
-CLOSE_S, LIFT_S, HOLD_S, LIFT_M = 0.5, 0.4, 0.4, 0.06
+CLOSE_S, LIFT_S, HOLD_S, LIFT_M = 0.5, 0.4, 0.3, 0.06
 #: Share of the lift that the object must rise by, and stay at, to count as lifted.
 LIFTED_SHARE = 0.8
 #: A way by which closing fingers push the object counts this share of one by which it slips. A turn by this angle costs
